@@ -1,0 +1,78 @@
+"""Synthetic grasps with a known pose: what the experiments draw their problems from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import handsight as hs
+from handsight import se3
+
+CAN = {"radius": 0.033, "height": 0.115}
+BOX = (0.060, 0.090, 0.140)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One grasp: what the hand measured, and the truth it does not know."""
+
+    contacts: hs.Contacts
+    vision: hs.PosePrior
+    T_palm_object: np.ndarray
+    points_object: np.ndarray
+    """(n, 3) where the contacts truly are, object frame [m]."""
+    normals_object: np.ndarray
+
+
+def tilted(normals, sigma, rng):
+    """Unit vectors turned by N(0, sigma) [rad] about each of two tangent axes."""
+    tangent = rng.normal(size=normals.shape) * sigma
+    tangent -= (tangent * normals).sum(axis=1, keepdims=True) * normals
+    R = se3.rotation_exp(np.cross(normals, tangent))
+    return (R @ normals[..., None])[..., 0]
+
+
+def on_can_side(rng, n=5, radius=CAN["radius"], height=CAN["height"]):
+    """n points and normals on a can's side, object frame."""
+    angle = rng.uniform(0, 2 * np.pi, n)
+    normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
+    return radius * normals + np.outer(rng.uniform(-0.45, 0.45, n) * height, [0, 0, 1]), normals
+
+
+def on_box_faces(rng, n=5, size=BOX, faces=None):
+    """n points and normals on a box, on the given faces (0-5: +x -x +y -y +z -z) or three random ones."""
+    faces = rng.choice(6, 3, replace=False) if faces is None else np.asarray(faces)
+    which = faces[np.arange(n) % len(faces)]
+    points = rng.uniform(-0.45, 0.45, (n, 3)) * np.asarray(size)
+    normals = np.zeros((n, 3))
+    rows = np.arange(n)
+    normals[rows, which // 2] = 1 - 2 * (which % 2)
+    points[rows, which // 2] = normals[rows, which // 2] * np.asarray(size)[which // 2] / 2
+    return points, normals
+
+
+def grasp(points_object, normals_object, rng, *, noise=(5e-4, np.deg2rad(2)), error=(0.02, np.deg2rad(15))):
+    """The scene of these contacts: a random pose, contact noise per axis, vision wrong by a Gaussian draw.
+
+    `error`: root mean square length of vision's shift [m] and turn [rad]; its sigmas are per axis, and true.
+    """
+    T = se3.random(rng, spread=0.1)
+    sigma_point, sigma_normal = noise
+    points = se3.apply(T, points_object) + sigma_point * rng.normal(size=points_object.shape)
+    normals = tilted(normals_object @ T[:3, :3].T, sigma_normal, rng)
+    contacts = hs.Contacts(points, normals, sigma_point=sigma_point, sigma_normal=sigma_normal)
+    sigma = np.repeat(np.asarray(error) / np.sqrt(3), 3)
+    T_vision = se3.moved(T, sigma * rng.normal(size=6))
+    return Scene(contacts, hs.PosePrior(T_vision, np.diag(sigma**2)), T, points_object, normals_object)
+
+
+def pose_errors(model, estimate, T_palm_object):
+    """Errors of an estimate modulo symmetry: shift of the middle [m] and turn [rad], all and observable part."""
+    from handsight.objects.symmetry import nearest
+
+    T_hat = estimate.T_palm_object
+    truth = nearest(model.symmetries, T_palm_object, T_hat, model.radius)
+    delta = se3.difference(T_hat, truth) * np.repeat([1.0, model.radius], 3)
+    open_ = estimate.unobservable
+    seen = delta - open_.T @ (open_ @ delta) if len(open_) else delta
+    scale = np.repeat([1.0, 1 / model.radius], 3)
+    return [np.linalg.norm(v) for d in (delta, seen) for v in np.split(d * scale, 2)]

@@ -1,0 +1,78 @@
+"""Checks at the public door: the clean array comes back, or an InvalidInput that names the argument."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from handsight.errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+
+def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """`value` as float64 of that shape (None: any length), all finite; raises InvalidInput otherwise."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged
+        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}") from None
+    # Not even numbers in strings, truth values or integers beyond 64 bits pass for numbers.
+    if array.size and array.dtype.kind not in "iuf":
+        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
+    if array.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    ):
+        came = brief(value) if array.size <= 8 else f"shape {array.shape}"
+        raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
+    array = array.astype(np.float64)
+    if not np.isfinite(array).all():
+        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
+    return array
+
+
+def positive(value: ArrayLike, name: str) -> float:
+    """`value` as a float above zero; raises InvalidInput otherwise."""
+    number = float(finite(value, name, ()))
+    if not number > 0:
+        raise InvalidInput(f"{name}: expected a number above 0, got {brief(value)}")
+    return number
+
+
+def unit(vectors: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """`vectors` scaled to length 1 along the last axis; a zero vector raises InvalidInput."""
+    array = finite(vectors, name, shape)
+    # Dividing by the largest entry first keeps 1e-200 and 1e200 from under- and overflowing.
+    largest = np.abs(array).max(axis=-1, keepdims=True) if array.size else np.ones_like(array)
+    if (largest == 0).any():
+        raise InvalidInput(f"{name}: expected a direction, got a zero vector")
+    array = array / largest
+    return np.asarray(array / np.linalg.norm(array, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def covariance(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """`value` if symmetric and positive semidefinite (to rounding), made exactly symmetric."""
+    array = finite(value, name, shape)
+    transposed = np.swapaxes(array, -1, -2)
+    # Entries differ in unit (m², m rad, rad²): compare each with what its own variances allow.
+    deviation = np.sqrt(np.abs(np.diagonal(array, axis1=-2, axis2=-1)))
+    scale = deviation[..., :, None] * deviation[..., None, :]
+    if (np.abs(array - transposed) > 1e-6 * scale + 1e-300).any():
+        raise InvalidInput(f"{name}: expected a symmetric covariance, got one that is not")
+    array = (array + transposed) / 2
+    normalised = array / np.where(scale > 0, scale, 1.0)
+    if array.size and np.linalg.eigvalsh(normalised).min() < -1e-9:
+        raise InvalidInput(f"{name}: expected a positive semidefinite covariance, got a negative eigenvalue")
+    return array
+
+
+def describe(shape: tuple[int | None, ...]) -> str:
+    """What an array of that shape is called in a message."""
+    if shape == ():
+        return "a finite number"
+    if len(shape) == 1 and shape[0] is not None:
+        return f"{shape[0]} finite numbers"
+    return f"finite numbers of shape ({', '.join('n' if s is None else str(s) for s in shape)})"
+
+
+def brief(value: object) -> str:
+    """`value` in at most 80 characters, in JSON's list form."""
+    text = str(value.tolist() if isinstance(value, np.ndarray) else value)
+    return text if len(text) <= 80 else text[:77] + "..."

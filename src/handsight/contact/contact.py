@@ -1,0 +1,143 @@
+"""What a fingertip feels: one contact, none and why, or a batch of both."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import se3
+from handsight.checks import Array
+
+ReasonName = Literal["free", "off_cap", "beyond_friction", "invalid"]
+
+
+class Reason(IntEnum):
+    """What became of a wrench; the numbers in `ContactBatch.reasons`."""
+
+    CONTACT = 0
+    """A contact."""
+    FREE = 1
+    """Weaker than the tip's `min_force`."""
+    OFF_CAP = 2
+    """No push within the cap explains it: a pull, a touch beside the cap, or an axis that misses the tip."""
+    BEYOND_FRICTION = 3
+    """It would need more friction than the tip's `max_friction`: more than one contact, or a bias."""
+    INVALID = 4
+    """The reading holds NaN or infinity."""
+
+
+REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = (
+    "contact",
+    "free",
+    "off_cap",
+    "beyond_friction",
+    "invalid",
+)
+"""The reasons in words, at their numbers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """One fingertip touching the object, in the tip's (surface's) frame unless `moved`."""
+
+    point: Array
+    """(3,) on the tip's surface [m]."""
+    normal: Array
+    """(3,) unit; the way the object pushes the tip: its outward normal, minus the tip's."""
+    force: Array
+    """(3,) of the object on the tip [N]."""
+    force_normal: float
+    """`force · normal`, above zero [N]."""
+    torque: float
+    """Local torque of the object on the tip about `normal` [N m]; as a vector, `torque * normal`."""
+    covariance: Array
+    """(6, 6) of (point [m], normal), from the sensor's noise alone; singular (rank 2),
+    because the point stays on the surface and the normal follows it."""
+
+    @property
+    def force_tangential(self) -> Array:
+        """(3,) the part of `force` in the tangent plane [N]."""
+        return np.asarray(self.force - self.force_normal * self.normal, dtype=np.float64)
+
+    def moved(self, T_new_old: Array) -> "Contact":
+        """The same contact in another frame; `T_new_old` (4, 4) maps this frame's coordinates to it."""
+        T = se3.check(T_new_old, "T_new_old")
+        R = T[:3, :3]
+        return Contact(
+            R @ self.point + T[:3, 3],
+            R @ self.normal,
+            R @ self.force,
+            self.force_normal,
+            self.torque,
+            symmetric(se3.rotate_covariance(R, self.covariance)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class NoContact:
+    """No contact, and why; falsy."""
+
+    reason: ReasonName
+    """free: weaker than `min_force`; off_cap, beyond_friction: see `Reason`; invalid: only from a batch."""
+
+    def __bool__(self) -> bool:
+        return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactBatch:
+    """What n wrenches say: a reason for each, and the k contacts among them, in the tip's frame.
+
+    `len(batch)` is n and `batch[i]` is wrench i's `Contact` or `NoContact`. The arrays hold the contacts
+    alone, so nothing in them stands for a missing one.
+    """
+
+    reasons: NDArray[np.int8]
+    """(n,) a `Reason` each."""
+    rows: NDArray[np.intp]
+    """(k,) the wrench each contact came from, ascending."""
+    points: Array
+    """(k, 3) [m]."""
+    normals: Array
+    """(k, 3) unit; the way the object pushes."""
+    forces: Array
+    """(k, 3) of the object on the tip [N]."""
+    forces_normal: Array
+    """(k,) [N], above zero."""
+    torques: Array
+    """(k,) local torque about the normal [N m]."""
+    covariances: Array
+    """(k, 6, 6) of (point [m], normal), from the sensor's noise alone."""
+
+    def __len__(self) -> int:
+        return len(self.reasons)
+
+    @overload
+    def __getitem__(self, i: int) -> Contact | NoContact: ...
+    @overload
+    def __getitem__(self, i: slice) -> list[Contact | NoContact]: ...
+    def __getitem__(self, i: int | slice) -> Contact | NoContact | list[Contact | NoContact]:
+        if isinstance(i, slice):
+            return [self[j] for j in range(*i.indices(len(self)))]
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"wrench {i} of {len(self)}")
+        i = i % len(self)
+        name = REASON_NAMES[self.reasons[i]]
+        if name != "contact":
+            return NoContact(name)
+        k = int(np.searchsorted(self.rows, i))
+        return Contact(
+            self.points[k],
+            self.normals[k],
+            self.forces[k],
+            float(self.forces_normal[k]),
+            float(self.torques[k]),
+            self.covariances[k],
+        )
+
+
+def symmetric(matrices: Array) -> Array:
+    """(..., m, m) made exactly symmetric."""
+    return np.asarray((matrices + np.swapaxes(matrices, -1, -2)) / 2, dtype=np.float64)

@@ -1,0 +1,205 @@
+"""The contacts of one grasp in the palm frame: what correction uses."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.contact.contact import Contact, symmetric
+from handsight.errors import InvalidInput
+
+FARTHEST = 5.0
+"""No contact is farther from the palm than this [m]; beyond it the unit is wrong."""
+
+
+@dataclass(frozen=True, slots=True, init=False, eq=False)
+class Contacts:
+    """Where the hand touches the object, with or without normals, and how well that is known."""
+
+    points_palm: Array
+    """(n, 3), n ≥ 1 [m]."""
+    normals_palm: Array
+    """(n, 3) unit, the object's outward normals; rows of zeros where `has_normal` is False."""
+    has_normal: NDArray[np.bool_]
+    """(n,)"""
+    covariance: Array
+    """(n, 6, 6) of (point [m], normal) along the palm's axes. A unit normal varies in its
+    tangent plane only, so nothing is kept along it, and nothing at all where there is no normal."""
+
+    def __init__(
+        self,
+        points_palm: ArrayLike,
+        normals_palm: ArrayLike | Sequence[ArrayLike | None] | None = None,
+        sigma_point: ArrayLike = 1e-3,
+        sigma_normal: ArrayLike = 0.1,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """`points_palm` (n, 3) [m]; `normals_palm` (n, 3), any length, None for a contact without one.
+
+        `sigma_point` [m] and `sigma_normal` [rad], a number or (n,), are one standard deviation per axis (of
+        a point's x; of a normal's angle about each of two tangent axes). `covariance` (n, 6, 6), positive
+        semidefinite, replaces both. Raises InvalidInput naming the entry.
+        """
+        points = _points(points_palm)
+        normals, has_normal = _normals(normals_palm, len(points))
+        if covariance is None:
+            covariance_palm = np.zeros((len(points), 6, 6))
+            for block, sigma, name in ((0, sigma_point, "sigma_point"), (3, sigma_normal, "sigma_normal")):
+                variance = _sigmas(sigma, name, len(points)) ** 2
+                covariance_palm[:, block : block + 3, block : block + 3] = variance[:, None, None] * np.eye(3)
+        else:
+            covariance_palm = _by_row(checks.covariance, covariance, "covariance", (6, 6))
+            _same_length(covariance_palm, "covariance", len(points))
+        _fill(self, points, normals, has_normal, _tangent(covariance_palm, normals, has_normal))
+
+    @classmethod
+    def from_tips(
+        cls, contacts: Sequence[Contact], *, sigma_point: ArrayLike = 1e-3, sigma_normal: ArrayLike = 0.1
+    ) -> "Contacts":
+        """Contacts sensed by fingertips, already `moved` into the palm frame.
+
+        The sigmas (one standard deviation per axis, a number or (n,)) stand for what the force sensor's noise
+        does not cover: joint angles, calibration, soft tips. They are added to each contact's own covariance,
+        which alone is singular: it knows no error across the tip's surface.
+        """
+        if not len(contacts):
+            raise InvalidInput("contacts: expected at least one contact, got none")
+        for i, contact in enumerate(contacts):
+            if not isinstance(contact, Contact):
+                raise InvalidInput(f"contacts[{i}]: expected a Contact, got {checks.brief(contact)}")
+        points = np.array([contact.point for contact in contacts])
+        normals = np.array([contact.normal for contact in contacts])
+        rest = cls(points, normals, sigma_point, sigma_normal)
+        sensed = np.array([contact.covariance for contact in contacts])
+        return cls(points, normals, covariance=sensed + rest.covariance)
+
+    def __len__(self) -> int:
+        return len(self.points_palm)
+
+    def moved(self, T_new_palm: ArrayLike) -> "Contacts":
+        """The same contacts in another frame; `T_new_palm` (4, 4) maps palm coordinates to it."""
+        T = se3.check(T_new_palm, "T_new_palm")
+        R = T[:3, :3]
+        covariance = symmetric(se3.rotate_covariance(R, self.covariance))
+        return _made(se3.apply(T, self.points_palm), self.normals_palm @ R.T, self.has_normal, covariance)
+
+    def select(self, mask_or_indices: ArrayLike) -> "Contacts":
+        """Some of the contacts: a mask (n,) bool, or indices, which may reorder and repeat; at least one."""
+        chosen = np.asarray(mask_or_indices)
+        n = len(self)
+        if chosen.dtype == np.bool_ and chosen.shape == (n,):
+            chosen = np.flatnonzero(chosen)
+        if chosen.size == 0:
+            raise InvalidInput("select: expected at least one contact, got none")
+        if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
+            raise InvalidInput(
+                f"select: expected a mask of {n} or indices below {n}, got {checks.brief(mask_or_indices)}"
+            )
+        return _made(
+            self.points_palm[chosen],
+            self.normals_palm[chosen],
+            self.has_normal[chosen],
+            self.covariance[chosen],
+        )
+
+
+def _made(points: Array, normals: Array, has_normal: NDArray[np.bool_], covariance: Array) -> Contacts:
+    """Contacts from what is already clean."""
+    contacts = object.__new__(Contacts)
+    _fill(contacts, points, normals, has_normal, covariance)
+    return contacts
+
+
+def _fill(
+    contacts: Contacts, points: Array, normals: Array, has_normal: NDArray[np.bool_], covariance: Array
+) -> None:
+    for name, array in (
+        ("points_palm", points),
+        ("normals_palm", normals),
+        ("has_normal", has_normal),
+        ("covariance", covariance),
+    ):
+        array.flags.writeable = False
+        object.__setattr__(contacts, name, array)
+
+
+def _tangent(covariance: Array, normals: Array, has_normal: NDArray[np.bool_]) -> Array:
+    """`covariance` without the part along the normals, and without any where there is none."""
+    B = np.zeros((len(normals), 6, 6))
+    B[:, :3, :3] = np.eye(3)
+    B[:, 3:, 3:] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+    B[~has_normal, 3:, 3:] = 0.0
+    return symmetric(B @ covariance @ B.swapaxes(-1, -2))
+
+
+def _points(points_palm: ArrayLike) -> Array:
+    if isinstance(points_palm, np.ndarray | Sequence) and _axes(points_palm) and not len(points_palm):
+        raise InvalidInput("points_palm: expected at least one contact, got no contacts")
+    points = _by_row(checks.finite, points_palm, "points_palm", (3,))
+    for i in np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST):
+        came = checks.brief(points[i])
+        raise InvalidInput(
+            f"points_palm[{i}]: expected metres within {FARTHEST:g}, got {came} (millimetres?)"
+        )
+    return points
+
+
+def _normals(
+    normals_palm: ArrayLike | Sequence[ArrayLike | None] | None, n: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """(n, 3) unit or zero, and which are there."""
+    normals, has_normal = np.zeros((n, 3)), np.zeros(n, dtype=bool)
+    if normals_palm is None:
+        return normals, has_normal
+    if not isinstance(normals_palm, np.ndarray | Sequence) or isinstance(normals_palm, str):
+        raise InvalidInput(f"normals_palm: expected {n} normals, got {checks.brief(normals_palm)}")
+    _same_length(normals_palm, "normals_palm", n)
+    for i, normal in enumerate(normals_palm):
+        if normal is not None:
+            normals[i] = checks.unit(normal, f"normals_palm[{i}]", (3,))
+            has_normal[i] = True
+    return normals, has_normal
+
+
+def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
+    """(n,) positive."""
+    if _axes(value) == 0:
+        return np.full(n, checks.positive(value, name))
+    sigmas = checks.finite(value, name, (None,))
+    _same_length(sigmas, name, n)
+    for i in np.flatnonzero(~(sigmas > 0)):
+        raise InvalidInput(f"{name}[{i}]: expected a number above 0, got {sigmas[i]:g}")
+    return sigmas
+
+
+def _by_row(
+    check: Callable[[ArrayLike, str, tuple[int | None, ...]], Array],
+    value: ArrayLike,
+    name: str,
+    shape: tuple[int | None, ...],
+) -> Array:
+    """`check` of the whole; where it fails, the message names the row at fault if one is."""
+    try:
+        return check(value, name, (None, *shape))
+    except InvalidInput:
+        if isinstance(value, np.ndarray | Sequence) and _axes(value):
+            for i, row in enumerate(value):
+                check(row, f"{name}[{i}]", shape)
+        raise
+
+
+def _axes(value: Any) -> int:
+    """How many axes `value` has; one where its rows differ in length and numpy refuses to count."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return 1
+
+
+def _same_length(value: Sequence[object] | Array, name: str, n: int) -> None:
+    if len(value) != n:
+        raise InvalidInput(f"{name}: expected as many as points_palm ({n}), got {len(value)}")

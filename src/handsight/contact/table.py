@@ -1,0 +1,183 @@
+"""Wrench table in, contact table out: a row for every row, in order."""
+
+import csv
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, TextIO
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight.contact.contact import REASON_NAMES, ContactBatch
+from handsight.contact.fingertip import Fingertip
+from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
+from handsight.contact.wrench_table import WRENCHES_HELP, WrenchRows, read_wrenches, source_name
+from handsight.errors import InvalidFile, InvalidInput
+
+Format = Literal["csv", "jsonl"]
+
+COLUMNS = (
+    *("reason", "x", "y", "z", "nx", "ny", "nz", "force_normal"),
+    *("force_tangential_x", "force_tangential_y", "force_tangential_z", "torque"),
+    *("sigma_x", "sigma_y", "sigma_z", "sigma_normal"),
+)
+"""Of a CSV of contacts, after `stamp` and `finger` where the wrenches have them."""
+CONTACTS_HELP = """\
+Contacts: one row for each wrench, in order, all in the frame of the tip's surface
+  stamp, finger               as in the wrenches
+  reason                      contact, or why there is none: free (weaker than min_force), off_cap,
+                              beyond_friction, invalid (a missing reading)
+  x, y, z                     where the object touches the tip [m]
+  nx, ny, nz                  the object's outward normal there, into the tip
+  force_normal                along the normal [N]
+  force_tangential_x, _y, _z  the rest of the force [N]
+  torque                      local torque about the normal [N m]
+  sigma_x, sigma_y, sigma_z   standard deviation of x, y, z from the sensor's noise [m]
+  sigma_normal                of the normal's angle, per tangent axis [rad]
+Without a contact the numbers are left empty. CSV has nine digits. As JSON lines, in full precision: stamp,
+finger, reason, and for a contact point, normal, force_normal, force_tangential, torque and covariance (6 x 6
+of point and normal).
+"""
+COLUMNS_HELP = WRENCHES_HELP + "\n" + CONTACTS_HELP
+
+_JSON_NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+def convert(
+    source: str | os.PathLike[str] | TextIO,
+    destination: str | os.PathLike[str] | TextIO,
+    fingertip: Fingertip,
+    *,
+    sigma_force: ArrayLike = SIGMA_FORCE,
+    sigma_torque: ArrayLike = SIGMA_TORQUE,
+    format: Format | None = None,
+) -> dict[str, int]:
+    """How many rows got each reason (all of them named), after writing the contacts of a table of wrenches.
+
+    Paths or text streams; formats as in `COLUMNS_HELP`, sigmas as in `contact_from_wrench`, `format` as in
+    `write_contacts`. A destination that is a file appears only when everything was read and written. Raises
+    InvalidFile naming file and line.
+    """
+    sensed = (
+        (
+            rows,
+            contacts_from_wrenches(
+                rows.forces, rows.torques, fingertip, sigma_force=sigma_force, sigma_torque=sigma_torque
+            ),
+        )
+        for rows in read_wrenches(source)
+    )
+    return write_contacts(sensed, destination, format=format)
+
+
+def write_contacts(
+    sensed: Iterable[tuple[WrenchRows, ContactBatch]],
+    destination: str | os.PathLike[str] | TextIO,
+    *,
+    format: Format | None = None,
+) -> dict[str, int]:
+    """How many rows got each reason, after writing them to a path or a text stream.
+
+    `format` None: JSON lines for a path that ends in .jsonl, .ndjson or .json, CSV for all else.
+    """
+    if format is None:
+        suffix = Path(destination).suffix if isinstance(destination, str | os.PathLike) else ""
+        format = "jsonl" if suffix.lower() in (".jsonl", ".ndjson", ".json") else "csv"
+    writers: dict[str, Callable[[TextIO, WrenchRows, ContactBatch, bool], None]] = {
+        "csv": _write_csv,
+        "jsonl": _write_json,
+    }
+    if format not in writers:
+        raise InvalidInput(f"format: expected one of {', '.join(writers)}, got {format!r}")
+    counts: Counter[int] = Counter()
+    with _opened(destination) as file:
+        for i, (rows, batch) in enumerate(sensed):
+            writers[format](file, rows, batch, i == 0)
+            counts.update(batch.reasons.tolist())
+    return {name: counts[reason] for reason, name in enumerate(REASON_NAMES)}
+
+
+def _write_csv(file: TextIO, rows: WrenchRows, batch: ContactBatch, first: bool) -> None:
+    writer = csv.writer(file, lineterminator="\n")
+    if first:
+        writer.writerow([*rows.labels, *COLUMNS])
+    variances = np.diagonal(batch.covariances, axis1=1, axis2=2)
+    numbers = np.column_stack(
+        [
+            batch.points,
+            batch.normals,
+            batch.forces_normal,
+            batch.forces - batch.forces_normal[:, None] * batch.normals,
+            batch.torques,
+            np.sqrt(variances[:, :3]),
+            np.sqrt(variances[:, 3:].sum(axis=1) / 2),
+        ]
+    )
+    contacts = iter((numbers + 0.0).tolist())  # no -0
+    absent = [""] * numbers.shape[1]
+    for labels, reason in zip(_labels(rows), batch.reasons.tolist(), strict=True):
+        cells = absent if reason else [f"{number:.9g}" for number in next(contacts)]
+        writer.writerow([*labels, REASON_NAMES[reason], *cells])
+
+
+def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch, first: bool) -> None:
+    contacts = zip(
+        batch.points.tolist(),
+        batch.normals.tolist(),
+        batch.forces_normal.tolist(),
+        (batch.forces - batch.forces_normal[:, None] * batch.normals).tolist(),
+        batch.torques.tolist(),
+        batch.covariances.tolist(),
+        strict=True,
+    )
+    keys = ("point", "normal", "force_normal", "force_tangential", "torque", "covariance")
+    encode = msgspec.json.Encoder().encode
+    for labels, reason in zip(_labels(rows), batch.reasons.tolist(), strict=True):
+        row = {key: _json_label(key, value) for key, value in zip(rows.labels, labels, strict=True)}
+        row["reason"] = REASON_NAMES[reason]
+        if not reason:
+            row.update(zip(keys, next(contacts), strict=True))
+        file.write(encode(row).decode() + "\n")
+
+
+def _labels(rows: WrenchRows) -> Iterable[tuple[Any, ...]]:
+    """Stamp and finger of each row, as far as there are."""
+    return zip(*rows.labels.values(), strict=True) if rows.labels else [()] * len(rows)
+
+
+def _json_label(key: str, value: object) -> object:
+    """A stamp that CSV gave as text, as a number with all its digits; anything else as it is."""
+    if key == "stamp" and isinstance(value, str) and _JSON_NUMBER.fullmatch(value.strip()):
+        return msgspec.Raw(value.strip().encode())
+    return value
+
+
+@contextmanager
+def _opened(destination: str | os.PathLike[str] | TextIO) -> Iterator[TextIO]:
+    """A stream to write to; a file gets its name only when all is well."""
+    if not isinstance(destination, str | os.PathLike):
+        yield destination
+        return
+    path = Path(destination)
+    # A device or a pipe cannot be renamed onto.
+    replace = path.is_file() or not path.exists()
+    part = path.with_name(path.name + ".part") if replace else path
+    try:
+        file = part.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        raise InvalidFile(
+            f"{source_name(destination)}: cannot be written: {error.strerror or error}"
+        ) from None
+    try:
+        with file:
+            yield file
+        if replace:
+            part.replace(path)
+    finally:
+        if replace:
+            part.unlink(missing_ok=True)

@@ -1,0 +1,203 @@
+"""Wrench tables: CSV with a header, or JSON lines, read in chunks: a file may exceed the memory."""
+
+import csv
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.errors import InvalidFile
+
+NUMBERS = ("fx", "fy", "fz", "tx", "ty", "tz")
+LABELS = ("stamp", "finger")
+CHUNK = 8192
+"""Rows at a time."""
+WRENCHES_HELP = """\
+Wrenches: CSV with a header, columns in any order
+  fx, fy, fz  force of the object on the tip [N]
+  tx, ty, tz  torque of the object on the tip [N m], about the point the force is given at
+  stamp       optional; copied as it is
+  finger      optional; copied as it is
+or JSON, one object a line: {"stamp": 1.5, "finger": "ff", "force": [fx, fy, fz], "torque": [tx, ty, tz]}.
+An empty number (CSV), null (JSON) or NaN is a reading that is missing: its row is answered "invalid".
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchRows:
+    """Some consecutive rows of a wrench table."""
+
+    labels: dict[str, list[Any]]
+    """`stamp` and `finger`, those that the table has: a value for each row, text from CSV."""
+    forces: Array
+    """(n, 3) [N]; NaN where the table has no number."""
+    torques: Array
+    """(n, 3) [N m]; NaN where the table has no number."""
+
+    def __len__(self) -> int:
+        return len(self.forces)
+
+
+def read_wrenches(source: str | os.PathLike[str] | TextIO, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
+    """The table's rows in order, `chunk` at a time; CSV or JSON lines, told apart by the first character.
+
+    `source` is a path or a text stream; `WRENCHES_HELP` is the format. Blank lines are no rows. Raises
+    InvalidFile naming the file, the line, the column, what was expected and what came; also for a file
+    without a row.
+    """
+    name = source_name(source)
+    empty = True
+    try:
+        with _opened(source) as lines:
+            for rows in _chunks(_rows(lines, name), chunk):
+                empty = False
+                yield rows
+    except OSError as error:
+        raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise InvalidFile(f"{name}: expected UTF-8 text, got byte {error.object[error.start]:#04x}") from None
+    if empty:
+        raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
+
+
+def source_name(source: str | os.PathLike[str] | TextIO) -> str:
+    """What messages call a path or a stream."""
+    if isinstance(source, str | os.PathLike):
+        return os.fspath(source)
+    return str(getattr(source, "name", "stream"))
+
+
+_Row = tuple[dict[str, Any], list[float]]
+"""Labels and six numbers."""
+
+
+def _opened(source: str | os.PathLike[str] | TextIO) -> AbstractContextManager[TextIO]:
+    if isinstance(source, str | os.PathLike):
+        return Path(source).open(encoding="utf-8", newline="")
+    return nullcontext(source)
+
+
+def _chunks(rows: Iterator[_Row], size: int) -> Iterator[WrenchRows]:
+    while some := list(islice(rows, size)):
+        numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
+        labels = {key: [labels[key] for labels, _ in some] for key in some[0][0]}
+        yield WrenchRows(labels, numbers[:, :3], numbers[:, 3:])
+
+
+def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
+    """The rows of either format."""
+    lines = iter(lines)
+    seen: list[str] = []
+    for line in lines:
+        seen.append(line.removeprefix("\ufeff") if not seen else line)
+        if seen[-1].strip():
+            break
+    else:
+        return iter(())
+    parse = _json_rows if seen[-1].lstrip().startswith("{") else _csv_rows
+    return parse(chain(seen, lines), name)
+
+
+def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
+    reader = csv.reader(lines, strict=True)
+    try:
+        header: list[str] | None = None
+        for cells in reader:
+            if not any(cell.strip() for cell in cells) and len(cells) < 2:
+                continue
+            where = f"{name}: line {reader.line_num}"
+            if header is None:
+                header = _header(cells, where)
+                order = [header.index(column) for column in NUMBERS]
+                labels = [(column, header.index(column)) for column in LABELS if column in header]
+                continue
+            if len(cells) != len(header):
+                raise InvalidFile(f"{where}: expected {len(header)} columns as the header, got {len(cells)}")
+            numbers = [_number(cells[i], where, header[i]) for i in order]
+            yield {column: cells[i] for column, i in labels}, numbers
+    except csv.Error as error:
+        raise InvalidFile(f"{name}: line {reader.line_num}: expected CSV, got {error}") from None
+
+
+def _header(cells: list[str], where: str) -> list[str]:
+    """The columns' names, each known, none twice, none missing."""
+    header = [cell.strip().lower() for cell in cells]
+    known = (*LABELS, *NUMBERS)
+    for column in header:
+        if column not in known:
+            raise InvalidFile(f"{where}: expected a header of {', '.join(known)}, got column {column[:40]!r}")
+        if header.count(column) > 1:
+            raise InvalidFile(f"{where}: expected column {column} once, got it {header.count(column)} times")
+    missing = [column for column in NUMBERS if column not in header]
+    if missing:
+        raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {', '.join(missing)}")
+    return header
+
+
+def _number(cell: str, where: str, column: str) -> float:
+    if not cell or cell.isspace():
+        return math.nan
+    try:
+        number = float(cell)
+    except ValueError:
+        number = None
+    if number is None or "_" in cell:
+        raise InvalidFile(f"{where}, column {column}: expected a number, got {checks.brief(cell)!r}")
+    return number
+
+
+def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
+    first: dict[str, Any] | None = None
+    for i, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        where = f"{name}: line {i}"
+        try:
+            row = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise InvalidFile(f"{where}: expected a JSON object, got {error}") from None
+        if not isinstance(row, dict):
+            raise InvalidFile(f"{where}: expected a JSON object, got {checks.brief(row)}")
+        for key in row:
+            if key not in (*LABELS, "force", "torque"):
+                raise InvalidFile(f"{where}: expected keys stamp, finger, force, torque, got {key[:40]!r}")
+        numbers = [*_triple(row, "force", where), *_triple(row, "torque", where)]
+        labels = {key: _label(row[key], where, key) for key in LABELS if key in row}
+        if first is None:
+            first = labels
+        if labels.keys() != first.keys():
+            came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
+            raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
+        yield labels, numbers
+
+
+def _triple(row: dict[str, Any], key: str, where: str) -> list[float]:
+    """Three numbers, NaN where null."""
+    if key not in row:
+        raise InvalidFile(f"{where}: expected the keys force and torque, got no {key}")
+    value = row[key]
+    if (
+        not isinstance(value, list)
+        or len(value) != 3
+        or any(isinstance(x, bool) or not isinstance(x, int | float | None) for x in value)
+    ):
+        raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}")
+    try:
+        return [math.nan if x is None else float(x) for x in value]
+    except OverflowError:
+        raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}") from None
+
+
+def _label(value: object, where: str, key: str) -> object:
+    if isinstance(value, bool) or not isinstance(value, str | int | float | None):
+        raise InvalidFile(f"{where}, key {key}: expected a text or a number, got {checks.brief(value)}")
+    return value

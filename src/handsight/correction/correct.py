@@ -1,0 +1,125 @@
+"""The public door of correction: one function for every method."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.correction import modes, outliers, paper, two_phase
+from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior
+from handsight.correction.paper import PaperMethod
+from handsight.correction.posterior import mean_by_sampling
+from handsight.correction.two_phase import Problem, TwoPhase
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.objects.symmetry import nearest
+
+METHODS: dict[str, TwoPhase | PaperMethod] = {
+    "handsight": TwoPhase(),
+    "paper-lm": PaperMethod(optimizer="lm"),
+    "paper-gd": PaperMethod(optimizer="gd"),
+    "paper-lm-distance": PaperMethod(optimizer="lm", normals=False),
+    "paper-gd-distance": PaperMethod(optimizer="gd", normals=False),
+}
+
+
+def correct_pose(
+    model: ObjectModel,
+    contacts: Contacts,
+    *,
+    vision: PosePrior | None = None,
+    outside: ArrayLike | None = None,
+    samples: int = 0,
+    method: str | TwoPhase | PaperMethod = "handsight",
+) -> PoseEstimate:
+    """The object's pose in the palm that best explains the contacts and vision, with its uncertainty.
+
+    contacts: fingertip contacts in the palm frame. vision: where the object is thought to be; None: blind.
+    outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object.
+    samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, which
+    is the better answer where contacts bound a slide but do not fix it. method: a name of `METHODS`, or its
+    options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge says so in
+    `converged`.
+    """
+    options = _method(method)
+    if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
+        raise InvalidInput(
+            "correct_pose: expected an ObjectModel and Contacts, "
+            f"got {type(model).__name__} and {type(contacts).__name__}"
+        )
+    if vision is not None and not isinstance(vision, PosePrior):
+        raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
+    points = np.empty((0, 3)) if outside is None or np.size(outside) == 0 else outside
+    hand = checks.finite(points, "outside", (None, 3))
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
+        raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
+    problem = Problem(model, contacts, vision, hand, contacts.points_palm.mean(axis=0))
+    if isinstance(options, PaperMethod):
+        return _by_paper(problem, options)
+    return _by_two_phases(problem, options, int(samples))
+
+
+def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
+    if isinstance(method, TwoPhase | PaperMethod):
+        return method
+    if method not in METHODS:
+        raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    return METHODS[method]
+
+
+def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEstimate:
+    found = outliers.solve_robustly(problem, options)
+    model, used = problem.model, found.used
+    Ts = found.Ts_palm_object
+    if problem.vision is not None:
+        Ts = nearest(model.symmetries, Ts, problem.vision.T_palm_object, model.radius)
+    informations, by_touch, chi2, costs = two_phase.posterior(problem, Ts, used)
+    ranked = modes.hypotheses(model, Ts, informations, costs, blind=problem.vision is None)
+    best = ranked[0]
+    k = int(np.flatnonzero((Ts == best.T_palm_object).all(axis=(1, 2)))[0])
+    estimate = PoseEstimate(
+        T_palm_object=best.T_palm_object,
+        covariance=best.covariance,
+        information=best.information,
+        converged=bool(found.converged[k]),
+        iterations=int(found.iterations[k]),
+        residuals=two_phase.residuals(problem, best.T_palm_object),
+        unobservable=modes.unobservable(by_touch[k], model.radius),
+        consistent=modes.fits(float(chi2[k]), two_phase.freedom(problem, used)),
+        outliers=tuple(int(i) for i in np.flatnonzero(~used[0])),
+        hypotheses=ranked,
+    )
+    return mean_by_sampling(problem, estimate, used, samples) if samples else estimate
+
+
+def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
+    """The published method's pose; the uncertainty beside it is ours, taken at that pose."""
+    model, contacts = problem.model, problem.contacts
+    if problem.vision is None:
+        raise InvalidInput("vision: the paper's method starts from a pose, got None")
+    T = problem.vision.T_palm_object
+    points_object, normals_object = model.sample(options.cloud_size)
+    answer = paper.correct(
+        contacts.points_palm,
+        contacts.normals_palm if options.normals else None,
+        se3.apply(T, points_object),
+        normals_object @ T[:3, :3].T,
+        options,
+    )
+    T = answer.T_new_old @ T
+    used = np.ones((1, len(contacts)), dtype=bool)
+    information, by_touch, chi2, cost = two_phase.posterior(problem, T[None], used)
+    sigma = modes.covariance(information[0], model.radius, blind=False)
+    return PoseEstimate(
+        T_palm_object=T,
+        covariance=sigma,
+        information=information[0],
+        converged=answer.converged,
+        iterations=answer.iterations,
+        residuals=two_phase.residuals(problem, T),
+        unobservable=modes.unobservable(by_touch[0], model.radius),
+        consistent=modes.fits(float(chi2[0]), two_phase.freedom(problem, used)),
+        outliers=(),
+        hypotheses=(Hypothesis(T, information[0], sigma, 1.0, float(cost[0])),),
+    )

@@ -1,0 +1,273 @@
+"""Residuals of a pose, whitened by their standard deviations, with Jacobians by (δp, δθ).
+
+A term takes poses `T_palm_object` (K, 4, 4) and answers unitless residuals (K, r) and their derivatives
+(K, r, 6) by the perturbation of `handsight.se3.moved`. It knows its measurement and nothing of the solver.
+Derivations: docs/method.md.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.objects import Field, ObjectModel, Symmetries
+
+
+class Evidence(Protocol):
+    """One source of evidence about the pose."""
+
+    def linearize(self, Ts_palm_object: Array) -> tuple[Array, Array]:
+        """Unitless residuals (K, r) and their derivatives (K, r, 6) by (δp, δθ)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The object's surface as seen from palm points, for K poses and n points each, along the palm's axes."""
+
+    distance: Array
+    """(K, n) signed [m]."""
+    gradient: Array
+    """(K, n, 3) of the distance by the point."""
+    normal: Array
+    """(K, n, 3) unit outward."""
+    curvature: Array
+    """(K, n, 3, 3) derivative of the normal by the point [1/m]."""
+    lever: Array
+    """(K, n, 3) from the object's origin to the point [m]."""
+
+
+def surface_at(field: Field, points_palm: Array, Ts_palm_object: Array) -> Surface:
+    """The surface near each palm point (n, 3), for each pose (K, 4, 4)."""
+    R = Ts_palm_object[:, :3, :3]
+    Rt = R.transpose(0, 2, 1)
+    lever = points_palm - Ts_palm_object[:, None, :3, 3]
+    values = field.evaluate((lever @ R).reshape(-1, 3))
+    gradient = values.gradient.reshape(lever.shape) @ Rt
+    hessian = R[:, None] @ values.hessian.reshape(*lever.shape, 3) @ Rt[:, None]
+    slope = np.maximum(np.sqrt((gradient * gradient).sum(axis=-1)), 1e-9)[..., None]
+    normal = gradient / slope
+    # d(g/|g|) = (I - n nᵀ) dg / |g|
+    along = (normal[..., None, :] @ hessian) * normal[..., None]
+    curvature = (hessian - along) / slope[..., None]
+    return Surface(values.distance.reshape(lever.shape[:2]), gradient, normal, curvature, lever)
+
+
+def contact_distance(surface: Surface) -> tuple[Array, Array]:
+    """Distances (K, n, 1) [m] of the contacts to the surface, and derivatives (K, n, 1, 6)."""
+    torque = cross(surface.lever, surface.gradient)
+    jacobian = -np.concatenate([surface.gradient, torque], axis=-1)
+    return surface.distance[..., None], jacobian[..., None, :]
+
+
+def contact_normal(surface: Surface, normals_palm: Array) -> tuple[Array, Array]:
+    """Surface normal minus contact normal (K, n, 3), and derivatives (K, n, 3, 6) with the curvature's part."""
+    by_rotation = surface.curvature @ se3.skew(surface.lever) - se3.skew(surface.normal)
+    return surface.normal - normals_palm, np.concatenate([-surface.curvature, by_rotation], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """Each contact lies on the surface, and its normal is the surface's."""
+
+    field: Field
+    points_palm: Array
+    """(n, 3) [m]."""
+    normals_palm: Array
+    """(n, 3) unit; zeros where `has_normal` is False."""
+    has_normal: Array
+    """(n,) bool."""
+    covariance: Array
+    """(n, 6, 6) of point and normal, the model's own roughness excluded."""
+    roughness: tuple[float, float]
+    """The surface's own standard deviation per axis: of its place [m] and of its normal [rad]."""
+    sharp: float
+    """Curvature [1/m] from which the surface counts as an edge."""
+    used: Array
+    """(K or 1, n) bool: the contacts that count, per pose."""
+    whitening: Array | None = None
+    """(K or 1, n, 4, 4): frozen, so that the costs of one descent compare; None: at each pose its own."""
+
+    def linearize(self, Ts_palm_object: Array) -> tuple[Array, Array]:
+        """Residuals (K, 4 n): distance and normal of each contact, whitened together."""
+        surface = surface_at(self.field, self.points_palm, Ts_palm_object)
+        whitening = self.whiten(self.scatter(surface)) if self.whitening is None else self.whitening
+        return self.whitened(surface, whitening)
+
+    def density(self, Ts_palm_object: Array) -> tuple[Array, Array, Array]:
+        """Residuals and derivatives as `linearize`, and log det (K,) of what whitened them.
+
+        The derivatives are those that say how well the pose is known: beyond edges the faces go on.
+        """
+        surface = surface_at(self.field, self.points_palm, Ts_palm_object)
+        S = self.scatter(surface)
+        full = np.linalg.slogdet(S)[1]
+        each = np.where(self.has_normal, full, np.log(S[..., 0, 0]))
+        whitening = self.whiten(S)
+        residuals, _ = self.whitened(surface, whitening)
+        _, jacobian = self.whitened(self.without_edges(surface), whitening)
+        return residuals, jacobian, (each * self.used).sum(axis=-1)
+
+    def without_edges(self, surface: Surface) -> Surface:
+        """The surface with a plane along the contact's normal where it bends as sharply as an edge.
+
+        A contact that the prior has pushed to an edge is stopped on one side only; the sharp bend there is a
+        wall, not a measurement of the way back.
+        """
+        bend = np.sqrt((surface.curvature * surface.curvature).sum(axis=(-1, -2)))
+        edge = ((bend > self.sharp) & self.has_normal)[..., None]
+        return replace(
+            surface,
+            gradient=np.where(edge, self.normals_palm, surface.gradient),
+            normal=np.where(edge, self.normals_palm, surface.normal),
+            curvature=np.where(edge[..., None], 0.0, surface.curvature),
+        )
+
+    def whitened(self, surface: Surface, whitening: Array) -> tuple[Array, Array]:
+        """Residuals (K, 4 n) and derivatives (K, 4 n, 6) at a surface already looked up."""
+        distance, by_distance = contact_distance(surface)
+        normal, by_normal = contact_normal(surface, self.normals_palm)
+        residuals = whitening @ np.concatenate([distance, normal], axis=-1)[..., None]
+        jacobian = whitening @ np.concatenate([by_distance, by_normal], axis=-2)
+        K = len(jacobian)
+        return residuals.reshape(K, -1), jacobian.reshape(K, -1, 6)
+
+    def frozen(self, Ts_palm_object: Array) -> "Touch":
+        """The same evidence, whitened from now on as it is at these poses."""
+        surface = surface_at(self.field, self.points_palm, Ts_palm_object)
+        return replace(self, whitening=self.whiten(self.scatter(surface)))
+
+    def whiten(self, scatter: Array) -> Array:
+        """(K, n, 4, 4): the inverse Cholesky factor of `scatter`; zero rows for what does not count."""
+        factor = np.linalg.inv(np.linalg.cholesky(scatter))
+        rows = np.ones((*self.used.shape, 4), dtype=bool) & self.used[..., None]
+        rows[..., 1:] &= self.has_normal[:, None]
+        return np.where(rows[..., None], factor, 0.0)
+
+    def scatter(self, surface: Surface) -> Array:
+        """Covariance (K, n, 4, 4) of distance and normal residuals.
+
+        First order in the errors of point and normal: a point that slides by its noise over a curved surface
+        meets another normal, so the surface's curvature carries point noise into the normal (this is what
+        tells a normal near an edge from a normal on a face). Along the normal itself, where a unit vector has
+        no first-order noise, the mean tangential variance keeps large angles from going unpunished.
+        """
+        K, n = surface.distance.shape
+        by_point_normal = np.zeros((K, n, 4, 6))
+        by_point_normal[..., 0, :3] = surface.gradient
+        by_point_normal[..., 1:, :3] = surface.curvature
+        by_point_normal[..., 1:, 3:] = -np.eye(3)
+        S = by_point_normal @ self.covariance @ by_point_normal.swapaxes(-1, -2)
+        rough_point, rough_normal = self.roughness
+        S[..., 0, 0] += rough_point**2
+        S[..., 1:, 1:] += rough_normal**2 * np.eye(3)
+        tangential = np.trace(S[..., 1:, 1:], axis1=-2, axis2=-1) / 2
+        along = self.normals_palm[:, :, None] * self.normals_palm[:, None, :]
+        S[..., 1:, 1:] += tangential[..., None, None] * along
+        S[..., 1:, 1:] += np.where(self.has_normal, 0.0, 1.0)[:, None, None] * np.eye(3)
+        return S
+
+
+@dataclass(frozen=True, slots=True)
+class Vision:
+    """The pose is where vision says, as far as its covariance and the object's symmetry axes let it.
+
+    Judged at a pivot that no symmetry moves, and by the swing of the axis alone: a spin about it costs nothing.
+    """
+
+    pivot_object: Array
+    """(3,) on the symmetry axis; the origin where there is none."""
+    axis_object: Array | None
+    """(3,) unit; None: no axis."""
+    pivot_palm: Array
+    """(3,) where vision puts the pivot [m]."""
+    R_palm_object: Array
+    """(3, 3), vision's."""
+    root: Array
+    """(6, 6), `rootᵀ root` is the information of (pivot, rotation), none about a symmetry axis."""
+
+    def linearize(self, Ts_palm_object: Array) -> tuple[Array, Array]:
+        """Residuals (K, 6): whitened (pivot - vision's, rotation vector from vision's rotation)."""
+        R = Ts_palm_object[:, :3, :3]
+        arm = R @ self.pivot_object
+        if self.axis_object is None:
+            turn = se3.rotation_log(R @ self.R_palm_object.T)
+            by_turn = se3.left_jacobian_inverse(turn)
+        else:
+            turn, by_turn = swing(self.R_palm_object @ self.axis_object, R @ self.axis_object)
+        jacobian = np.zeros((len(R), 6, 6))
+        jacobian[:, (0, 1, 2), (0, 1, 2)] = 1.0
+        jacobian[:, :3, 3:] = -se3.skew(arm)
+        jacobian[:, 3:, 3:] = by_turn
+        error = np.concatenate([Ts_palm_object[:, :3, 3] + arm - self.pivot_palm, turn], axis=-1)
+        return error @ self.root.T, self.root @ jacobian
+
+
+def vision(T_palm_object: Array, root: Array, symmetries: Symmetries) -> Vision:
+    """The evidence of a pose whose (δp, δθ) has information `rootᵀ root`, about an object so symmetric."""
+    R, axes = T_palm_object[:3, :3], symmetries.axes
+    pivot = np.asarray(axes[0][0]) if axes else np.zeros(3)
+    # δp of the origin is that of the pivot less what the turn does to the arm between.
+    from_pivot = np.eye(6)
+    from_pivot[:3, 3:] = se3.skew(R @ pivot)
+    root = root @ from_pivot
+    for _, direction in axes:
+        turned = root[:, 3:] @ R @ direction
+        root = root - np.outer(turned, turned @ root) / max(turned @ turned, 1e-300)
+    axis = np.asarray(axes[0][1]) if axes else None
+    return Vision(pivot, axis, R @ pivot + T_palm_object[:3, 3], R, root)
+
+
+def swing(axis_from: Array, axis_to: Array) -> tuple[Array, Array]:
+    """Shortest rotation vectors (K, 3) from one axis to others (K, 3), and derivatives by a turn of the other.
+
+    With n the vector's direction and angle α, a turn δθ changes it by
+    (n nᵀ + α / sin α (n × from)(n × to)ᵀ) δθ: nothing about the axis itself.
+    """
+    product = cross(np.broadcast_to(axis_from, axis_to.shape), axis_to)
+    sine = np.sqrt((product * product).sum(axis=-1, keepdims=True))
+    cosine = axis_to @ axis_from
+    small = sine < 1e-9
+    safe = np.where(small, 1.0, sine)
+    stretch = np.where(small, 1.0, np.arctan2(sine, cosine[:, None]) / safe)
+    n = np.where(small, 0.0, product / safe)
+    sideways = cross(n, np.broadcast_to(axis_from, n.shape)) * stretch
+    derivative = n[:, :, None] * n[:, None, :] + sideways[:, :, None] * cross(n, axis_to)[:, None, :]
+    still = np.eye(3) - axis_to[:, :, None] * axis_to[:, None, :]
+    return stretch * product, np.where(small[..., None], still, derivative)
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """No point of the hand lies inside the object."""
+
+    field: Field
+    points_palm: Array
+    """(m, 3) on the hand's surface [m]."""
+    slack: float
+    """Depth [m] that costs nothing: the fingers' own compliance and kinematic error."""
+    sigma: float
+    """Standard deviation of a depth beyond the slack [m]."""
+
+    def linearize(self, Ts_palm_object: Array) -> tuple[Array, Array]:
+        """Residuals (K, m): min(0, distance + slack) / sigma."""
+        surface = surface_at(self.field, self.points_palm, Ts_palm_object)
+        distance, jacobian = contact_distance(surface)
+        depth = distance[..., 0] + self.slack
+        inside = depth < 0
+        return (
+            np.where(inside, depth, 0.0) / self.sigma,
+            np.where(inside[..., None], jacobian[..., 0, :], 0.0) / self.sigma,
+        )
+
+
+def cross(a: Array, b: Array) -> Array:
+    """a × b along the last axis; `np.cross` costs five times as much on small stacks."""
+    return np.asarray((se3.skew(a) @ b[..., None])[..., 0])
+
+
+def roughness(model: ObjectModel) -> tuple[float, float]:
+    """The model's own standard deviations (point [m], normal [rad]), never below what its field resolves."""
+    return max(model.sigma_point, 1e-4 * model.diameter), max(model.sigma_normal, 2e-3)

@@ -1,0 +1,130 @@
+"""From minima to an honest answer: information, covariance, open directions, distinct modes, weights.
+
+Information is judged in metres: coordinates (δp, radius δθ), so that a turn counts by what it moves.
+"""
+
+import numpy as np
+from scipy.special import chdtri
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction.estimate import Hypothesis
+from handsight.objects import ObjectModel
+from handsight.objects.symmetry import nearest
+
+APART = (0.015, np.deg2rad(20.0))
+"""Two modes are distinct when further apart than this [m] or turned by more than this [rad]."""
+MOST_MODES = 8
+OPEN = 1 / 3
+"""A direction is unobservable when touch alone leaves it a standard deviation above this part of the radius."""
+ALARM = 1e-3
+"""Probability that evidence which fits is called inconsistent."""
+
+
+def in_metres(information: Array, radius: float) -> Array:
+    """Information (..., 6, 6) by (δp, radius δθ) [1/m²]."""
+    scale = np.array([1.0] * 3 + [1 / radius] * 3)
+    return np.asarray(information * scale[:, None] * scale)
+
+
+def unobservable(touch_information: Array, radius: float) -> Array:
+    """(k, 6) unit directions (δp, radius δθ) that the contacts leave open."""
+    values, vectors = np.linalg.eigh(in_metres(touch_information, radius))
+    return np.ascontiguousarray(vectors[:, values < 1 / (OPEN * radius) ** 2].T)
+
+
+def along_palm_axes(information: Array, radius: float) -> Array:
+    """The information (6, 6) by (δp, δθ), to second order, of a posterior that is Gaussian along the object.
+
+    The contacts are linear in a slide `s` along the object's own, turned, axes: `δp = exp(δθ) s ≈ s + δθ × s`.
+    Along the palm's axes a long slide with an uncertain turn is therefore an arc, wider than the first order
+    says by the covariance of `δθ × s` (Isserlis: tr(Q_k Σ Q_l Σ)/2 for the forms Q of the cross product).
+    Deviations count up to the radius: what touches cannot slide further. Unknown directions stay unknown.
+    """
+    scale = np.array([1.0] * 3 + [1 / radius] * 3)
+    values, vectors = np.linalg.eigh(in_metres(information, radius))
+    known = values > 1e-13 * values[-1]
+    basis = vectors[:, known]
+    variance = 1 / values[known]
+    bounded = (basis * np.minimum(variance, radius**2)) @ basis.T * scale[:, None] * scale
+    pushed = CROSS @ bounded
+    arc = np.zeros((6, 6))
+    arc[:3, :3] = np.einsum("kij,lji->kl", pushed, pushed) / 2
+    wider = np.diag(variance) + basis.T @ arc @ basis
+    return np.asarray(basis @ np.linalg.inv(wider) @ basis.T / scale[:, None] / scale)
+
+
+def _cross_forms() -> Array:
+    """(3, 6, 6) symmetric forms with `(θ × s)_k = ½ ξᵀ Q_k ξ` for ξ = (s, θ)."""
+    forms = np.zeros((3, 6, 6))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        forms[k, 3 + i, j], forms[k, 3 + j, i] = 1.0, -1.0
+    return forms + forms.swapaxes(1, 2)
+
+
+CROSS = _cross_forms()
+
+
+def covariance(information: Array, radius: float, *, blind: bool) -> Array | None:
+    """The inverse (6, 6), or None where a direction is not known: at all, or, blind, to the object's size."""
+    values, vectors = np.linalg.eigh(in_metres(information, radius))
+    least = 1e-12 * values[-1]
+    if blind:
+        least = max(least, 1 / (OPEN * radius) ** 2)
+    if values[0] <= least:
+        return None
+    scale = np.array([1.0] * 3 + [1 / radius] * 3)
+    root = scale[:, None] * vectors / np.sqrt(values)
+    return np.asarray(root @ root.T)
+
+
+def log_volume(information: Array, radius: float, *, blind: bool) -> Array:
+    """log √det Σ (K,) over the directions known better than the prior: blind, the object's own size."""
+    values = np.linalg.eigvalsh(in_metres(information, radius))
+    floor = 1 / radius**2 if blind else 1e-9 / radius**2
+    return np.asarray(-0.5 * np.log(np.maximum(values, floor)).sum(axis=-1))
+
+
+def apart(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
+    """Shift of the object's middle [m] and turn [rad] from `T` to each of `Ts`, modulo symmetry."""
+    equivalent = nearest(model.symmetries, Ts, T, model.radius)
+    middle = se3.apply(equivalent, model.center_object[None])[:, 0] - se3.apply(T, model.center_object[None])
+    turn = se3.rotation_log(equivalent[:, :3, :3] @ T[:3, :3].T)
+    return np.linalg.norm(middle, axis=-1), np.linalg.norm(turn, axis=-1)
+
+
+def distinct(
+    model: ObjectModel, Ts: Array, order: Array, most: int, limits: tuple[float, float] = APART
+) -> list[int]:
+    """Indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`."""
+    chosen: list[int] = []
+    rest = np.asarray(order)
+    while len(rest) and len(chosen) < most:
+        chosen.append(int(rest[0]))
+        shift, turn = apart(model, Ts[rest], Ts[rest[0]])
+        new = (shift > limits[0]) | (turn > limits[1])
+        new[0] = False
+        rest = rest[new]
+    return chosen
+
+
+def hypotheses(
+    model: ObjectModel, Ts: Array, informations: Array, costs: Array, *, blind: bool
+) -> tuple[Hypothesis, ...]:
+    """Distinct modes with weights exp(-cost/2) √det Σ, best first."""
+    log_weight = -costs / 2 + log_volume(informations, model.radius, blind=blind)
+    chosen = distinct(model, Ts, np.argsort(-log_weight, kind="stable"), MOST_MODES)
+    weight = np.exp(log_weight[chosen] - log_weight[chosen[0]])
+    weight /= weight.sum()
+    found = []
+    for k, share in zip(chosen, weight, strict=True):
+        information = along_palm_axes(informations[k], model.radius)
+        sigma = covariance(information, model.radius, blind=blind)
+        found.append(Hypothesis(Ts[k], information, sigma, float(share), float(costs[k])))
+    return tuple(found)
+
+
+def fits(chi2: float, freedom: int, alarm: float = ALARM) -> bool:
+    """Whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
+    return bool(chi2 <= chdtri(max(freedom, 1), alarm))

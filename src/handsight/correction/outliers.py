@@ -1,0 +1,104 @@
+"""A contact that does not fit the others is found by solving without it, and named."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from handsight.checks import Array
+from handsight.correction import modes, starts, two_phase
+from handsight.correction.solve import Descent
+from handsight.correction.two_phase import Problem, TwoPhase
+
+ESCALATED = 64
+"""Starts drawn when none of the usual ones fits."""
+WITHOUT_STARTS = 12
+"""Starts for each contact left out in turn."""
+SUSPICION = 0.05
+"""Probability that contacts which fit are searched for a wrong one all the same: time lost, nothing else."""
+DECISIVE = float(chdtri(3, 1e-3))
+"""A contact is wrong when the cost falls by more than this without it: a right one's rows, once in 1000."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Minima that use one and the same set of contacts, cheapest first."""
+
+    Ts_palm_object: Array
+    iterations: Array
+    converged: Array
+    cost: Array
+    used: Array
+    """(1, n) bool."""
+
+
+def solve_robustly(problem: Problem, options: TwoPhase) -> Candidates:
+    """The minima of a correction, after more starts and after leaving out wrong contacts where nothing fits."""
+    n = len(problem.contacts)
+    everyone = np.ones((1, n), dtype=bool)
+    found = _candidates(*two_phase.solve(problem, _starts(problem, options, everyone), everyone))
+    if found.converged[0] and _fits(problem, found):
+        return found
+    if problem.vision is not None and options.starts is None:
+        more = starts.from_prior(problem.vision, ESCALATED)
+        found = _cheaper(found, _candidates(*two_phase.solve(problem, more, everyone)))
+    while options.reject_outliers and not _fits(problem, found):
+        left = int(found.used.sum())
+        if n - left >= most_outliers(n, blind=problem.vision is None):
+            break
+        without = _leave_one_out(problem, options, found.used)
+        gain = found.cost[0] - without.cost[0]
+        if gain < max(DECISIVE, 0.5 * found.cost[0]):
+            break
+        found = without
+    return found
+
+
+def most_outliers(n: int, *, blind: bool) -> int:
+    """How many of n contacts may be called wrong: the rest must still outvote them."""
+    return max((n - 2) // 2, 0) if blind else max((n - 1) // 2, 0)
+
+
+def _starts(problem: Problem, options: TwoPhase, used: Array) -> Array:
+    if problem.vision is None:
+        return starts.blind(problem.model, problem.touch(problem.model.coarse, used))
+    number = options.starts or starts.count(problem.model, problem.vision)
+    return starts.from_prior(problem.vision, number)
+
+
+def _candidates(descent: Descent, used: Array) -> Candidates:
+    """The descents that use the same contacts as the cheapest."""
+    same = (used == used[0]).all(axis=1)
+    return Candidates(
+        descent.Ts_palm_object[same],
+        descent.iterations[same],
+        descent.converged[same],
+        descent.cost[same],
+        used[:1],
+    )
+
+
+def _cheaper(a: Candidates, b: Candidates) -> Candidates:
+    return b if b.cost[0] < a.cost[0] - 1e-9 * (1 + a.cost[0]) else a
+
+
+def _fits(problem: Problem, found: Candidates) -> bool:
+    return modes.fits(float(found.cost[0]), two_phase.freedom(problem, found.used), SUSPICION)
+
+
+def _leave_one_out(problem: Problem, options: TwoPhase, used: Array) -> Candidates:
+    """The cheapest minima with one more contact left out, whichever it is."""
+    contacts = np.flatnonzero(used[0])
+    if problem.vision is None:
+        each = [_starts(problem, options, _less(used, i)) for i in contacts]
+    else:
+        number = max(WITHOUT_STARTS, starts.count(problem.model, problem.vision))
+        each = [starts.from_prior(problem.vision, number)] * len(contacts)
+    masks = [np.repeat(_less(used, i), len(T), axis=0) for i, T in zip(contacts, each, strict=True)]
+    return _candidates(*two_phase.solve(problem, np.concatenate(each), np.concatenate(masks)))
+
+
+def _less(used: Array, contact: int) -> Array:
+    fewer = used.copy()
+    fewer[0, contact] = False
+    return fewer

@@ -1,0 +1,91 @@
+"""The best mode's mean and covariance by sampling, for where a maximum says little about its neighbourhood.
+
+Two fingers and a thumb on opposite faces leave a slide that edges bound but do not fix: the maximum of the
+density then sits at the interval's end, its mean in the middle.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction import modes, two_phase
+from handsight.correction.estimate import PoseEstimate
+from handsight.correction.two_phase import Problem
+from handsight.objects.symmetry import tangents
+
+CHAINS = 64
+"""Walkers that move at once; one evaluation serves them all."""
+BURN_IN = 100
+"""Least number of steps that tune the stride and are thrown away."""
+TARGET = 0.35
+"""Share of accepted steps that explores a line fastest, about."""
+
+
+def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Array, samples: int) -> PoseEstimate:
+    """The estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
+
+    Metropolis walks from the mode along the eigenvectors of the information there. A declared symmetry axis
+    is not walked along (it has no mean), and the covariance is None where there is one.
+    """
+    T_mode, radius = estimate.T_palm_object, problem.model.radius
+    axes = tangents(problem.model.symmetries, T_mode)
+    directions = _directions(estimate.information, axes, radius)
+    draws = _walk(problem, T_mode, used, directions, samples)
+    T = se3.moved(T_mode, draws.mean(axis=0))
+    spread = np.cov(draws.T)
+    scale = np.array([1.0] * 3 + [1 / radius] * 3)
+    # Along an axis that was not walked the spread is zero; there nothing is known, not everything.
+    values, vectors = np.linalg.eigh(spread / scale[:, None] / scale)
+    known = values > 1e-9 * values[-1] if len(axes) else values > 0
+    inverse = (vectors / np.where(known, values, np.inf)) @ vectors.T
+    return replace(
+        estimate,
+        T_palm_object=T,
+        covariance=None if len(axes) else spread,
+        information=inverse / scale[:, None] / scale,
+        residuals=two_phase.residuals(problem, T),
+    )
+
+
+def _directions(information: Array, axes: Array, radius: float) -> Array:
+    """(k, 6) steps (δp, δθ) of one standard deviation along each eigenvector, without the symmetry axes."""
+    metres = modes.in_metres(information, radius)
+    if len(axes):
+        scaled = axes * np.array([1.0] * 3 + [radius] * 3)
+        _, _, rows = np.linalg.svd(scaled)
+        basis = rows[np.linalg.matrix_rank(scaled) :]
+    else:
+        basis = np.eye(6)
+    values, vectors = np.linalg.eigh(basis @ metres @ basis.T)
+    length = 1 / np.sqrt(np.maximum(values, 1 / radius**2))
+    return np.asarray((vectors.T @ basis) * length[:, None] * np.array([1.0] * 3 + [1 / radius] * 3))
+
+
+def _walk(problem: Problem, T_mode: Array, used: Array, directions: Array, samples: int) -> Array:
+    """(samples, 6) perturbations of the mode, drawn from the posterior."""
+    rng = np.random.default_rng(0)
+    chains = min(CHAINS, samples)
+    kept = -(-samples // chains)
+    burn = max(kept, BURN_IN)
+    at = np.repeat(T_mode[None], chains, axis=0)
+    density = _log_density(problem, at, used)
+    stride, draws = np.ones(len(directions)), []
+    for step in range(burn + kept):
+        j = step % len(directions)
+        proposal = se3.moved(at, rng.normal(size=(chains, 1)) * stride[j] * directions[j])
+        proposed = _log_density(problem, proposal, used)
+        accepted = np.log(rng.random(chains)) < proposed - density
+        at = np.where(accepted[:, None, None], proposal, at)
+        density = np.where(accepted, proposed, density)
+        if step < burn:
+            stride[j] *= np.exp(accepted.mean() - TARGET)
+        else:
+            draws.append(se3.difference(at, T_mode))
+    return np.concatenate(draws)[:samples]
+
+
+def _log_density(problem: Problem, Ts_palm_object: Array, used: Array) -> Array:
+    """(K,) logarithm of the posterior density, up to a constant."""
+    return -two_phase.posterior(problem, Ts_palm_object, used)[3] / 2

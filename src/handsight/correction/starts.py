@@ -1,0 +1,100 @@
+"""Where descents begin: draws from the prior, or, blind, poses whose surface reaches a contact.
+
+Draws are made along the object's own axes and ordered by lengths alone, so that another palm frame or another
+order of the contacts gives the same starts.
+"""
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction.estimate import PosePrior
+from handsight.correction.evidence import Touch, surface_at
+from handsight.objects import ObjectModel
+
+MOST_STARTS = 32
+BLIND_SPINS = 18
+BLIND_KEPT = 384
+
+
+def width(model: ObjectModel, vision: PosePrior) -> float:
+    """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
+    center_palm = vision.T_palm_object[:3, :3] @ model.center_object
+    shift = np.hstack([np.eye(3), -se3.skew(center_palm)])  # of the object's middle
+    spread = np.trace(shift @ vision.covariance @ shift.T)
+    turn = model.radius**2 * np.trace(vision.covariance[3:, 3:])
+    return float(np.sqrt(spread + turn) / model.diameter)
+
+
+def count(model: ObjectModel, vision: PosePrior) -> int:
+    """How many starts a prior of that width needs: one up to a fifth of the diameter, more beyond."""
+    w = width(model, vision)
+    return int(np.clip(round(60 * (w - 0.2)), 1, MOST_STARTS))
+
+
+def from_prior(vision: PosePrior, number: int) -> Array:
+    """`number` poses (number, 4, 4): the prior's own, then draws from it."""
+    T = vision.T_palm_object
+    R = T[:3, :3]
+    covariance = se3.rotate_covariance(R.T, vision.covariance)
+    scale = np.sqrt(np.diagonal(covariance)) + 1e-12
+    correlation = covariance / np.outer(scale, scale)
+    root = scale[:, None] * np.linalg.cholesky(correlation + 1e-9 * np.eye(6))
+    draws = np.random.default_rng(0).normal(size=(number, 6)) @ root.T
+    draws[0] = 0.0
+    both = np.hstack([draws[:, :3] @ R.T, draws[:, 3:] @ R.T])
+    return se3.moved(np.broadcast_to(T, (number, 4, 4)), both)
+
+
+def blind(model: ObjectModel, touch: Touch) -> Array:
+    """Poses (K, 4, 4) in which a sample of the surface meets a contact, the best by all contacts kept.
+
+    Each contact of the set serves as anchor in turn; where it has a normal the sample's is laid on it and the
+    object spun about it, else it is turned at random.
+    """
+    used = np.flatnonzero(touch.used[0])
+    points, normals = touch.points_palm[used], touch.normals_palm[used]
+    center = points.mean(axis=0)
+    order = np.argsort(np.linalg.norm(points - center, axis=1), kind="stable")[::-1]
+    normalled = [i for i in order if touch.has_normal[used[i]]]
+    anchors = (normalled or list(order))[:3]
+    poses = np.concatenate([_anchored(model, points[a], normals[a], points, a) for a in anchors])
+    return poses[np.argsort(_rough_cost(touch, poses), kind="stable")[:BLIND_KEPT]]
+
+
+def _anchored(model: ObjectModel, point: Array, normal: Array, points: Array, anchor: int) -> Array:
+    """Every surface sample on the contact, spun about its normal in even steps from the other contacts."""
+    s = len(model.points_object)
+    if normal.any():
+        palm = _basis(normal, points.mean(axis=0) - point + 1e-6 * (points[anchor - 1] - point))
+        sample = np.stack([_basis(n, p - model.center_object) for n, p in zip(
+            model.normals_object, model.points_object, strict=True)])
+        angle = 2 * np.pi * np.arange(BLIND_SPINS) / BLIND_SPINS
+        about_z = np.zeros((BLIND_SPINS, 3))
+        about_z[:, 2] = angle
+        R = palm @ se3.rotation_exp(about_z)[:, None] @ sample.swapaxes(-1, -2)
+    else:
+        turns = se3.random(np.random.default_rng(0), BLIND_SPINS * s)[:, :3, :3]
+        R = turns.reshape(BLIND_SPINS, s, 3, 3)
+    p = point - (R @ model.points_object[:, :, None])[..., 0]
+    return se3.compose(R, p).reshape(-1, 4, 4)
+
+
+def _basis(z: Array, hint: Array) -> Array:
+    """A rotation whose third column is `z` and whose first points as far along `hint` as it can."""
+    x = hint - (hint @ z) * z
+    if np.linalg.norm(x) < 1e-9 * (np.linalg.norm(hint) + 1e-300) or not x.any():
+        x = np.eye(3)[np.argmin(np.abs(z))]
+        x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _rough_cost(touch: Touch, poses: Array) -> Array:
+    """(K,) what the contacts say of each pose, with standard deviations as coarse as the starts are."""
+    surface = surface_at(touch.field, touch.points_palm, poses)
+    step = 2 * np.pi / BLIND_SPINS
+    reach = np.linalg.norm(surface.lever, axis=-1).mean() * step / 2
+    cost = (surface.distance / reach) ** 2
+    error = ((surface.normal - touch.normals_palm) ** 2).sum(axis=-1) / step**2
+    return np.asarray(((cost + error * touch.has_normal) * touch.used).sum(axis=-1))

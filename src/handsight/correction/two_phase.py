@@ -1,0 +1,171 @@
+"""The maximum a posteriori over SE(3): evidence in, distinct modes out.
+
+starts → phase 1 (nearest samples) → phase 2 on the coarse field → phase 2 on the fine field → modes
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.correction import modes
+from handsight.correction.estimate import PosePrior, Residuals
+from handsight.correction.evidence import Evidence, Outside, Touch, roughness, surface_at, vision
+from handsight.correction.solve import Chart, Descent, Matches, Samples, descend, match, normal_equations
+from handsight.errors import InvalidInput
+from handsight.objects import Field, ObjectModel
+
+COARSE_STEPS, FINE_STEPS = 15, 25
+COARSE_STEP = 0.3
+"""Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
+EDGE = 0.75
+"""Radius of curvature [coarse cells] below which the surface counts as an edge."""
+KEPT = 24
+"""Candidates that go on from the coarse field to the fine one."""
+CANDIDATE_APART = (0.002, np.deg2rad(2.0))
+
+
+@dataclass(frozen=True, slots=True)
+class TwoPhase:
+    """How handsight's own method runs; the defaults choose themselves from the problem."""
+
+    starts: int | None = None
+    """Descents begun from draws of the prior; None: from the prior's width, and more if none fits."""
+    reject_outliers: bool = True
+    """Look for a contact that is wrong when the contacts do not fit together."""
+
+    def __post_init__(self) -> None:
+        if self.starts is not None and not (isinstance(self.starts, int) and 1 <= self.starts <= 100_000):
+            raise InvalidInput(f"starts: expected a whole number from 1 to 100000, got {self.starts!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One correction, its inputs checked."""
+
+    model: ObjectModel
+    contacts: Contacts
+    vision: PosePrior | None
+    outside_palm: Array
+    """(m, 3), m may be 0."""
+    center_palm: Array
+    """(3,) centroid of the contacts in use."""
+
+    def touch(self, field: Field, used: Array) -> Touch:
+        """The contacts as evidence; `used` (K or 1, n) says which count for which pose."""
+        c, model = self.contacts, self.model
+        return Touch(
+            field,
+            c.points_palm,
+            c.normals_palm,
+            c.has_normal,
+            c.covariance,
+            roughness=roughness(model),
+            sharp=1 / (EDGE * model.coarse.cell),
+            used=used,
+        )
+
+    def sight(self) -> list[Evidence]:
+        """Vision as evidence; nothing when blind."""
+        if self.vision is None:
+            return []
+        root = prior_root(self.vision, self.model.radius)
+        return [vision(self.vision.T_palm_object, root, self.model.symmetries)]
+
+    def hand(self, field: Field) -> list[Evidence]:
+        """The hand's points as evidence; nothing where there are none or the object has no inside.
+
+        Their place is as uncertain as the contacts', through the same kinematics.
+        """
+        if not len(self.outside_palm) or not self.model.closed:
+            return []
+        sigma = float(np.median(np.sqrt(np.trace(self.contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3)))
+        sigma = max(sigma, 1e-3 * self.model.diameter)
+        return [Outside(field, self.outside_palm, 1.5 * sigma, 2 * sigma)]
+
+    def matches(self, used: Array) -> Matches:
+        """The contacts as phase 1 sees them."""
+        model, c = self.model, self.contacts
+        spacing = model.sample_spacing
+        # A sample stands for a patch: on a curved one its plane and normal are off by what the patch bends.
+        point = np.trace(c.covariance[:, :3, :3], axis1=1, axis2=2) / 3 + (0.02 * spacing) ** 2
+        normal = np.trace(c.covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + model.sigma_normal**2
+        samples = Samples(
+            model.points_object, model.normals_object, 1.3 * model.diameter, 1.6 * spacing, 0.32 * spacing
+        )
+        weight_normal = np.where(c.has_normal, 1 / np.sqrt(np.maximum(normal, 1e-12)), 0.0)
+        return Matches(c.points_palm, c.normals_palm, used / np.sqrt(point), used * weight_normal, samples)
+
+
+def prior_root(vision: PosePrior, radius: float) -> Array:
+    """`W` (6, 6) with `WᵀW` the inverse of vision's covariance; no deviation below 1e-5 of the radius."""
+    scale = np.array([1.0] * 3 + [radius] * 3)
+    values, vectors = np.linalg.eigh(vision.covariance * scale[:, None] * scale)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, (1e-5 * radius) ** 2))).T * scale)
+
+
+def solve(problem: Problem, Ts_start: Array, used: Array) -> tuple[Descent, Array]:
+    """Candidates on the fine field, cheapest first, and which contacts (K, n) count for each.
+
+    `used` is (1, n) for all starts alike or (K, n) for each its own.
+    """
+    model, sight = problem.model, problem.sight()
+    chart = Chart(problem.center_palm, model.radius)
+    T, steps = match(problem.matches(used), sight, Ts_start, chart)
+    terms = [problem.touch(model.coarse, used).frozen(T), *sight, *problem.hand(model.coarse)]
+    coarse = descend(terms, T, chart, max_iterations=COARSE_STEPS, small_step=COARSE_STEP)
+    keep = survivors(model, coarse, used)
+    T = coarse.Ts_palm_object[keep]
+    used_kept = used[keep] if len(used) > 1 else used
+    terms = [problem.touch(model.fine, used_kept).frozen(T), *sight, *problem.hand(model.fine)]
+    fine = descend(terms, T, chart, max_iterations=FINE_STEPS)
+    order = np.argsort(fine.cost, kind="stable")
+    taken = steps + coarse.iterations[keep] + fine.iterations
+    return (
+        Descent(fine.Ts_palm_object[order], fine.cost[order], taken[order], fine.converged[order]),
+        np.broadcast_to(used_kept, (len(order), used.shape[1]))[order],
+    )
+
+
+def survivors(model: ObjectModel, coarse: Descent, used: Array) -> Array:
+    """Indices of the descents worth finishing: cheap and no repeats, apart for each set of contacts."""
+    order = np.argsort(coarse.cost, kind="stable")
+    if len(order) == 1:
+        return order
+    if len(used) == 1:
+        groups = [order]
+    else:
+        _, group = np.unique(used, axis=0, return_inverse=True)
+        groups = [order[group[order] == k] for k in range(group.max() + 1)]
+    each = max(2, KEPT // len(groups))
+    kept = [modes.distinct(model, coarse.Ts_palm_object, g, each, CANDIDATE_APART) for g in groups]
+    return np.concatenate([np.asarray(k, dtype=np.int64) for k in kept])
+
+
+def posterior(problem: Problem, Ts: Array, used: Array) -> tuple[Array, Array, Array, Array]:
+    """At poses (K, 4, 4): information (K, 6, 6), that of touch alone, χ² and cost (minus two log density)."""
+    field = problem.model.fine
+    residuals, jacobian, log_spread = problem.touch(field, used).density(Ts)
+    by_touch = jacobian.swapaxes(-1, -2) @ jacobian
+    by_other, _, chi2 = normal_equations([*problem.sight(), *problem.hand(field)], Ts)
+    chi2 = chi2 + (residuals * residuals).sum(axis=-1)
+    return by_touch + by_other, by_touch, chi2, chi2 + log_spread
+
+
+def freedom(problem: Problem, used: Array) -> int:
+    """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
+    rows = int((used * (1 + 2 * problem.contacts.has_normal)).sum())
+    return rows if problem.vision is not None else max(rows - 6, 1)
+
+
+def residuals(problem: Problem, T_palm_object: Array) -> Residuals:
+    """What remains between each contact and the surface at that pose."""
+    contacts = problem.contacts
+    surface = surface_at(problem.model.fine, contacts.points_palm, T_palm_object[None])
+    cosine = (surface.normal[0] * contacts.normals_palm).sum(axis=-1)
+    sine = np.linalg.norm(np.cross(surface.normal[0], contacts.normals_palm), axis=-1)
+    angle = np.where(contacts.has_normal, np.arctan2(sine, cosine), np.nan)
+    return Residuals(surface.distance[0], angle)

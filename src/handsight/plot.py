@@ -1,0 +1,144 @@
+"""Figures of corrections: the object before and after, the contacts, what touch leaves open. Needs matplotlib."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.errors import HandsightError, MissingExtra
+from handsight.objects import ObjectModel
+
+if TYPE_CHECKING:
+    from handsight.problems import Problem
+
+BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
+CLOUD = 900
+CREASE = np.deg2rad(25)
+
+
+def require_matplotlib() -> Any:
+    """pyplot on a backend that needs no screen; raises MissingExtra where matplotlib is absent."""
+    try:
+        import matplotlib
+    except ImportError:
+        raise MissingExtra("plotting needs matplotlib: pip install 'handsight[plot]'") from None
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt
+
+
+def draw_corrections(pairs: Sequence[tuple["Problem", dict[str, Any]]], path: Path) -> None:
+    """Writes one panel per problem with its answer (as `problems.answer` gives it) to an image file."""
+    plt = require_matplotlib()
+    columns = min(len(pairs), 3)
+    rows = -(-len(pairs) // columns)
+    figure = plt.figure(figsize=(5.6 * columns, 5.4 * rows), layout="constrained")
+    for i, (problem, answered) in enumerate(pairs):
+        axes = figure.add_subplot(rows, columns, i + 1, projection="3d")
+        _panel(axes, problem, answered)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    for other in figure.axes[1:]:
+        for handle, label in zip(*other.get_legend_handles_labels(), strict=True):
+            if label not in labels:
+                handles.append(handle)
+                labels.append(label)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        raise HandsightError(f"{path}: {error}") from None
+    finally:
+        plt.close(figure)
+
+
+def _panel(axes: Any, problem: "Problem", answered: dict[str, Any]) -> None:
+    model = problem.model
+    T = se3.from_position_quaternion(answered["position"], answered["quaternion_xyzw"])
+    shown = [draw_object(axes, model, T, AFTER, "corrected")]
+    if problem.vision is not None:
+        shown.append(draw_object(axes, model, problem.vision.T_palm_object, BEFORE, "vision"))
+    points, normals = problem.contacts.points_palm, problem.contacts.normals_palm
+    arrow = 0.22 * model.diameter
+    outliers = np.isin(np.arange(len(points)), answered["outliers"])
+    axes.scatter(*points[~outliers].T, color=TOUCH, s=28, depthshade=False, label="contact, its normal")
+    if outliers.any():
+        axes.scatter(*points[outliers].T, color="k", marker="x", s=50, depthshade=False, label="rejected")
+    axes.quiver(*points.T, *(arrow * normals).T, color=TOUCH, linewidth=1.4)
+    center = se3.apply(T, model.center_object[None])[0]
+    for k, direction in enumerate(answered["unobservable"]):
+        _open_direction(axes, np.asarray(direction), center, model, label=None if k else "open to touch")
+    shown.append(points)
+    _frame(axes, np.vstack(shown))
+    fit = "fits" if answered["consistent"] else "does NOT fit"
+    axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}", fontsize=11)
+
+
+def draw_object(axes: Any, model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
+    """Draws creases and a thin cloud of the object in millimetre-labelled metres; the points drawn, (n, 3)."""
+    cloud, _ = model.sample(CLOUD)
+    cloud = se3.apply(T_palm_object, cloud)
+    axes.scatter(*cloud.T, s=1.6, color=color, alpha=0.45, depthshade=False)
+    segments = se3.apply(T_palm_object, creases(model).reshape(-1, 3)).reshape(-1, 2, 3)
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    axes.add_collection3d(Line3DCollection(segments, colors=color, linewidths=1.3))
+    axes.plot([], [], [], color=color, linewidth=3, label=label)
+    return cloud
+
+
+def creases(model: ObjectModel) -> Array:
+    """(k, 2, 3) edges [m] at which the surface bends sharply or ends."""
+    faces = np.asarray(model.faces)
+    if not len(faces):
+        return np.empty((0, 2, 3))
+    corners = model.vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    face_of = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort(edges.T)
+    edges, face_of = edges[order], face_of[order]
+    first, counts = np.unique(edges, axis=0, return_index=True, return_counts=True)[1:]
+    inner = first[counts == 2]
+    bend = (normals[face_of[inner]] * normals[face_of[inner + 1]]).sum(axis=1)
+    sharp = inner[bend < np.cos(CREASE)]
+    return np.asarray(model.vertices[edges[np.concatenate([sharp, first[counts == 1]])]])
+
+
+def _open_direction(
+    axes: Any, direction: Array, center: Array, model: ObjectModel, *, label: str | None
+) -> None:
+    """A double arrow for a slide, an arc about its axis for a turn, whichever the direction mostly is."""
+    style = {"color": OPEN, "linewidth": 2.2, "label": label}
+    # About the object's middle, where a turn leaves the drawn object in place.
+    if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
+        reach = 0.65 * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
+        axes.plot(*np.stack([center - reach, center + reach]).T, **style)
+        for sign in (1, -1):
+            axes.quiver(*center, *(sign * reach), color=OPEN, linewidth=2.2, arrow_length_ratio=0.12)
+        return
+    axis = direction[3:] / np.linalg.norm(direction[3:])
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0, 1.6 * np.pi, 60)[:, None]
+    ring = center + 0.62 * model.radius * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
+    axes.plot(*ring.T, **style)
+    axes.quiver(*ring[-2], *(4 * (ring[-1] - ring[-2])), color=OPEN, linewidth=2.2, arrow_length_ratio=1.0)
+
+
+def _frame(axes: Any, points: Array) -> None:
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = (high - low).max() / 2
+    middle = (low + high) / 2
+    for set_limits, value in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
+        set_limits(value - half, value + half)
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(elev=22, azim=-58)
+    for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
+        axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")
+        axis.set_tick_params(labelsize=7)
+        axis.set_label_text(f"palm {name} [mm]", fontsize=8)

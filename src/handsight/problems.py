@@ -1,0 +1,270 @@
+"""Correction problems and their answers as JSON, one of each a line: the contract of `handsight correct`.
+
+A line that is wrong becomes `{"error": "contacts[0].point: expected 3 finite numbers, got [nan, 0, 0]"}`:
+the field, what was expected, what came.
+"""
+
+import json
+import re
+import time
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.correction import METHODS, PoseEstimate, PosePrior, correct_pose
+from handsight.errors import HandsightError, InvalidInput
+from handsight.objects import ObjectModel
+
+MODELS_KEPT = 32
+
+
+class _Strict(msgspec.Struct, forbid_unknown_fields=True):
+    """Unknown keys are errors everywhere."""
+
+
+class CylinderSize(_Strict):
+    radius: Any
+    height: Any
+
+
+class ObjectFields(_Strict):
+    mesh: str | None = None
+    scale: Any = None
+    box: Any = None
+    cylinder: CylinderSize | None = None
+
+
+class ContactFields(_Strict):
+    point: Any
+    normal: Any = None
+    sigma_point: Any = None
+    sigma_normal_deg: Any = None
+    covariance: Any = None
+
+
+class VisionFields(_Strict):
+    position: Any
+    quaternion_xyzw: Any
+    sigma_position: Any = None
+    sigma_rotation_deg: Any = None
+    covariance: Any = None
+
+
+class ProblemFields(_Strict):
+    """One line of a problem file; DESIGN of each key in docs/command.md."""
+
+    object: ObjectFields
+    contacts: list[ContactFields]
+    vision: VisionFields | None = None
+    outside: Any = None
+    samples: Any = 0
+    method: str = "handsight"
+
+
+class Problem(msgspec.Struct, frozen=True):
+    """A problem as `correct_pose` takes it."""
+
+    model: ObjectModel
+    contacts: Contacts
+    vision: PosePrior | None
+    outside: Array | None
+    samples: int
+    method: str
+
+    def solve(self) -> PoseEstimate:
+        """The corrected pose."""
+        return correct_pose(
+            self.model,
+            self.contacts,
+            vision=self.vision,
+            outside=self.outside,
+            samples=self.samples,
+            method=self.method,
+        )
+
+
+class Reader:
+    """Problems from lines of JSON; keeps the object models it has built."""
+
+    def __init__(self, folder: Path) -> None:
+        """`folder`: what mesh paths are relative to."""
+        self.folder = folder
+        self._models: OrderedDict[bytes, ObjectModel] = OrderedDict()
+
+    def read(self, line: bytes) -> Problem:
+        """The problem of one line; raises a HandsightError that names the field."""
+        fields = _fields(line)
+        if fields.method not in METHODS:
+            raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
+        if isinstance(fields.samples, bool) or not isinstance(fields.samples, int) or fields.samples < 0:
+            raise InvalidInput(f"samples: expected a whole number from 0, got {fields.samples!r}")
+        outside = None
+        if fields.outside is not None and fields.outside != []:
+            outside = checks.finite(fields.outside, "outside", (None, 3))
+        contacts, vision = _contacts(fields.contacts), _vision(fields.vision)
+        return Problem(self.model(fields.object), contacts, vision, outside, fields.samples, fields.method)
+
+    def model(self, fields: ObjectFields) -> ObjectModel:
+        """The object model, built once for all lines that name the same object."""
+        key = msgspec.json.encode(fields)
+        if key not in self._models:
+            self._models[key] = self._build(fields)
+        self._models.move_to_end(key)
+        while len(self._models) > MODELS_KEPT:
+            self._models.popitem(last=False)
+        return self._models[key]
+
+    def _build(self, fields: ObjectFields) -> ObjectModel:
+        named = [name for name in ("mesh", "box", "cylinder") if getattr(fields, name) is not None]
+        if len(named) != 1:
+            raise InvalidInput(f"object: expected one of mesh, box, cylinder, got {named or 'none'}")
+        if fields.scale is not None and fields.mesh is None:
+            raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
+        if fields.mesh is not None:
+            scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
+            return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
+        if fields.cylinder is not None:
+            radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
+            return ObjectModel.cylinder(radius, checks.positive(fields.cylinder.height, "object.cylinder.height"))
+        return ObjectModel.box(checks.finite(fields.box, "object.box", (3,)))
+
+
+def answer(problem: Problem) -> dict[str, Any]:
+    """The answer to a problem as plain JSON values, the keys in the contract's order."""
+    began = time.perf_counter()
+    estimate = problem.solve()
+    seconds = time.perf_counter() - began
+    normal_deg = [None if np.isnan(a) else float(np.rad2deg(a)) for a in estimate.residuals.normal]
+    return {
+        **_pose(estimate.T_palm_object),
+        "covariance": _nested(estimate.covariance),
+        "information": _nested(estimate.information),
+        "converged": estimate.converged,
+        "iterations": estimate.iterations,
+        "seconds": seconds,
+        "residuals": {"distance": estimate.residuals.distance.tolist(), "normal_deg": normal_deg},
+        "unobservable": estimate.unobservable.tolist(),
+        "consistent": estimate.consistent,
+        "outliers": list(estimate.outliers),
+        "hypotheses": [
+            {**_pose(h.T_palm_object), "covariance": _nested(h.covariance), "weight": h.weight}
+            for h in estimate.hypotheses
+        ],
+    }
+
+
+def answer_line(reader: Reader, line: bytes) -> tuple[dict[str, Any], Problem | None]:
+    """The answer to a line, or `{"error": ...}` and None."""
+    try:
+        problem = reader.read(line)
+        return answer(problem), problem
+    except HandsightError as error:
+        return {"error": str(error)}, None
+
+
+def _fields(line: bytes) -> ProblemFields:
+    # The standard parser takes NaN and Infinity, so that the check that follows can name their field.
+    try:
+        raw = json.loads(line.decode("utf-8"), object_pairs_hook=_unique)
+    except UnicodeDecodeError:
+        raise InvalidInput("line: expected JSON in UTF-8, got other bytes") from None
+    except json.JSONDecodeError as error:
+        raise InvalidInput(f"line: expected JSON, got {error.msg} at character {error.pos}") from None
+    except (RecursionError, ValueError) as error:
+        if isinstance(error, HandsightError):
+            raise
+        raise InvalidInput(f"line: expected a problem, got JSON that cannot be read ({error})") from None
+    if not isinstance(raw, dict):
+        raise InvalidInput(f"line: expected an object {{...}}, got {checks.brief(raw)}")
+    try:
+        return msgspec.convert(raw, ProblemFields)
+    except msgspec.ValidationError as error:
+        raise InvalidInput(_explained(str(error), raw)) from None
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    keys = [key for key, _ in pairs]
+    twice = {key for key in keys if keys.count(key) > 1}
+    if twice:
+        raise InvalidInput(f"{sorted(twice)[0]}: expected once, got it twice in one object")
+    return dict(pairs)
+
+
+def _explained(message: str, raw: Any) -> str:
+    """msgspec's message with the field first and what came last."""
+    what, _, where = message.partition(" - at `$")
+    path = where.rstrip("`").lstrip(".")
+    unknown = re.match(r"Object contains unknown field `(.*)`", what)
+    if unknown:
+        return f"{path or 'line'}: unknown key {unknown[1]!r}"
+    missing = re.match(r"Object missing required field `(.*)`", what)
+    if missing:
+        return f"{f'{path}.' if path else ''}{missing[1]}: expected, got nothing"
+    value = raw
+    for step in re.findall(r"[^.\[\]]+", path):
+        value = value[int(step)] if isinstance(value, list) else value[step]
+    expected = what.partition(", got")[0].replace("`", "").replace(" | null", "").replace("Expected", "expected")
+    return f"{path}: {expected}, got {checks.brief(value)}"
+
+
+def _contacts(rows: list[ContactFields]) -> Contacts:
+    if not rows:
+        raise InvalidInput("contacts: expected at least one contact, got none")
+    n = len(rows)
+    points, covariance = np.empty((n, 3)), np.zeros((n, 6, 6))
+    normals: list[Array | None] = []
+    for i, row in enumerate(rows):
+        name = f"contacts[{i}]"
+        points[i] = checks.finite(row.point, f"{name}.point", (3,))
+        normals.append(None if row.normal is None else checks.unit(row.normal, f"{name}.normal", (3,)))
+        if row.covariance is not None:
+            if row.sigma_point is not None or row.sigma_normal_deg is not None:
+                raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
+            covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
+            continue
+        sigma_point = 1e-3 if row.sigma_point is None else checks.positive(row.sigma_point, f"{name}.sigma_point")
+        sigma_normal = 0.1
+        if row.sigma_normal_deg is not None:
+            sigma_normal = np.deg2rad(checks.positive(row.sigma_normal_deg, f"{name}.sigma_normal_deg"))
+        covariance[i, :3, :3] = sigma_point**2 * np.eye(3)
+        covariance[i, 3:, 3:] = sigma_normal**2 * np.eye(3)
+    return Contacts(points, normals, covariance=covariance)
+
+
+def _vision(fields: VisionFields | None) -> PosePrior | None:
+    if fields is None:
+        return None
+    position = checks.finite(fields.position, "vision.position", (3,))
+    quaternion = checks.unit(fields.quaternion_xyzw, "vision.quaternion_xyzw", (4,))
+    T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
+    sigmas = {"sigma_position": fields.sigma_position, "sigma_rotation_deg": fields.sigma_rotation_deg}
+    given = [name for name, value in sigmas.items() if value is not None]
+    if (fields.covariance is not None) == bool(given):
+        both = "both" if given else "neither"
+        raise InvalidInput(f"vision: expected {' and '.join(sigmas)} or a covariance, got {both}")
+    if fields.covariance is not None:
+        return PosePrior(T, checks.covariance(fields.covariance, "vision.covariance", (6, 6)))
+    if len(given) < 2:
+        absent = next(name for name in sigmas if name not in given)
+        raise InvalidInput(f"vision.{absent}: expected a number above 0, got nothing")
+    turn = checks.positive(fields.sigma_rotation_deg, "vision.sigma_rotation_deg")
+    return PosePrior.from_sigmas(
+        T, checks.positive(fields.sigma_position, "vision.sigma_position"), np.deg2rad(turn)
+    )
+
+
+def _pose(T: Array) -> dict[str, list[float]]:
+    return {
+        "position": T[:3, 3].tolist(),
+        "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
+    }
+
+
+def _nested(matrix: Array | None) -> list[list[float]] | None:
+    return None if matrix is None else matrix.tolist()

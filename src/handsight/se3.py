@@ -1,0 +1,207 @@
+"""Rigid transforms as (..., 4, 4) float64 arrays; every function takes stacks.
+
+`T_a_b` maps b-coordinates to a: `p_a = T_a_b @ p_b`. Neighbours cancel:
+`T_palm_object = T_palm_camera @ T_camera_object`.
+
+Two kinds of six numbers, translation [m] first, rotation [rad] second:
+
+* a *twist* `(v, ω)` of `exp`, `log` and `adjoint`: the group's own coordinates, where a screw is a line;
+* a *perturbation* `(δp, δθ)` of `moved` and `difference`: `p + δp`, `exp(δθ) @ R`, both along the outer
+  frame's axes. Covariances and Jacobians of a pose are for this one (ROS' PoseWithCovariance).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight.checks import Array, finite, unit
+from handsight.errors import InvalidTransform
+
+
+def check(T: ArrayLike, name: str) -> Array:
+    """`T` itself, (4, 4), if it is a rigid transform; raises InvalidTransform otherwise."""
+    try:
+        array = np.array(T, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidTransform(f"{name}: expected 4 x 4 numbers, got {T!r:.60}") from None
+    if array.shape != (4, 4):
+        raise InvalidTransform(f"{name}: expected shape (4, 4), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise InvalidTransform(f"{name}: expected finite numbers, got NaN or infinity")
+    R = array[:3, :3]
+    drift = np.abs(R.T @ R - np.eye(3)).max()
+    if not drift < 1e-6:
+        raise InvalidTransform(f"{name}: rotation is not orthonormal (drift {drift:.1e})")
+    if np.linalg.det(R) < 0:
+        raise InvalidTransform(f"{name}: expected a rotation, got a reflection (determinant -1)")
+    if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise InvalidTransform(f"{name}: expected the last row [0, 0, 0, 1], got {array[3].tolist()}")
+    return array
+
+
+def compose(R: Array, p: Array) -> Array:
+    """Transforms (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3) [m]."""
+    lead = R.shape[:-2] if R.shape[:-2] == p.shape[:-1] else np.broadcast_shapes(R.shape[:-2], p.shape[:-1])
+    T = np.zeros((*lead, 4, 4))
+    T[..., :3, :3] = R
+    T[..., :3, 3] = p
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def inverse(T_a_b: Array) -> Array:
+    """`T_b_a`, by transposing the rotation."""
+    Rt = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    return compose(Rt, -np.einsum("...ij,...j->...i", Rt, T_a_b[..., :3, 3]))
+
+
+def apply(T_a_b: Array, points_b: Array) -> Array:
+    """Points (..., n, 3) [m] in a's coordinates."""
+    moved_points = points_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3]
+    return np.asarray(moved_points, dtype=np.float64)
+
+
+_SKEW = np.zeros((3, 9))
+_SKEW[2, 1] = _SKEW[0, 5] = _SKEW[1, 6] = -1.0
+_SKEW[1, 2] = _SKEW[2, 3] = _SKEW[0, 7] = 1.0
+_UNSKEW = _SKEW.T / 2
+_EYE = np.eye(3)
+
+
+def skew(v: Array) -> Array:
+    """(..., 3, 3) matrices with `skew(v) @ x = v × x`."""
+    return np.asarray((v @ _SKEW).reshape(*v.shape, 3))
+
+
+def rotation_exp(w: Array) -> Array:
+    """Rotations (..., 3, 3) about the vectors `w` (..., 3) by their length [rad] (Rodrigues)."""
+    half = 0.5 * np.sqrt((w * w).sum(axis=-1))[..., None, None]
+    safe = np.where(half < 1e-9, 1.0, half)
+    # (1 - cos x)/x² = (sin(x/2)/(x/2))²/2 and sin x/x = sin(x/2)/(x/2) cos(x/2): nothing cancels near 0.
+    ratio = np.where(half < 1e-9, 1.0, np.sin(safe) / safe)
+    S = skew(w)
+    return np.asarray(_EYE + (ratio * np.cos(half)) * S + (0.5 * ratio * ratio) * (S @ S))
+
+
+def rotation_log(R: Array) -> Array:
+    """Rotation vectors (..., 3) [rad], length ≤ π; exact near 0 and near π."""
+    vector = R.reshape(*R.shape[:-2], 9) @ _UNSKEW  # sin(angle) axis
+    sine = np.sqrt((vector * vector).sum(axis=-1))
+    cosine = (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1) / 2
+    if np.any(cosine < -0.9):
+        return _log_through_quaternion(R)
+    small = sine < 1e-9
+    factor = np.where(small, 1.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
+    return np.asarray(factor[..., None] * vector)
+
+
+def _log_through_quaternion(R: Array) -> Array:
+    """`rotation_log` where the sine vanishes with the cosine near -1: the quaternion keeps the axis."""
+    q = quaternion_from_rotation(R)
+    q = np.where(q[..., 3:] < 0, -q, q)
+    sine = np.linalg.norm(q[..., :3], axis=-1)
+    angle = 2 * np.arctan2(sine, q[..., 3])
+    small = sine < 1e-9
+    factor = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return np.asarray(factor[..., None] * q[..., :3])
+
+
+def quaternion_from_rotation(R: Array) -> Array:
+    """Unit `quaternion_xyzw` (..., 4), its largest component positive (Shepperd's choice of divisor)."""
+    diagonal = np.diagonal(R, axis1=-2, axis2=-1)
+    trace = diagonal.sum(axis=-1)
+    # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
+    M = np.empty((*R.shape[:-2], 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        M[..., i, i] = 1 + 2 * diagonal[..., i] - trace
+        M[..., i, j] = M[..., j, i] = R[..., i, j] + R[..., j, i]
+        M[..., i, 3] = M[..., 3, i] = R[..., k, j] - R[..., j, k]
+    M[..., 3, 3] = 1 + trace
+    best = np.argmax(np.diagonal(M, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(M, best[..., None, None], axis=-1)[..., 0]
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def rotation_from_quaternion(quaternion_xyzw: Array) -> Array:
+    """Rotations (..., 3, 3) of quaternions (..., 4); they are normalised here."""
+    q = quaternion_xyzw / np.linalg.norm(quaternion_xyzw, axis=-1, keepdims=True)
+    S = skew(q[..., :3])
+    return np.asarray(np.eye(3) + 2 * (q[..., 3, None, None] * S + S @ S))
+
+
+def left_jacobian(w: Array) -> Array:
+    """`exp(w + dw) ≈ exp(left_jacobian(w) dw) exp(w)`, (..., 3, 3)."""
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    S = skew(w)
+    small = angle < 1e-2
+    safe = np.where(small, 1.0, angle)
+    # x - sin x cancels below 1e-2: there the series is exact to rounding.
+    cubic = np.where(small, 1 / 6 - angle**2 / 120 + angle**4 / 5040, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * S + cubic * (S @ S))
+
+
+def left_jacobian_inverse(w: Array) -> Array:
+    """Derivative of `rotation_log(exp(δθ) exp(w))` by δθ at 0, (..., 3, 3); singular only at 2π."""
+    half = 0.5 * np.sqrt((w * w).sum(axis=-1))[..., None, None]
+    small = half < 5e-3
+    safe = np.where(small, 1.0, half)
+    factor = np.where(small, 1 / 12 + half**2 / 180, (1 - safe / np.tan(safe)) / (4 * safe * safe))
+    S = skew(w)
+    return np.asarray(_EYE - 0.5 * S + factor * (S @ S))
+
+
+def exp(twist: Array) -> Array:
+    """Transforms (..., 4, 4) of twists (..., 6): translation part [m], rotation part [rad]."""
+    w = twist[..., 3:]
+    return compose(rotation_exp(w), np.einsum("...ij,...j->...i", left_jacobian(w), twist[..., :3]))
+
+
+def log(T: Array) -> Array:
+    """Twists (..., 6) with `exp(log(T)) = T`, rotation part of length ≤ π."""
+    w = rotation_log(T[..., :3, :3])
+    v = np.einsum("...ij,...j->...i", left_jacobian_inverse(w), T[..., :3, 3])
+    return np.concatenate([v, w], axis=-1)
+
+
+def adjoint(T_a_b: Array) -> Array:
+    """(..., 6, 6) matrices that carry a twist from b to a: `T exp(ξ) T⁻¹ = exp(adjoint(T) ξ)`."""
+    R, p = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
+    A = np.zeros((*T_a_b.shape[:-2], 6, 6))
+    A[..., :3, :3] = A[..., 3:, 3:] = R
+    A[..., :3, 3:] = skew(p) @ R
+    return A
+
+
+def moved(T: Array, perturbation: Array) -> Array:
+    """`T` (..., 4, 4) after the perturbation (δp, δθ): `p + δp`, `exp(δθ) @ R`."""
+    return compose(
+        rotation_exp(perturbation[..., 3:]) @ T[..., :3, :3], T[..., :3, 3] + perturbation[..., :3]
+    )
+
+
+def difference(T: Array, T_reference: Array) -> Array:
+    """The perturbation (δp, δθ), (..., 6), with `moved(T_reference, δ) = T`."""
+    w = rotation_log(T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2))
+    return np.concatenate([T[..., :3, 3] - T_reference[..., :3, 3], w], axis=-1)
+
+
+def rotate_covariance(R_a_b: Array, covariance_b: Array) -> Array:
+    """A 6 x 6 covariance or information of (δp, δθ), expressed along a's axes."""
+    B = np.zeros((6, 6))
+    B[:3, :3] = B[3:, 3:] = R_a_b
+    return np.asarray(B @ covariance_b @ B.T, dtype=np.float64)
+
+
+def random(rng: np.random.Generator, size: int | None = None, *, spread: float = 1.0) -> Array:
+    """Transforms, (4, 4) or (size, 4, 4): rotation uniform on SO(3), position N(0, spread²) per axis [m]."""
+    lead = () if size is None else (size,)
+    R = rotation_from_quaternion(rng.normal(size=(*lead, 4)))
+    return compose(R, spread * rng.normal(size=(*lead, 3)))
+
+
+def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) -> Array:
+    """The transform (4, 4) of a ROS pose; raises InvalidInput where the quaternion is zero or not finite."""
+    return compose(
+        rotation_from_quaternion(unit(quaternion_xyzw, "quaternion_xyzw", (4,))),
+        finite(position, "position", (3,)),
+    )

@@ -1,0 +1,173 @@
+import re
+
+import numpy as np
+import pytest
+from contact.contact_cases import PAPER_TIP, touches
+
+from handsight import se3
+from handsight.contact import Contacts, Ellipsoid, NoContact, contact_from_wrench
+from handsight.errors import InvalidInput
+
+POINTS = np.array([[0.03, 0.01, 0.1], [-0.03, 0, 0.1], [0, 0.02, 0.15]])
+NORMALS = [[2, 0, 0], None, [0, 3, 4]]
+
+
+def some_covariance(rng, n):
+    root = 1e-2 * rng.normal(size=(n, 6, 6))
+    return root @ root.swapaxes(-1, -2)
+
+
+def test_contacts_are_stored_clean():
+    contacts = Contacts(POINTS.tolist(), NORMALS, sigma_point=[1e-3, 2e-3, 3e-3], sigma_normal=0.2)
+    assert len(contacts) == 3
+    np.testing.assert_array_equal(contacts.points_palm, POINTS)
+    np.testing.assert_allclose(contacts.normals_palm, [[1, 0, 0], [0, 0, 0], [0, 0.6, 0.8]])
+    assert contacts.has_normal.tolist() == [True, False, True]
+    np.testing.assert_allclose(contacts.covariance[1, :3, :3], 4e-6 * np.eye(3))
+    np.testing.assert_allclose(contacts.covariance[0, 3:, 3:], np.diag([0, 0.04, 0.04]), atol=1e-16)
+    np.testing.assert_array_equal(contacts.covariance[1, 3:], 0)
+    np.testing.assert_allclose(contacts.covariance[2, 3:, 3:] @ [0, 0.6, 0.8], 0, atol=1e-16)
+
+
+def test_without_normals_there_are_none():
+    contacts = Contacts(POINTS)
+    assert not contacts.has_normal.any()
+    assert not contacts.normals_palm.any()
+
+
+def test_a_given_covariance_is_kept_but_for_the_part_along_the_normal():
+    covariance = some_covariance(np.random.default_rng(0), 3)
+    contacts = Contacts(POINTS, NORMALS, covariance=covariance)
+    np.testing.assert_allclose(contacts.covariance[:, :3, :3], covariance[:, :3, :3], rtol=1e-12)
+    np.testing.assert_allclose(contacts.covariance[0, 4:, 4:], covariance[0, 4:, 4:], rtol=1e-12)
+    np.testing.assert_allclose(contacts.covariance[0, :3, 4:], covariance[0, :3, 4:], rtol=1e-12)
+    for c, n in zip(contacts.covariance, contacts.normals_palm, strict=True):
+        np.testing.assert_allclose(c[3:, 3:] @ n, 0, atol=1e-17)
+    np.testing.assert_array_equal(contacts.covariance, contacts.covariance.swapaxes(-1, -2))
+
+
+def test_nothing_can_be_written_and_nothing_is_shared():
+    points = POINTS.copy()
+    contacts = Contacts(points, NORMALS)
+    points[0] = 1
+    np.testing.assert_array_equal(contacts.points_palm, POINTS)
+    for part in (contacts, contacts.moved(np.eye(4)), contacts.select([0])):
+        for name in ("points_palm", "normals_palm", "has_normal", "covariance"):
+            assert not getattr(part, name).flags.writeable
+    with pytest.raises(AttributeError):
+        contacts.points_palm = points
+
+
+def test_moved_contacts_are_those_of_moved_input():
+    rng = np.random.default_rng(1)
+    T = se3.random(rng, spread=0.1)
+    R = T[:3, :3]
+    covariance = some_covariance(rng, 3)
+    moved = Contacts(POINTS, NORMALS, covariance=covariance).moved(T)
+    normals = [None if n is None else R @ n for n in NORMALS]
+    expected = Contacts(se3.apply(T, POINTS), normals, covariance=se3.rotate_covariance(R, covariance))
+    for name in ("points_palm", "normals_palm", "has_normal", "covariance"):
+        np.testing.assert_allclose(getattr(moved, name), getattr(expected, name), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("which", "rows"),
+    [([True, False, True], [0, 2]), ([2, 0, 0], [2, 0, 0]), ([-1], [2]), (np.array([1]), [1])],
+)
+def test_a_selection_takes_everything_of_its_contacts(which, rows):
+    contacts = Contacts(POINTS, NORMALS, sigma_point=[1e-3, 2e-3, 3e-3])
+    some = contacts.select(which)
+    assert len(some) == len(rows)
+    for name in ("points_palm", "normals_palm", "has_normal", "covariance"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(contacts, name)[rows])
+
+
+@pytest.mark.parametrize("which", [[], [False, False, False]])
+def test_an_empty_selection_is_refused(which):
+    with pytest.raises(InvalidInput, match="select: expected at least one contact, got none"):
+        Contacts(POINTS).select(which)
+
+
+@pytest.mark.parametrize("which", [[3], [True, False], [0.5], [[0]]])
+def test_a_selection_of_what_is_not_there_is_refused(which):
+    with pytest.raises(InvalidInput, match="select: expected a mask of 3 or indices below 3, got"):
+        Contacts(POINTS).select(which)
+
+
+def sensed(n=3):
+    tip = Ellipsoid(PAPER_TIP)
+    rng = np.random.default_rng(2)
+    truth = touches(rng, tip, n)
+    found = [contact_from_wrench(f, m, tip) for f, m in zip(truth.forces, truth.torques, strict=True)]
+    return [contact.moved(se3.random(rng, spread=0.1)) for contact in found]
+
+
+def test_contacts_from_tips_add_the_rest_of_the_chain_s_noise_to_the_sensor_s():
+    tips = sensed()
+    contacts = Contacts.from_tips(tips, sigma_point=2e-3, sigma_normal=0.05)
+    for i, tip in enumerate(tips):
+        np.testing.assert_allclose(contacts.points_palm[i], tip.point)
+        np.testing.assert_allclose(contacts.normals_palm[i], tip.normal)
+        rest = contacts.covariance[i] - tip.covariance
+        np.testing.assert_allclose(rest[:3, :3], 4e-6 * np.eye(3), atol=1e-15)
+        np.testing.assert_allclose(
+            rest[3:, 3:], 0.0025 * (np.eye(3) - np.outer(tip.normal, tip.normal)), atol=1e-12
+        )
+        np.testing.assert_allclose(contacts.covariance[i, :3, 3:], tip.covariance[:3, 3:], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("tips", "message"),
+    [
+        ([], "contacts: expected at least one contact, got none"),
+        ([NoContact("free")], "contacts[0]: expected a Contact"),
+    ],
+)
+def test_what_is_no_contact_makes_no_contacts(tips, message):
+    with pytest.raises(InvalidInput, match=re.escape(message)):
+        Contacts.from_tips(tips)
+
+
+def zero_but(i, j):
+    covariance = np.tile(1e-6 * np.eye(6), (3, 1, 1))
+    covariance[1, i, j] = -1
+    return covariance
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"points_palm": []}, "points_palm: expected at least one contact, got no contacts"),
+        ({"points_palm": np.empty((0, 3))}, "points_palm: expected at least one contact, got no contacts"),
+        ({"points_palm": [[np.nan, 0, 0]]}, "points_palm[0]: expected 3 finite numbers, got [nan, 0, 0]"),
+        ({"points_palm": [[0, 0, 0], [1, 2]]}, "points_palm[1]: expected 3 finite numbers, got [1, 2]"),
+        ({"points_palm": [0, 0, 0]}, "points_palm[0]: expected 3 finite numbers, got 0"),
+        ({"points_palm": 3}, "points_palm: expected finite numbers of shape (n, 3), got 3"),
+        ({"points_palm": "abc"}, "points_palm: expected finite numbers of shape (n, 3), got abc"),
+        (
+            {"points_palm": [[0, 0, 0], [0, 30, 100]], "normals_palm": None},
+            "points_palm[1]: expected metres within 5, got [0.0, 30.0, 100.0] (millimetres?)",
+        ),
+        ({"normals_palm": [[0, 0, 1]]}, "normals_palm: expected as many as points_palm (3), got 1"),
+        ({"normals_palm": 1.0}, "normals_palm: expected 3 normals, got 1.0"),
+        (
+            {"normals_palm": [None, [0, 0, 0], None]},
+            "normals_palm[1]: expected a direction, got a zero vector",
+        ),
+        (
+            {"normals_palm": [None, None, [0, np.inf, 0]]},
+            "normals_palm[2]: expected 3 finite numbers, got [0, inf, 0]",
+        ),
+        ({"sigma_point": 0}, "sigma_point: expected a number above 0, got 0"),
+        ({"sigma_normal": -0.1}, "sigma_normal: expected a number above 0, got -0.1"),
+        ({"sigma_point": [1e-3, -1, 1e-3]}, "sigma_point[1]: expected a number above 0, got -1"),
+        ({"sigma_point": [1e-3, 1e-3]}, "sigma_point: expected as many as points_palm (3), got 2"),
+        ({"covariance": np.eye(6)[None]}, "covariance: expected as many as points_palm (3), got 1"),
+        ({"covariance": np.eye(6)}, "covariance[0]: expected finite numbers of shape (6, 6)"),
+        ({"covariance": zero_but(2, 2)}, "covariance[1]: expected a positive semidefinite covariance"),
+        ({"covariance": zero_but(1, 2)}, "covariance[1]: expected a symmetric covariance"),
+    ],
+)
+def test_a_wrong_set_is_refused_by_entry(arguments, message):
+    with pytest.raises(InvalidInput, match=f"^{re.escape(message)}"):
+        Contacts(**{"points_palm": POINTS, **arguments})

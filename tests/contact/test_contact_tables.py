@@ -1,0 +1,223 @@
+import csv
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from contact.contact_cases import PAPER_TIP, touches
+
+from handsight.contact import (
+    COLUMNS_HELP,
+    Ellipsoid,
+    Sphere,
+    contact_from_wrench,
+    convert,
+    read_wrenches,
+)
+from handsight.contact.table import COLUMNS
+from handsight.errors import InvalidFile, InvalidInput
+
+TIP = Ellipsoid(PAPER_TIP, cap=0.0, max_friction=1.0)
+HEADER = "stamp,finger,fx,fy,fz,tx,ty,tz\n"
+FIVE = HEADER + (
+    "1712345678.123456789,ff,0,0,-1,0,0,0\n"
+    "2,mf,0,0,-0.01,0,0,0\n"
+    "3,rf,0,0,1,0,0,0\n"
+    '4,"l,f",0,,nan,0,0,0\n'
+    "5,th,3,0,-1,0,0.036,0\n"
+)
+
+
+def converted(text, tip=TIP, **options):
+    out = io.StringIO()
+    return convert(io.StringIO(text), out, tip, **options), out.getvalue()
+
+
+def test_every_row_of_csv_is_answered_in_order_with_its_reason():
+    counts, text = converted(FIVE)
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert [row["reason"] for row in rows] == ["contact", "free", "off_cap", "invalid", "beyond_friction"]
+    assert [row["finger"] for row in rows] == ["ff", "mf", "rf", "l,f", "th"]
+    assert rows[0]["stamp"] == "1712345678.123456789"
+    assert counts == {"contact": 1, "free": 1, "off_cap": 1, "beyond_friction": 1, "invalid": 1}
+    assert tuple(rows[0]) == ("stamp", "finger", *COLUMNS)
+    assert all(rows[1][column] == "" for column in COLUMNS[1:])
+
+
+def test_the_numbers_of_csv_are_the_contact_s():
+    truth = touches(np.random.default_rng(0), TIP, 50, friction=0.9)
+    table = "tz,ty,tx,fz,fy,fx\n" + "".join(
+        ",".join(map(repr, [*m[::-1].tolist(), *f[::-1].tolist()])) + "\n"
+        for f, m in zip(truth.forces, truth.torques, strict=True)
+    )
+    _, text = converted(table, sigma_force=0.02, sigma_torque=1e-4)
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert len(rows) == 50
+    for f, m, row in zip(truth.forces, truth.torques, rows, strict=True):
+        contact = contact_from_wrench(f, m, TIP, sigma_force=0.02, sigma_torque=1e-4)
+        deviation = np.sqrt(np.diag(contact.covariance))
+        expected = [
+            *contact.point,
+            *contact.normal,
+            contact.force_normal,
+            *contact.force_tangential,
+            contact.torque,
+            *deviation[:3],
+            np.sqrt((deviation[3:] ** 2).sum() / 2),
+        ]
+        np.testing.assert_allclose([float(row[c]) for c in COLUMNS[1:]], expected, rtol=1e-8, atol=1e-15)
+
+
+def test_json_lines_say_the_same_as_csv_and_carry_the_covariance():
+    lines = [
+        {"stamp": 1.5, "finger": "ff", "force": [0.1, 0, -1], "torque": [0, 0.0012, 1e-4]},
+        {"stamp": 2, "finger": "ff", "force": [0, None, -1], "torque": [0, 0, 0]},
+        {"stamp": None, "finger": 3, "force": [0, 0, 0], "torque": [0, 0, 0]},
+    ]
+    text = "\n\n".join(map(json.dumps, lines)) + "\n"
+    counts, out = converted(text, format="jsonl")
+    first, second, third = map(json.loads, out.splitlines())
+    contact = contact_from_wrench([0.1, 0, -1], [0, 0.0012, 1e-4], TIP)
+    assert first["point"] == contact.point.tolist()
+    assert first["normal"] == contact.normal.tolist()
+    assert first["covariance"] == contact.covariance.tolist()
+    assert first["force_tangential"] == contact.force_tangential.tolist()
+    assert (first["torque"], first["force_normal"]) == (contact.torque, contact.force_normal)
+    assert second == {"stamp": 2, "finger": "ff", "reason": "invalid"}
+    assert third == {"stamp": None, "finger": 3, "reason": "free"}
+    assert (counts["contact"], counts["invalid"], counts["free"]) == (1, 1, 1)
+
+
+def test_a_stamp_from_csv_keeps_all_its_digits_as_a_json_number():
+    _, out = converted(FIVE, format="jsonl")
+    assert out.startswith('{"stamp":1712345678.123456789,"finger":"ff","reason":"contact"')
+    assert json.loads(out.splitlines()[3])["finger"] == "l,f"
+
+
+def test_a_table_may_be_longer_than_a_chunk():
+    truth = touches(np.random.default_rng(1), TIP, 25)
+    text = "fx,fy,fz,tx,ty,tz\n" + "".join(
+        ",".join(map(repr, row)) + "\n" for row in np.hstack([truth.forces, truth.torques]).tolist()
+    )
+    for chunk in (1, 7, 25, 100):
+        rows = list(read_wrenches(io.StringIO(text), chunk=chunk))
+        assert max(len(some) for some in rows) <= chunk
+        np.testing.assert_array_equal(np.concatenate([some.forces for some in rows]), truth.forces)
+        np.testing.assert_array_equal(np.concatenate([some.torques for some in rows]), truth.torques)
+    twenty_thousand = "fx,fy,fz,tx,ty,tz\n" + "0,0,-1,0,0,0\n" * 20_000
+    counts, out = converted(twenty_thousand)
+    assert counts["contact"] == 20_000
+    assert len(out.splitlines()) == 20_001
+
+
+def test_files_are_converted_by_their_names(tmp_path):
+    source = tmp_path / "wrenches.csv"
+    source.write_text("\ufeff" + FIVE, encoding="utf-8")
+    convert(source, tmp_path / "contacts.jsonl", TIP)
+    convert(str(source), str(tmp_path / "contacts.csv"), TIP)
+    lines = (tmp_path / "contacts.jsonl").read_text().splitlines()
+    assert [json.loads(line)["reason"] for line in lines][:2] == ["contact", "free"]
+    assert (tmp_path / "contacts.csv").read_text().startswith("stamp,finger,reason,x,y,z,")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "contacts.csv",
+        "contacts.jsonl",
+        "wrenches.csv",
+    ]
+
+
+def test_a_table_that_breaks_off_leaves_the_old_answer_and_no_half_of_a_new_one(tmp_path):
+    destination = tmp_path / "contacts.csv"
+    destination.write_text("old")
+    with pytest.raises(InvalidFile):
+        convert(io.StringIO(HEADER + "1,ff,0,0,-1,0,0,0\n" * 9000 + "1,ff,0\n"), destination, TIP)
+    assert destination.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["contacts.csv"]
+
+
+def test_a_contact_reads_plainly():
+    _, text = converted("fx,fy,fz,tx,ty,tz\n0,0,-2,0,0,0\n", Sphere(0.01))
+    assert text.splitlines()[1].startswith("contact,0,0,0.01,0,0,-1,2,0,0,0,0,")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "w: expected at least one wrench, got an empty table"),
+        ("\n  \n", "w: expected at least one wrench, got an empty table"),
+        (HEADER, "w: expected at least one wrench, got an empty table"),
+        ("fx,fy,fz,tx,ty\n", "w: line 1: expected columns fx, fy, fz, tx, ty, tz, missing tz"),
+        (
+            "1,2,3,4,5,6\n",
+            "w: line 1: expected a header of stamp, finger, fx, fy, fz, tx, ty, tz, got column '1'",
+        ),
+        (
+            "\nfx,fy,fz,tx,ty,tz,q\n",
+            "w: line 2: expected a header of stamp, finger, fx, fy, fz, tx, ty, tz, got column 'q'",
+        ),
+        ("fx,fy,fz,tx,ty,tz,fx\n", "w: line 1: expected column fx once, got it 2 times"),
+        ("fx,fy,fz,tx,ty,tz\n0,0,0,0,0,0\n1,2,3\n", "w: line 3: expected 6 columns as the header, got 3"),
+        (
+            "fx,fy,fz,tx,ty,tz\n0,0,0,0,0,0\n\n0,0,0,0,1.2.3,0\n",
+            "w: line 4, column ty: expected a number, got '1.2.3'",
+        ),
+        ("fx,fy,fz,tx,ty,tz\n0,0,0,0,0,1_0\n", "w: line 2, column tz: expected a number, got '1_0'"),
+        ('fx,fy,fz,tx,ty,tz\n0,0,0,0,0,"1\n', "w: line 2: expected CSV, got unexpected end of data"),
+        ('{"force": [0, 0, 0]\n', "w: line 1: expected a JSON object, got"),
+        ('{"force":[0,0,0],"torque":[0,0,0]}\n\n[1]\n', "w: line 3: expected a JSON object, got [1]"),
+        ('{"force":[0,0,0]}', "w: line 1: expected the keys force and torque, got no torque"),
+        ('{"force":[0,0],"torque":[0,0,0]}', "w: line 1, key force: expected 3 numbers, got [0, 0]"),
+        (
+            '{"force":[0,0,true],"torque":[0,0,0]}',
+            "w: line 1, key force: expected 3 numbers, got [0, 0, True]",
+        ),
+        (
+            '{"force":[0,0,0],"torque":["0",0,0]}',
+            "w: line 1, key torque: expected 3 numbers, got ['0', 0, 0]",
+        ),
+        (
+            '{"force":[0,0,0],"torque":[0,0,1' + "0" * 400 + "]}",
+            "w: line 1, key torque: expected 3 numbers, got [0, 0, 1",
+        ),
+        (
+            '{"Force":[0,0,0],"torque":[0,0,0]}',
+            "w: line 1: expected keys stamp, finger, force, torque, got 'Force'",
+        ),
+        (
+            '{"force":[0,0,0],"torque":[0,0,0],"stamp":[1]}',
+            "w: line 1, key stamp: expected a text or a number, got [1]",
+        ),
+        (
+            '{"force":[0,0,0],"torque":[0,0,0],"stamp":1}\n{"force":[0,0,0],"torque":[0,0,0]}',
+            "w: line 2: expected the labels of the first line (stamp), got neither",
+        ),
+    ],
+)
+def test_a_malformed_table_is_refused_by_file_line_and_column(tmp_path, monkeypatch, text, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "w").write_text(text)
+    with pytest.raises(InvalidFile, match=f"^{re.escape(message)}"):
+        convert("w", "out.csv", TIP)
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_file_that_cannot_be_read_or_written_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InvalidFile, match="^absent.csv: cannot be read: No such file"):
+        convert("absent.csv", "out.csv", TIP)
+    (tmp_path / "w.csv").write_text(FIVE)
+    with pytest.raises(InvalidFile, match="^no/where.csv: cannot be written: No such file"):
+        convert("w.csv", "no/where.csv", TIP)
+    (tmp_path / "w.bin").write_bytes(b"\xff\xfe0")
+    with pytest.raises(InvalidFile, match=r"^w\.bin: expected UTF-8 text, got byte 0xff"):
+        convert("w.bin", "out.csv", TIP)
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(InvalidInput, match="format: expected one of csv, jsonl, got 'xml'"):
+        converted(FIVE, format="xml")
+
+
+def test_the_help_names_every_column():
+    for column in ("fx, fy, fz", "tx, ty, tz", "stamp", "finger", "reason", "nx, ny, nz", "sigma_normal"):
+        assert column in COLUMNS_HELP

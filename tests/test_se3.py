@@ -1,0 +1,315 @@
+"""The laws of rigid transforms, near their singular places too, with SciPy as the independent truth."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from handsight import se3
+from handsight.errors import HandsightError, InvalidInput, InvalidTransform
+
+ANGLES = (0.0, 1e-300, 1e-12, 1e-9, 1.01e-9, 1e-6, 9.99e-3, 1e-2, 0.5, 2.0, 2.68, 2.7, 3.0)
+NEAR_PI = tuple(np.pi - e for e in (1e-3, 1e-6, 1e-9, 1e-12, 0.0))
+AXES = np.array(
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1], [1, 1, 0], [0, -1, 1], [1, 2, -3.0]]
+)
+AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
+ROTATION_VECTORS = np.array([angle * axis for angle in ANGLES + NEAR_PI for axis in AXES])
+"""Near 0, on both sides of every change of formula, near π and exactly π about each axis."""
+
+finite_vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)
+twists = st.lists(st.floats(-2, 2), min_size=6, max_size=6).map(np.array)
+
+
+def transforms(seed=0, size=200):
+    """Random transforms and, in the first rows, the near-singular rotations."""
+    T = se3.random(np.random.default_rng(seed), size + len(ROTATION_VECTORS))
+    T[: len(ROTATION_VECTORS), :3, :3] = Rotation.from_rotvec(ROTATION_VECTORS).as_matrix()
+    return T
+
+
+def central_differences(function, size, h=1e-6):
+    """The derivative of `function` at 0, one column per parameter."""
+    steps = h * np.eye(size)
+    return np.stack([(function(s) - function(-s)) / (2 * h) for s in steps], axis=-1)
+
+
+# Against SciPy
+
+
+def test_rotation_exp_agrees_with_scipy():
+    expected = Rotation.from_rotvec(ROTATION_VECTORS).as_matrix()
+    np.testing.assert_allclose(se3.rotation_exp(ROTATION_VECTORS), expected, rtol=0, atol=4e-16 * 4)
+
+
+def test_rotation_log_agrees_with_scipy():
+    R = Rotation.random(300, rng=1).as_matrix()
+    np.testing.assert_allclose(se3.rotation_log(R), Rotation.from_matrix(R).as_rotvec(), atol=1e-13)
+
+
+def test_exp_and_log_agree_with_scipy():
+    rng = np.random.default_rng(2)
+    xi = rng.normal(size=(200, 6))
+    scipys = RigidTransform.from_exp_coords(np.hstack([xi[:, 3:], xi[:, :3]]))  # rotation first there
+    np.testing.assert_allclose(se3.exp(xi), scipys.as_matrix(), atol=1e-13)
+    coordinates = scipys.as_exp_coords()
+    expected = np.hstack([coordinates[:, 3:], coordinates[:, :3]])
+    np.testing.assert_allclose(se3.log(scipys.as_matrix()), expected, atol=1e-12)
+
+
+def test_inverse_and_apply_agree_with_scipy():
+    T = transforms()
+    np.testing.assert_allclose(se3.inverse(T), RigidTransform.from_matrix(T).inv().as_matrix(), atol=1e-14)
+    points = np.random.default_rng(3).normal(size=(7, 3))
+    for one in T[::20]:
+        expected = RigidTransform.from_matrix(one).apply(points)
+        np.testing.assert_allclose(se3.apply(one, points), expected, atol=1e-14)
+
+
+def test_quaternions_agree_with_scipy():
+    T = transforms()
+    q = se3.quaternion_from_rotation(T[:, :3, :3])
+    expected = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    expected *= np.sign((q * expected).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(q, expected, atol=1e-15 * 4)
+    # The largest is positive (up to rounding, where two are as large).
+    np.testing.assert_allclose(q.max(axis=1), np.abs(q).max(axis=1), rtol=1e-12)
+    random = np.random.default_rng(4).normal(size=(100, 4))
+    np.testing.assert_allclose(
+        se3.rotation_from_quaternion(random), Rotation.from_quat(random).as_matrix(), atol=1e-14
+    )
+
+
+# Laws
+
+
+def test_log_undoes_exp_near_zero_to_full_relative_precision():
+    small = ROTATION_VECTORS[np.linalg.norm(ROTATION_VECTORS, axis=1) < 1e-2]
+    np.testing.assert_allclose(se3.rotation_log(se3.rotation_exp(small)), small, rtol=1e-13, atol=1e-16)
+
+
+def test_exp_undoes_log_everywhere_and_the_angle_is_at_most_pi():
+    R = transforms()[:, :3, :3]
+    w = se3.rotation_log(R)
+    assert np.linalg.norm(w, axis=1).max() <= np.pi + 1e-15
+    np.testing.assert_allclose(se3.rotation_exp(w), R, rtol=0, atol=2e-15)
+
+
+@pytest.mark.parametrize("axis", AXES, ids=str)
+def test_a_half_turn_keeps_its_axis_up_to_sign(axis):
+    R = 2 * np.outer(axis, axis) - np.eye(3)
+    w = se3.rotation_log(R)
+    np.testing.assert_allclose(np.linalg.norm(w), np.pi, rtol=1e-15)
+    np.testing.assert_allclose(np.abs(w @ axis), np.pi, rtol=1e-14)
+
+
+@given(twists)
+def test_log_undoes_exp_below_a_half_turn(xi):
+    if np.linalg.norm(xi[3:]) < np.pi - 1e-3:
+        np.testing.assert_allclose(se3.log(se3.exp(xi)), xi, atol=1e-9)
+
+
+def test_exp_undoes_log_of_transforms():
+    T = transforms()
+    np.testing.assert_allclose(se3.exp(se3.log(T)), T, atol=1e-13)
+
+
+def test_a_transform_times_its_inverse_is_the_identity():
+    T = transforms()
+    np.testing.assert_allclose(T @ se3.inverse(T), np.broadcast_to(np.eye(4), T.shape), atol=1e-14)
+
+
+def test_neighbours_cancel():
+    T_a_b, T_b_c = se3.random(np.random.default_rng(5), 2)
+    points_c = np.random.default_rng(6).normal(size=(5, 3))
+    np.testing.assert_allclose(
+        se3.apply(T_a_b @ T_b_c, points_c), se3.apply(T_a_b, se3.apply(T_b_c, points_c)), atol=1e-14
+    )
+
+
+@given(finite_vectors, finite_vectors)
+def test_skew_is_the_cross_product(v, x):
+    np.testing.assert_allclose(se3.skew(v) @ x, np.cross(v, x), atol=1e-14)
+    np.testing.assert_array_equal(se3.skew(v).T, -se3.skew(v))
+
+
+def test_the_adjoint_carries_a_twist_through_a_transform():
+    T = transforms()
+    xi = np.random.default_rng(7).normal(size=(len(T), 6))
+    through = T @ se3.exp(xi) @ se3.inverse(T)
+    np.testing.assert_allclose(through, se3.exp(np.einsum("nij,nj->ni", se3.adjoint(T), xi)), atol=1e-12)
+
+
+def test_the_adjoint_of_a_product_is_the_product_of_adjoints():
+    A, B = se3.random(np.random.default_rng(8), 2)
+    np.testing.assert_allclose(se3.adjoint(A @ B), se3.adjoint(A) @ se3.adjoint(B), atol=1e-14)
+
+
+def test_moved_and_difference_undo_each_other():
+    T, T_reference = transforms(9), transforms(10)[::-1]
+    delta = se3.difference(T, T_reference)
+    np.testing.assert_allclose(se3.moved(T_reference, delta), T, atol=1e-14)
+    small = 0.5 * np.random.default_rng(11).normal(size=(len(T), 6))
+    np.testing.assert_allclose(se3.difference(se3.moved(T, small), T), small, atol=1e-12)
+
+
+def test_a_perturbation_moves_along_the_outer_frame_and_turns_about_the_origin_of_the_pose():
+    T = se3.random(np.random.default_rng(12))
+    quarter = np.array([1.0, 2, 3, 0, 0, np.pi / 2])
+    moved = se3.moved(T, quarter)
+    np.testing.assert_allclose(moved[:3, 3], T[:3, 3] + [1, 2, 3])
+    np.testing.assert_allclose(moved[:3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]] @ T[:3, :3], atol=1e-15)
+
+
+def test_the_covariance_of_a_perturbation_turns_with_its_frame():
+    rng = np.random.default_rng(13)
+    A = rng.normal(size=(6, 6))
+    covariance_b = A @ A.T
+    T_a_b = se3.random(rng)
+    R = T_a_b[:3, :3]
+    samples_b = rng.multivariate_normal(np.zeros(6), covariance_b, 5)
+    samples_a = np.hstack([samples_b[:, :3] @ R.T, samples_b[:, 3:] @ R.T])
+    turned = se3.rotate_covariance(R, covariance_b)
+    np.testing.assert_allclose(
+        np.einsum("ni,ij,nj->n", samples_a, np.linalg.inv(turned), samples_a),
+        np.einsum("ni,ij,nj->n", samples_b, np.linalg.inv(covariance_b), samples_b),
+        rtol=1e-8,
+    )
+
+
+# Derivatives
+
+
+def test_the_left_jacobian_is_the_derivative_of_exp():
+    # exp(w + dw) exp(w)⁻¹ = exp(J dw): well away from the logarithm's own singularity.
+    for w in ROTATION_VECTORS:
+        back = se3.rotation_exp(w).T
+        numeric = central_differences(lambda d, w=w, b=back: se3.rotation_log(se3.rotation_exp(w + d) @ b), 3)
+        np.testing.assert_allclose(se3.left_jacobian(w), numeric, atol=1e-8)
+
+
+def test_its_inverse_is_the_derivative_of_log():
+    for w in ROTATION_VECTORS[np.linalg.norm(ROTATION_VECTORS, axis=1) < np.pi - 1e-4]:
+        R = se3.rotation_exp(w)
+        numeric = central_differences(lambda d, R=R: se3.rotation_log(se3.rotation_exp(d) @ R), 3)
+        np.testing.assert_allclose(se3.left_jacobian_inverse(w), numeric, atol=1e-8)
+
+
+def test_the_two_jacobians_are_inverses_of_each_other():
+    product = se3.left_jacobian(ROTATION_VECTORS) @ se3.left_jacobian_inverse(ROTATION_VECTORS)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-10)
+
+
+def test_a_jacobian_has_no_step_where_its_formula_changes():
+    below, above = (np.array([0, 0.6, 0.8]) * angle for angle in (1e-2 - 1e-12, 1e-2 + 1e-12))
+    for jacobian in (se3.left_jacobian, se3.left_jacobian_inverse):
+        np.testing.assert_allclose(jacobian(below), jacobian(above), rtol=0, atol=1e-11)
+
+
+# Stacks
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        se3.inverse, se3.log, se3.adjoint,
+        lambda T: se3.quaternion_from_rotation(T[..., :3, :3]),
+        lambda T: se3.rotation_log(T[..., :3, :3]),
+        lambda T: se3.rotation_exp(se3.rotation_log(T[..., :3, :3])),
+        lambda T: se3.left_jacobian(T[..., :3, 3]),
+        lambda T: se3.left_jacobian_inverse(T[..., :3, 3]),
+        lambda T: se3.skew(T[..., :3, 3]),
+        lambda T: se3.exp(se3.log(T)),
+        lambda T: se3.rotation_from_quaternion(T[..., 0, :]),
+        lambda T: se3.apply(T, np.array([[1.0, 2, 3], [4, 5, 6]])),
+        lambda T: se3.moved(T, T[..., 0, [0, 1, 2, 0, 1, 2]]),
+        lambda T: se3.difference(T, np.eye(4)),
+    ],
+)  # fmt: skip
+def test_a_stack_agrees_with_its_singles(function):
+    T = transforms(14, 10)
+    singles = np.stack([function(one) for one in T])
+    np.testing.assert_allclose(function(T), singles, rtol=1e-12, atol=1e-13)
+    square = function(T[:6].reshape(2, 3, 4, 4))
+    np.testing.assert_allclose(square.reshape(6, *square.shape[2:]), singles[:6], rtol=1e-12, atol=1e-13)
+    assert function(T[:0]).shape == (0, *singles.shape[1:])
+
+
+def test_a_half_turn_in_a_stack_changes_no_neighbour():
+    # rotation_log takes another road for the whole stack when one member is near π.
+    small = np.array([[1e-12, 0, 0], [1e-3, 2e-3, 0], [0, 0, 1.0]])
+    w = np.vstack([small, [[np.pi, 0, 0]]])
+    np.testing.assert_allclose(se3.rotation_log(se3.rotation_exp(w))[:3], small, rtol=1e-9, atol=1e-20)
+
+
+# Random transforms, poses of files
+
+
+def test_random_transforms_are_rigid_repeatable_and_spread():
+    T = se3.random(np.random.default_rng(15), 4000, spread=0.1)
+    assert se3.random(np.random.default_rng(15)).shape == (4, 4)
+    np.testing.assert_array_equal(T, se3.random(np.random.default_rng(15), 4000, spread=0.1))
+    for one in T[:10]:
+        se3.check(one, "T")
+    np.testing.assert_allclose(T[:, :3, 3].std(axis=0), 0.1, rtol=0.06)  # 5 standard errors
+    assert np.abs(T[:, :3, :3].mean(axis=0)).max() < 5 / np.sqrt(3 * 4000)
+
+
+def test_a_pose_of_a_file_may_have_a_quaternion_of_any_length():
+    T = se3.from_position_quaternion([1, 2, 3], [0, 0, 2, 2])
+    np.testing.assert_allclose(T, [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("position", "quaternion", "message"),
+    [
+        ([0, 0, 0], [0, 0, 0, 0], "quaternion_xyzw: expected a direction, got a zero vector"),
+        ([0, 0, 0], [0, 0, 1], "quaternion_xyzw: expected 4 finite numbers"),
+        ([0, np.inf, 0], [0, 0, 0, 1], "position: expected 3 finite numbers"),
+    ],
+)
+def test_a_wrong_pose_is_named(position, quaternion, message):
+    with pytest.raises(InvalidInput, match=message):
+        se3.from_position_quaternion(position, quaternion)
+
+
+# check
+
+
+def spoilt(row, column, value):
+    T = np.eye(4)
+    T[row, column] = value
+    return T
+
+
+@pytest.mark.parametrize(
+    ("T", "message"),
+    [
+        ("pose", "T_a_b: expected 4 x 4 numbers, got 'pose'"),
+        ([[1, 2], [3]], "T_a_b: expected 4 x 4 numbers"),
+        (np.eye(3), r"T_a_b: expected shape \(4, 4\), got \(3, 3\)"),
+        (np.eye(4)[None], r"T_a_b: expected shape \(4, 4\), got \(1, 4, 4\)"),
+        (spoilt(0, 3, np.nan), "T_a_b: expected finite numbers, got NaN or infinity"),
+        (spoilt(0, 0, np.inf), "T_a_b: expected finite numbers, got NaN or infinity"),
+        (spoilt(0, 0, 1.001), r"T_a_b: rotation is not orthonormal \(drift 2\.0e-03\)"),
+        (spoilt(0, 0, -1), r"T_a_b: expected a rotation, got a reflection \(determinant -1\)"),
+        (spoilt(3, 0, 0.1), r"T_a_b: expected the last row \[0, 0, 0, 1\], got \[0\.1, 0\.0, 0\.0, 1\.0\]"),
+    ],
+)
+def test_what_is_not_a_rigid_transform_is_refused_and_named(T, message):
+    with pytest.raises(InvalidTransform, match=f"^{message}") as refused:
+        se3.check(T, "T_a_b")
+    assert isinstance(refused.value, HandsightError)
+    assert isinstance(refused.value, ValueError)
+
+
+def test_a_rigid_transform_passes_as_a_copy_of_its_own():
+    T = se3.random(np.random.default_rng(16))
+    checked = se3.check(T, "T")
+    np.testing.assert_array_equal(checked, T)
+    checked[0, 3] = 9
+    assert T[0, 3] != 9
+    rounded = T.astype(np.float32)  # float32's rounding is no reason to refuse
+    assert se3.check(rounded, "T").dtype == np.float64
+    assert se3.check(np.eye(4, dtype=int).tolist(), "T").dtype == np.float64
