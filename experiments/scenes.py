@@ -76,3 +76,64 @@ def pose_errors(model, estimate, T_palm_object):
     seen = delta - open_.T @ (open_ @ delta) if len(open_) else delta
     scale = np.repeat([1.0, 1 / model.radius], 3)
     return [np.linalg.norm(v) for d in (delta, seen) for v in np.split(d * scale, 2)]
+
+
+CUBE = (0.10, 0.10, 0.10)
+CYLINDER = {"radius": 0.05, "height": 0.10}
+CLOUD = 2000
+"""Points in the cloud of the paper's method; its contacts are selected among them, as the paper did."""
+START = (0.02, np.deg2rad(20))
+"""Table I's error of the first pose: of each axis' shift, one standard deviation [m]; of the turn, all [rad]."""
+
+
+def table_1_models():
+    """The paper's two simulated objects."""
+    return {"cube": hs.ObjectModel.box(CUBE), "cylinder": hs.ObjectModel.cylinder(**CYLINDER)}
+
+
+def on_four_sides(model, rng):
+    """Four points and normals, object frame, out of the model's own cloud.
+
+    With flat faces all around (a box): on four of the six faces. With a symmetry axis z (a cylinder): three on
+    the side, 120° ± 15° apart, one on the top.
+    """
+    points, normals = model.sample(CLOUD)
+    if model.symmetries.axes:
+        side, top = np.flatnonzero(np.abs(normals[:, 2]) < 0.5), np.flatnonzero(normals[:, 2] > 0.5)
+        angles = rng.uniform(0, 2 * np.pi) + np.arange(3) * 2 * np.pi / 3 + np.deg2rad(rng.uniform(-15, 15, 3))
+        toward = np.stack([np.cos(angles), np.sin(angles)])
+        near = [side[np.argsort(-normals[side, :2] @ direction)[:20]] for direction in toward.T]
+        chosen = [rng.choice(group) for group in [*near, top]]
+    else:
+        outward = np.concatenate([np.eye(3), -np.eye(3)])[rng.permutation(6)[:4]]
+        chosen = [rng.choice(np.flatnonzero(normals @ direction > 0.9)) for direction in outward]
+    return points[chosen], normals[chosen]
+
+
+def displaced(points_object, normals_object, rng, *, start=START, noise=(0.0, 0.0), sigmas=None):
+    """The scene of these contacts as the paper simulates: the object seen at the palm's origin, but elsewhere.
+
+    Its true pose is off by N(0, start[0]²) along each axis [m] and start[1] about a random axis [rad]. Contacts
+    have `noise` per axis (point [m], normal [rad]) and say `sigmas`, which defaults to the noise.
+    """
+    axis = rng.normal(size=3)
+    shift = start[0] * rng.normal(size=3)
+    T = se3.moved(np.eye(4), np.concatenate([shift, start[1] * axis / np.linalg.norm(axis)]))
+    points = se3.apply(T, points_object) + noise[0] * rng.normal(size=points_object.shape)
+    normals = tilted(normals_object @ T[:3, :3].T, noise[1], rng)
+    sigma_point, sigma_normal = noise if sigmas is None else sigmas
+    contacts = hs.Contacts(points, normals, sigma_point=sigma_point, sigma_normal=sigma_normal)
+    vision = hs.PosePrior.from_sigmas(np.eye(4), start[0], start[1] / np.sqrt(3))
+    return Scene(contacts, vision, T, points_object, normals_object)
+
+
+def without_normals(contacts, sigma_point):
+    """The same contact points alone."""
+    return hs.Contacts(contacts.points_palm, sigma_point=sigma_point)
+
+
+def nearest_truth(model, T_palm_object, T_hat):
+    """The true pose, moved along the declared symmetries to the nearest to an estimate."""
+    from handsight.objects.symmetry import nearest
+
+    return nearest(model.symmetries, T_palm_object, T_hat, model.radius)

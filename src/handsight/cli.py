@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from handsight.errors import HandsightError
+from handsight.errors import HandsightError, MissingExtra
 
 if TYPE_CHECKING:
     from handsight.problems import Problem
@@ -130,6 +130,83 @@ def correct(
         messages.print(f"wrote {output}: {done} answers, {failed} of them errors", markup=False)
     if failed:
         raise typer.Exit(1)
+
+
+@app.command()
+def contact(
+    wrenches: Annotated[str, typer.Argument(help="A .csv or .jsonl file of wrenches, or - for stdin.")],
+    fingertip: Annotated[str, typer.Option(help="Shape of the tip, as below.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="CSV, or JSON lines by its name; default: CSV on stdout.")
+    ] = None,
+    sigma_force: Annotated[float, typer.Option(help="Noise of the force, per axis [N].")] = 0.01,
+    sigma_torque: Annotated[float, typer.Option(help="Noise of the torque, per axis [N m].")] = 5e-5,
+) -> None:
+    """Where the object touches a fingertip, from the wrench its six-axis sensor reads (eq. 7 of the paper).
+
+    Readings are what the object exerts on the tip, without bias and weight: `handsight.calibrate_wrench` and
+    `handsight.compensate` remove those.
+    """
+    from handsight.contact import convert, parse_fingertip
+
+    shape = parse_fingertip(fingertip)
+    source = sys.stdin if wrenches == "-" else wrenches
+    counts = convert(
+        source,
+        sys.stdout if output is None or str(output) == "-" else output,
+        shape,
+        sigma_force=sigma_force,
+        sigma_torque=sigma_torque,
+    )
+    said = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count) or "no rows"
+    messages.print(f"{'' if output is None else f'wrote {output}: '}{said}", markup=False)
+
+
+def _contact_epilog() -> str:
+    """What the contact command reads and writes, as the rooms that parse it say; laid out as it stands."""
+    from handsight.contact import COLUMNS_HELP, FINGERTIP_HELP
+
+    return f"```\nFINGERTIP\n{FINGERTIP_HELP}\n{COLUMNS_HELP}```"
+
+
+@app.command()
+def demo(
+    plot: Annotated[Path, typer.Option(help="Where the picture goes: PNG, PDF or SVG by its name.")] = Path(
+        "handsight-demo.png"
+    ),
+) -> None:
+    """Correct the built-in example: a can and a box held by five fingers, vision 8 cm off (synthetic)."""
+    from rich.table import Table
+
+    from handsight.demo import examples
+
+    table = Table(title="Error against the truth, vision → corrected (synthetic example)")
+    for column in ("object", "position", "of it, seen by touch", "rotation", "contacts off the surface", "open"):
+        table.add_column(column, justify="left" if column == "object" else "right")
+    found = list(examples())
+    for row in found:
+        table.add_row(
+            row.name,
+            *(f"{1e3 * a:.1f} → {1e3 * b:.1f} mm" for a, b in (row.shift, row.shift_seen)),
+            "{:.1f} → {:.1f}°".format(*(57.29578 * angle for angle in row.turn)),
+            f"{1e3 * row.gap[0]:.1f} → {1e3 * row.gap[1]:.2f} mm",
+            f"{len(row.answered['unobservable'])} of 6",
+        )
+    out = Console(width=None if sys.stdout.isatty() else 110)
+    out.print(table)
+    out.print(
+        "open: directions that these contacts cannot see (a can slides along its axis and spins about it);\n"
+        "there the answer is vision's, and the estimate says so.",
+        highlight=False,
+    )
+    try:
+        from handsight.plot import draw_corrections
+
+        draw_corrections([(row.problem, row.answered) for row in found], plot)
+    except MissingExtra as error:
+        out.print(f"no picture: {error}", highlight=False, markup=False)
+        return
+    out.print(f"wrote {plot}", highlight=False, markup=False)
 
 
 @contextlib.contextmanager

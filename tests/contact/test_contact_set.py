@@ -2,8 +2,8 @@ import re
 
 import numpy as np
 import pytest
-from contact.contact_cases import PAPER_TIP, touches
 
+from contact.contact_cases import PAPER_TIP, touches
 from handsight import se3
 from handsight.contact import Contacts, Ellipsoid, NoContact, contact_from_wrench
 from handsight.errors import InvalidInput

@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from contact.contact_cases import PAPER_TIP, touches
 
+from contact.contact_cases import PAPER_TIP, touches
 from handsight.contact import (
     COLUMNS_HELP,
     Ellipsoid,
@@ -203,10 +203,10 @@ def test_a_malformed_table_is_refused_by_file_line_and_column(tmp_path, monkeypa
 
 def test_a_file_that_cannot_be_read_or_written_is_named(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InvalidFile, match="^absent.csv: cannot be read: No such file"):
+    with pytest.raises(InvalidFile, match=r"^absent\.csv: cannot be read: No such file"):
         convert("absent.csv", "out.csv", TIP)
     (tmp_path / "w.csv").write_text(FIVE)
-    with pytest.raises(InvalidFile, match="^no/where.csv: cannot be written: No such file"):
+    with pytest.raises(InvalidFile, match=r"^no/where\.csv: cannot be written: No such file"):
         convert("w.csv", "no/where.csv", TIP)
     (tmp_path / "w.bin").write_bytes(b"\xff\xfe0")
     with pytest.raises(InvalidFile, match=r"^w\.bin: expected UTF-8 text, got byte 0xff"):

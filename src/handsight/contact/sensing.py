@@ -29,6 +29,8 @@ SIGMA_TORQUE = 5e-5
 """Default noise of a torque reading, one standard deviation per axis [N m]."""
 GRAZING = 1e-6
 """A push counts as one from this cosine (on the sphere) on; below, the wrench's axis misses the surface."""
+VANISHING = 1e-150
+"""A force this much smaller than its torque, in doubles, has no direction left."""
 
 
 def contact_from_wrench(
@@ -124,7 +126,7 @@ def _push(F: Array, M: Array, fingertip: Fingertip) -> _Push:
     root = -np.sqrt((ff - mm) + 2j * (f * m).sum(axis=1))
     c, kappa = root.real, root.imag
     q = c[:, None] * f + kappa[:, None] * m + np.cross(f, m)
-    grazing = ~(c < -GRAZING * np.sqrt(ff))
+    grazing = ~(c < -np.maximum(GRAZING * np.sqrt(ff), VANISHING))
     length = np.linalg.norm(q, axis=1, keepdims=True)
     # The length is |f|² + κ², but for rounding: dividing by it lands on the surface.
     return _Push(scale, F, q / np.where(length > 0, length, 1.0), c, kappa, grazing)

@@ -98,16 +98,25 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
     model, contacts = problem.model, problem.contacts
     if problem.vision is None:
         raise InvalidInput("vision: the paper's method starts from a pose, got None")
+    if options.normals and not contacts.has_normal.all():
+        raise InvalidInput(
+            "contacts: the paper's method with normals needs one for each, got contacts without "
+            "(paper-lm-distance and paper-gd-distance need none)"
+        )
     T = problem.vision.T_palm_object
     points_object, normals_object = model.sample(options.cloud_size)
+    # The paper turns about the frame's origin; laid in the object's middle, its step sizes do not depend on
+    # where the palm's frame happens to be.
+    T_palm_middle = se3.compose(np.eye(3), se3.apply(T, model.center_object[None])[0])
+    middle = T_palm_middle[:3, 3]
     answer = paper.correct(
-        contacts.points_palm,
+        contacts.points_palm - middle,
         contacts.normals_palm if options.normals else None,
-        se3.apply(T, points_object),
+        se3.apply(T, points_object) - middle,
         normals_object @ T[:3, :3].T,
         options,
     )
-    T = answer.T_new_old @ T
+    T = T_palm_middle @ answer.T_new_old @ se3.inverse(T_palm_middle) @ T
     used = np.ones((1, len(contacts)), dtype=bool)
     information, by_touch, chi2, cost = two_phase.posterior(problem, T[None], used)
     sigma = modes.covariance(information[0], model.radius, blind=False)
