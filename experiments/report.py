@@ -4,7 +4,7 @@ import argparse
 import csv
 import os
 import platform
-import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from rich.table import Table
 
 INITIAL, TRUTH, RESULT = "0.6", "#2e9e4f", "#e6b400"
 """The paper's colours of its Fig. 3: grey, green, yellow."""
-WIDTH = 118
+WIDTH = 130
 
 
 @dataclass(frozen=True)
@@ -81,25 +81,30 @@ def summary(values: Iterable[float]) -> tuple[float, float]:
     return float(array.mean()), float(array.std(ddof=1) / np.sqrt(len(array)))
 
 
-def clearly_positive(differences: Iterable[float]) -> bool:
-    """Whether the mean is above zero by more than two standard errors."""
+def positive(differences: Iterable[float]) -> bool | None:
+    """Whether the mean is above zero; None where it is within two standard errors of it."""
     mean, error = summary(differences)
-    return mean > 2 * error
+    return None if abs(mean) <= 2 * error else mean > 0
+
+
+def all_of(answers: Iterable[bool | None]) -> bool | None:
+    """False where any is false, else None where any is open."""
+    listed = list(answers)
+    return False if False in listed else None if None in listed else True
 
 
 def plus_minus(values: Iterable[float], digits: int = 2) -> str:
-    """Mean ± its standard error, as text; a small mean keeps two significant digits."""
+    """Mean±standard error, as text; one significant digit where the digits would show a zero."""
     mean, error = summary(values)
-    while digits < 6 and 0 < abs(mean) < 0.95 * 10 ** (1 - digits):
-        digits += 1
-    return f"{mean:.{digits}f} ± {error:.{digits}f}"
+    form = f".{digits}f" if abs(mean) >= 0.5 * 10**-digits or mean == 0 else ".0e"
+    return f"{mean:{form}}±{error:{form}}"
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], note: str = "") -> None:
     """Prints a table: first column left, numbers right, the note below."""
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", padding=(0, 1, 0, 0))
     for i, name in enumerate(columns):
-        table.add_column(name, justify="right" if i else "left", no_wrap=i == 0)
+        table.add_column(name, justify="right" if i else "left")
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
     console = _console()
@@ -109,19 +114,21 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
 
 
 def say(text: str) -> None:
-    """Prints a line as it is, wrapped."""
-    _console().print(text, markup=False, highlight=False)
+    """Prints a sentence, wrapped under its first word."""
+    console = _console()
+    wrapped = textwrap.fill(text, console.width - 1, subsequent_indent="  ", break_on_hyphens=False)
+    console.print(wrapped, markup=False, highlight=False, soft_wrap=True)
 
 
-def verdict(claim: str, holds: bool, numbers: str) -> dict[str, str]:
-    """Prints a claim with its outcome; the same as a row for a CSV file."""
-    outcome = "confirmed" if holds else "NOT confirmed"
+def verdict(claim: str, holds: bool | None, numbers: str) -> dict[str, str]:
+    """Prints a claim with its outcome; the same as a row for a CSV file. None: the numbers do not decide."""
+    outcome = {True: "confirmed", False: "NOT confirmed", None: "not decided by so few trials"}[holds]
     say(f"* {claim}: {outcome}. {numbers}")
     return {"claim": claim, "outcome": outcome, "numbers": numbers}
 
 
 def _console() -> Console:
-    return Console() if sys.stdout.isatty() else Console(width=WIDTH)
+    return Console(width=WIDTH)
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
@@ -170,10 +177,18 @@ def frame_3d(
         axis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
         axis.set_major_locator(MaxNLocator(4))
         axis.set_tick_params(labelsize=7, pad=-1)
-        axis.set_label_text(f"palm {name} [{unit}]", fontsize=8)
+        axis.set_label_text(f"palm {name} [cm]", fontsize=8)
         axis.labelpad = -3
+    axes.grid(False)
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=view[0], azim=view[1])
+
+
+def faces_viewer(axes: Any, normals: np.ndarray) -> np.ndarray:
+    """(n,) bool: the surface there is turned to the viewer of these axes, as `frame_3d` has set them."""
+    elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
+    toward = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    return np.asarray(normals @ np.array(toward) > 0)
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:

@@ -50,7 +50,10 @@ def on_box_faces(rng, n=5, size=BOX, faces=None):
     return points, normals
 
 
-def grasp(points_object, normals_object, rng, *, noise=(5e-4, np.deg2rad(2)), error=(0.02, np.deg2rad(15))):
+NOISE, ERROR = (5e-4, np.deg2rad(2)), (0.02, np.deg2rad(15))
+
+
+def grasp(points_object, normals_object, rng, *, noise=NOISE, error=ERROR):
     """The scene of these contacts: a random pose, contact noise per axis, vision wrong by a Gaussian draw.
 
     `error`: root mean square length of vision's shift [m] and turn [rad]; its sigmas are per axis, and true.
@@ -66,11 +69,9 @@ def grasp(points_object, normals_object, rng, *, noise=(5e-4, np.deg2rad(2)), er
 
 
 def pose_errors(model, estimate, T_palm_object):
-    """Errors of an estimate modulo symmetry: shift of the middle [m] and turn [rad], all and observable part."""
-    from handsight.objects.symmetry import nearest
-
+    """Errors modulo symmetry of an estimate: shift of the middle [m] and turn [rad], all and observable."""
     T_hat = estimate.T_palm_object
-    truth = nearest(model.symmetries, T_palm_object, T_hat, model.radius)
+    truth = nearest_truth(model, T_palm_object, T_hat)
     delta = se3.difference(T_hat, truth) * np.repeat([1.0, model.radius], 3)
     open_ = estimate.unobservable
     seen = delta - open_.T @ (open_ @ delta) if len(open_) else delta
@@ -83,7 +84,7 @@ CYLINDER = {"radius": 0.05, "height": 0.10}
 CLOUD = 2000
 """Points in the cloud of the paper's method; its contacts are selected among them, as the paper did."""
 START = (0.02, np.deg2rad(20))
-"""Table I's error of the first pose: of each axis' shift, one standard deviation [m]; of the turn, all [rad]."""
+"""Table I's error of the first pose: the shift's standard deviation per axis [m], the whole turn [rad]."""
 
 
 def table_1_models():
@@ -94,15 +95,15 @@ def table_1_models():
 def on_four_sides(model, rng):
     """Four points and normals, object frame, out of the model's own cloud.
 
-    With flat faces all around (a box): on four of the six faces. With a symmetry axis z (a cylinder): three on
-    the side, 120° ± 15° apart, one on the top.
+    On a box: on four of the six faces. On a cylinder: three on the side, 120° apart and each up to 15° off
+    that, and one on the top.
     """
     points, normals = model.sample(CLOUD)
     if model.symmetries.axes:
         side, top = np.flatnonzero(np.abs(normals[:, 2]) < 0.5), np.flatnonzero(normals[:, 2] > 0.5)
-        angles = rng.uniform(0, 2 * np.pi) + np.arange(3) * 2 * np.pi / 3 + np.deg2rad(rng.uniform(-15, 15, 3))
-        toward = np.stack([np.cos(angles), np.sin(angles)])
-        near = [side[np.argsort(-normals[side, :2] @ direction)[:20]] for direction in toward.T]
+        angles = np.deg2rad(rng.uniform(0, 360) + np.arange(0, 360, 120) + rng.uniform(-15, 15, 3))
+        toward = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        near = [side[np.argsort(-normals[side, :2] @ direction)[:20]] for direction in toward]
         chosen = [rng.choice(group) for group in [*near, top]]
     else:
         outward = np.concatenate([np.eye(3), -np.eye(3)])[rng.permutation(6)[:4]]
@@ -111,9 +112,9 @@ def on_four_sides(model, rng):
 
 
 def displaced(points_object, normals_object, rng, *, start=START, noise=(0.0, 0.0), sigmas=None):
-    """The scene of these contacts as the paper simulates: the object seen at the palm's origin, but elsewhere.
+    """The scene of these contacts as the paper simulates it: the object is seen at the palm's origin.
 
-    Its true pose is off by N(0, start[0]²) along each axis [m] and start[1] about a random axis [rad]. Contacts
+    Its true pose is N(0, start[0]²) off along each axis [m], and start[1] about a random axis [rad]. Contacts
     have `noise` per axis (point [m], normal [rad]) and say `sigmas`, which defaults to the noise.
     """
     axis = rng.normal(size=3)

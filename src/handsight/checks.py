@@ -6,6 +6,8 @@ from numpy.typing import ArrayLike, NDArray
 from handsight.errors import InvalidInput
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 
 
 def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:

@@ -11,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from typer.core import TyperCommand
 
 from handsight.errors import HandsightError, MissingExtra
 
@@ -67,7 +68,8 @@ def _options(
 def correct(
     problems: Annotated[str, typer.Argument(help="A .jsonl file, a single .json, or - for stdin.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Where the answers go, a line each; default: stdout.")
+        Path | None,
+        typer.Option("--output", "-o", help="Where the answers go, a line each; default: stdout."),
     ] = None,
     plot: Annotated[
         Path | None, typer.Option(help=f"Draw the first {MOST_PANELS} problems: PNG, PDF or SVG by its name.")
@@ -132,12 +134,24 @@ def correct(
         raise typer.Exit(1)
 
 
-@app.command()
+class _WithColumns(TyperCommand):
+    """A command whose help ends with what it reads and writes, laid out as it stands."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Prints the help."""
+        from handsight.contact import COLUMNS_HELP, FINGERTIP_HELP
+
+        super().format_help(ctx, formatter)
+        print(f"Fingertip: {FINGERTIP_HELP}\n{COLUMNS_HELP}")
+
+
+@app.command(cls=_WithColumns)
 def contact(
     wrenches: Annotated[str, typer.Argument(help="A .csv or .jsonl file of wrenches, or - for stdin.")],
     fingertip: Annotated[str, typer.Option(help="Shape of the tip, as below.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="CSV, or JSON lines by its name; default: CSV on stdout.")
+        Path | None,
+        typer.Option("--output", "-o", help="CSV, or JSON lines by its name; default: CSV on stdout."),
     ] = None,
     sigma_force: Annotated[float, typer.Option(help="Noise of the force, per axis [N].")] = 0.01,
     sigma_torque: Annotated[float, typer.Option(help="Noise of the torque, per axis [N m].")] = 5e-5,
@@ -162,13 +176,6 @@ def contact(
     messages.print(f"{'' if output is None else f'wrote {output}: '}{said}", markup=False)
 
 
-def _contact_epilog() -> str:
-    """What the contact command reads and writes, as the rooms that parse it say; laid out as it stands."""
-    from handsight.contact import COLUMNS_HELP, FINGERTIP_HELP
-
-    return f"```\nFINGERTIP\n{FINGERTIP_HELP}\n{COLUMNS_HELP}```"
-
-
 @app.command()
 def demo(
     plot: Annotated[Path, typer.Option(help="Where the picture goes: PNG, PDF or SVG by its name.")] = Path(
@@ -181,7 +188,14 @@ def demo(
     from handsight.demo import examples
 
     table = Table(title="Error against the truth, vision → corrected (synthetic example)")
-    for column in ("object", "position", "of it, seen by touch", "rotation", "contacts off the surface", "open"):
+    for column in (
+        "object",
+        "position",
+        "of it, seen by touch",
+        "rotation",
+        "contacts off the surface",
+        "open",
+    ):
         table.add_column(column, justify="left" if column == "object" else "right")
     found = list(examples())
     for row in found:
@@ -260,3 +274,7 @@ def _progress(name: str, *, show: bool) -> Iterator[Any]:
             progress.update(task, advance=size, count=progress.tasks[0].fields["count"] + 1)
 
         yield advance
+
+
+if __name__ == "__main__":
+    main()

@@ -113,12 +113,13 @@ class Reader:
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
         key = msgspec.json.encode(fields)
-        if key not in self._models:
-            self._models[key] = self._build(fields)
+        model = self._models.get(key)
+        if model is None:
+            model = self._models[key] = self._build(fields)
         self._models.move_to_end(key)
         while len(self._models) > MODELS_KEPT:
             self._models.popitem(last=False)
-        return self._models[key]
+        return model
 
     def _build(self, fields: ObjectFields) -> ObjectModel:
         named = [name for name in ("mesh", "box", "cylinder") if getattr(fields, name) is not None]
@@ -131,7 +132,9 @@ class Reader:
             return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
         if fields.cylinder is not None:
             radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
-            return ObjectModel.cylinder(radius, checks.positive(fields.cylinder.height, "object.cylinder.height"))
+            return ObjectModel.cylinder(
+                radius, checks.positive(fields.cylinder.height, "object.cylinder.height")
+            )
         return ObjectModel.box(checks.finite(fields.box, "object.box", (3,)))
 
 
@@ -209,7 +212,9 @@ def _explained(message: str, raw: Any) -> str:
     value = raw
     for step in re.findall(r"[^.\[\]]+", path):
         value = value[int(step)] if isinstance(value, list) else value[step]
-    expected = what.partition(", got")[0].replace("`", "").replace(" | null", "").replace("Expected", "expected")
+    expected = (
+        what.partition(", got")[0].replace("`", "").replace(" | null", "").replace("Expected", "expected")
+    )
     return f"{path}: {expected}, got {checks.brief(value)}"
 
 
@@ -228,7 +233,9 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
                 raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
             covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
             continue
-        sigma_point = 1e-3 if row.sigma_point is None else checks.positive(row.sigma_point, f"{name}.sigma_point")
+        sigma_point = (
+            1e-3 if row.sigma_point is None else checks.positive(row.sigma_point, f"{name}.sigma_point")
+        )
         sigma_normal = 0.1
         if row.sigma_normal_deg is not None:
             sigma_normal = np.deg2rad(checks.positive(row.sigma_normal_deg, f"{name}.sigma_normal_deg"))

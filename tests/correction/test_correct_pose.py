@@ -31,7 +31,9 @@ def test_moving_the_palm_frame_moves_the_answer_with_it(seed):
     contacts, vision, _ = grasp(BOX_POINTS, BOX_NORMALS, seed)
     T_new_palm = se3.random(np.random.default_rng(seed + 1), spread=0.5)
     R = T_new_palm[:3, :3]
-    moved_vision = hs.PosePrior(T_new_palm @ vision.T_palm_object, se3.rotate_covariance(R, vision.covariance))
+    moved_vision = hs.PosePrior(
+        T_new_palm @ vision.T_palm_object, se3.rotate_covariance(R, vision.covariance)
+    )
     here = hs.correct_pose(box(), contacts, vision=vision)
     there = hs.correct_pose(box(), contacts.moved(T_new_palm), vision=moved_vision)
     shift, turn = off(there.T_palm_object, T_new_palm @ here.T_palm_object)
@@ -64,7 +66,10 @@ def test_scaling_everything_scales_the_translation(seed, k):
     large = hs.correct_pose(
         hs.ObjectModel.box(k * np.array([0.060, 0.090, 0.140])),
         hs.Contacts(
-            k * contacts.points_palm, contacts.normals_palm, sigma_point=k * SIGMA_POINT, sigma_normal=SIGMA_NORMAL
+            k * contacts.points_palm,
+            contacts.normals_palm,
+            sigma_point=k * SIGMA_POINT,
+            sigma_normal=SIGMA_NORMAL,
         ),
         vision=hs.PosePrior(T, vision.covariance * units[:, None] * units),
     )
@@ -122,7 +127,9 @@ def test_the_can_leaves_its_slide_and_its_spin_open():
     np.testing.assert_allclose(projector @ spin, spin, atol=0.1)
     assert estimate.covariance is None
     scale = np.repeat([1.0, 1 / can().radius], 3)
-    assert abs(spin @ (estimate.information * scale[:, None] * scale) @ spin) < 1e-6 * np.trace(estimate.information)
+    assert abs(spin @ (estimate.information * scale[:, None] * scale) @ spin) < 1e-6 * np.trace(
+        estimate.information
+    )
 
 
 def test_along_an_open_direction_the_answer_is_the_priors():

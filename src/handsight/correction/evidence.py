@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Mask
 from handsight.objects import Field, ObjectModel, Symmetries
 
 
@@ -77,7 +77,7 @@ class Touch:
     """(n, 3) [m]."""
     normals_palm: Array
     """(n, 3) unit; zeros where `has_normal` is False."""
-    has_normal: Array
+    has_normal: Mask
     """(n,) bool."""
     covariance: Array
     """(n, 6, 6) of point and normal, the model's own roughness excluded."""
@@ -85,7 +85,7 @@ class Touch:
     """The surface's own standard deviation per axis: of its place [m] and of its normal [rad]."""
     sharp: float
     """Curvature [1/m] from which the surface counts as an edge."""
-    used: Array
+    used: Mask
     """(K or 1, n) bool: the contacts that count, per pose."""
     whitening: Array | None = None
     """(K or 1, n, 4, 4): frozen, so that the costs of one descent compare; None: at each pose its own."""
@@ -215,7 +215,7 @@ def vision(T_palm_object: Array, root: Array, symmetries: Symmetries) -> Vision:
     root = root @ from_pivot
     for _, direction in axes:
         turned = root[:, 3:] @ R @ direction
-        root = root - np.outer(turned, turned @ root) / max(turned @ turned, 1e-300)
+        root = root - np.outer(turned, turned @ root) / max(float(turned @ turned), 1e-300)
     axis = np.asarray(axes[0][1]) if axes else None
     return Vision(pivot, axis, R @ pivot + T_palm_object[:3, 3], R, root)
 
@@ -226,17 +226,20 @@ def swing(axis_from: Array, axis_to: Array) -> tuple[Array, Array]:
     With n the vector's direction and angle α, a turn δθ changes it by
     (n nᵀ + α / sin α (n × from)(n × to)ᵀ) δθ: nothing about the axis itself.
     """
-    product = cross(np.broadcast_to(axis_from, axis_to.shape), axis_to)
+    S = se3.skew(axis_from)
+    product = axis_to @ S.T
     sine = np.sqrt((product * product).sum(axis=-1, keepdims=True))
-    cosine = axis_to @ axis_from
     small = sine < 1e-9
     safe = np.where(small, 1.0, sine)
-    stretch = np.where(small, 1.0, np.arctan2(sine, cosine[:, None]) / safe)
-    n = np.where(small, 0.0, product / safe)
-    sideways = cross(n, np.broadcast_to(axis_from, n.shape)) * stretch
+    angle = np.arctan2(sine, (axis_to @ axis_from)[:, None])
+    stretch = np.where(small, 1.0, angle / safe)
+    n = product / safe
+    sideways = stretch * (n @ S)  # n × from
     derivative = n[:, :, None] * n[:, None, :] + sideways[:, :, None] * cross(n, axis_to)[:, None, :]
-    still = np.eye(3) - axis_to[:, :, None] * axis_to[:, None, :]
-    return stretch * product, np.where(small[..., None], still, derivative)
+    if small.any():
+        still = np.eye(3) - axis_to[:, :, None] * axis_to[:, None, :]
+        derivative = np.where(small[..., None], still, derivative)
+    return stretch * product, derivative
 
 
 @dataclass(frozen=True, slots=True)

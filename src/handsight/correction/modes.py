@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.correction.estimate import Hypothesis
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
@@ -95,11 +95,13 @@ def apart(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
 
 
 def distinct(
-    model: ObjectModel, Ts: Array, order: Array, most: int, limits: tuple[float, float] = APART
+    model: ObjectModel, Ts: Array, order: Indices, most: int, limits: tuple[float, float] = APART
 ) -> list[int]:
     """Indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`."""
+    if len(order) == 1:
+        return [int(order[0])]
     chosen: list[int] = []
-    rest = np.asarray(order)
+    rest = order
     while len(rest) and len(chosen) < most:
         chosen.append(int(rest[0]))
         shift, turn = apart(model, Ts[rest], Ts[rest[0]])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from handsight.checks import Array
+from handsight.checks import Array, Indices, Mask
 from handsight.correction import modes, starts, two_phase
 from handsight.correction.solve import Descent
 from handsight.correction.two_phase import Problem, TwoPhase
@@ -25,10 +25,10 @@ class Candidates:
     """Minima that use one and the same set of contacts, cheapest first."""
 
     Ts_palm_object: Array
-    iterations: Array
-    converged: Array
+    iterations: Indices
+    converged: Mask
     cost: Array
-    used: Array
+    used: Mask
     """(1, n) bool."""
 
 
@@ -59,14 +59,14 @@ def most_outliers(n: int, *, blind: bool) -> int:
     return max((n - 2) // 2, 0) if blind else max((n - 1) // 2, 0)
 
 
-def _starts(problem: Problem, options: TwoPhase, used: Array) -> Array:
+def _starts(problem: Problem, options: TwoPhase, used: Mask) -> Array:
     if problem.vision is None:
         return starts.blind(problem.model, problem.touch(problem.model.coarse, used))
     number = options.starts or starts.count(problem.model, problem.vision)
     return starts.from_prior(problem.vision, number)
 
 
-def _candidates(descent: Descent, used: Array) -> Candidates:
+def _candidates(descent: Descent, used: Mask) -> Candidates:
     """The descents that use the same contacts as the cheapest."""
     same = (used == used[0]).all(axis=1)
     return Candidates(
@@ -86,9 +86,9 @@ def _fits(problem: Problem, found: Candidates) -> bool:
     return modes.fits(float(found.cost[0]), two_phase.freedom(problem, found.used), SUSPICION)
 
 
-def _leave_one_out(problem: Problem, options: TwoPhase, used: Array) -> Candidates:
+def _leave_one_out(problem: Problem, options: TwoPhase, used: Mask) -> Candidates:
     """The cheapest minima with one more contact left out, whichever it is."""
-    contacts = np.flatnonzero(used[0])
+    contacts = np.flatnonzero(used[0]).tolist()
     if problem.vision is None:
         each = [_starts(problem, options, _less(used, i)) for i in contacts]
     else:
@@ -98,7 +98,7 @@ def _leave_one_out(problem: Problem, options: TwoPhase, used: Array) -> Candidat
     return _candidates(*two_phase.solve(problem, np.concatenate(each), np.concatenate(masks)))
 
 
-def _less(used: Array, contact: int) -> Array:
+def _less(used: Mask, contact: int) -> Mask:
     fewer = used.copy()
     fewer[0, contact] = False
     return fewer

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Mask
 from handsight.correction import modes, two_phase
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.two_phase import Problem
@@ -23,7 +23,7 @@ TARGET = 0.35
 """Share of accepted steps that explores a line fastest, about."""
 
 
-def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Array, samples: int) -> PoseEstimate:
+def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
     """The estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
 
     Metropolis walks from the mode along the eigenvectors of the information there. A declared symmetry axis
@@ -63,7 +63,7 @@ def _directions(information: Array, axes: Array, radius: float) -> Array:
     return np.asarray((vectors.T @ basis) * length[:, None] * np.array([1.0] * 3 + [1 / radius] * 3))
 
 
-def _walk(problem: Problem, T_mode: Array, used: Array, directions: Array, samples: int) -> Array:
+def _walk(problem: Problem, T_mode: Array, used: Mask, directions: Array, samples: int) -> Array:
     """(samples, 6) perturbations of the mode, drawn from the posterior."""
     rng = np.random.default_rng(0)
     chains = min(CHAINS, samples)
@@ -86,6 +86,6 @@ def _walk(problem: Problem, T_mode: Array, used: Array, directions: Array, sampl
     return np.concatenate(draws)[:samples]
 
 
-def _log_density(problem: Problem, Ts_palm_object: Array, used: Array) -> Array:
+def _log_density(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
     """(K,) logarithm of the posterior density, up to a constant."""
     return -two_phase.posterior(problem, Ts_palm_object, used)[3] / 2

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Indices, Mask
 from handsight.correction.evidence import Evidence, cross
 
 MAX_TURN = 0.7
@@ -30,9 +30,9 @@ class Descent:
     """(K, 4, 4)."""
     cost: Array
     """(K,) sum of squared residuals."""
-    iterations: Array
+    iterations: Indices
     """(K,) steps tried."""
-    converged: Array
+    converged: Mask
     """(K,) bool: the last accepted step was small."""
 
 
@@ -150,7 +150,7 @@ class Matches:
         weights[..., 4] = (self.weight_point > 0) / self.samples.sigma_tangential
         return (residuals * weights).reshape(K, -1), (by_pose * weights[..., None]).reshape(K, -1, 6)
 
-    def nearest(self, points_object: Array, normals_object: Array) -> Array:
+    def nearest(self, points_object: Array, normals_object: Array) -> Indices:
         """(K, n) index of the sample nearest to each contact in (p, w n)."""
         s = self.samples
         w2 = s.normal_weight**2

@@ -19,10 +19,11 @@ BLIND_KEPT = 384
 
 def width(model: ObjectModel, vision: PosePrior) -> float:
     """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
-    center_palm = vision.T_palm_object[:3, :3] @ model.center_object
-    shift = np.hstack([np.eye(3), -se3.skew(center_palm)])  # of the object's middle
-    spread = np.trace(shift @ vision.covariance @ shift.T)
-    turn = model.radius**2 * np.trace(vision.covariance[3:, 3:])
+    S = se3.skew(vision.T_palm_object[:3, :3] @ model.center_object)
+    C = vision.covariance
+    # Of the object's middle, δp - S δθ.
+    spread = np.trace(C[:3, :3] - S @ C[3:, :3] - C[:3, 3:] @ S.T + S @ C[3:, 3:] @ S.T)
+    turn = model.radius**2 * np.trace(C[3:, 3:])
     return float(np.sqrt(spread + turn) / model.diameter)
 
 
@@ -35,6 +36,8 @@ def count(model: ObjectModel, vision: PosePrior) -> int:
 def from_prior(vision: PosePrior, number: int) -> Array:
     """`number` poses (number, 4, 4): the prior's own, then draws from it."""
     T = vision.T_palm_object
+    if number == 1:
+        return T[None]
     R = T[:3, :3]
     covariance = se3.rotate_covariance(R.T, vision.covariance)
     scale = np.sqrt(np.diagonal(covariance)) + 1e-12
@@ -67,8 +70,12 @@ def _anchored(model: ObjectModel, point: Array, normal: Array, points: Array, an
     s = len(model.points_object)
     if normal.any():
         palm = _basis(normal, points.mean(axis=0) - point + 1e-6 * (points[anchor - 1] - point))
-        sample = np.stack([_basis(n, p - model.center_object) for n, p in zip(
-            model.normals_object, model.points_object, strict=True)])
+        sample = np.stack(
+            [
+                _basis(n, p - model.center_object)
+                for n, p in zip(model.normals_object, model.points_object, strict=True)
+            ]
+        )
         angle = 2 * np.pi * np.arange(BLIND_SPINS) / BLIND_SPINS
         about_z = np.zeros((BLIND_SPINS, 3))
         about_z[:, 2] = angle

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import checks
-from handsight.checks import Array
+from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
@@ -18,7 +18,7 @@ from handsight.correction.solve import Chart, Descent, Matches, Samples, descend
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
 
-COARSE_STEPS, FINE_STEPS = 15, 25
+COARSE_STEPS, FINE_STEPS = 4, 25
 COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
 EDGE = 0.75
@@ -54,7 +54,7 @@ class Problem:
     center_palm: Array
     """(3,) centroid of the contacts in use."""
 
-    def touch(self, field: Field, used: Array) -> Touch:
+    def touch(self, field: Field, used: Mask) -> Touch:
         """The contacts as evidence; `used` (K or 1, n) says which count for which pose."""
         c, model = self.contacts, self.model
         return Touch(
@@ -86,7 +86,7 @@ class Problem:
         sigma = max(sigma, 1e-3 * self.model.diameter)
         return [Outside(field, self.outside_palm, 1.5 * sigma, 2 * sigma)]
 
-    def matches(self, used: Array) -> Matches:
+    def matches(self, used: Mask) -> Matches:
         """The contacts as phase 1 sees them."""
         model, c = self.model, self.contacts
         spacing = model.sample_spacing
@@ -97,7 +97,10 @@ class Problem:
             model.points_object, model.normals_object, 1.3 * model.diameter, 1.6 * spacing, 0.32 * spacing
         )
         weight_normal = np.where(c.has_normal, 1 / np.sqrt(np.maximum(normal, 1e-12)), 0.0)
-        return Matches(c.points_palm, c.normals_palm, used / np.sqrt(point), used * weight_normal, samples)
+        weight_point = np.where(used, 1 / np.sqrt(point), 0.0)
+        return Matches(
+            c.points_palm, c.normals_palm, weight_point, np.where(used, weight_normal, 0.0), samples
+        )
 
 
 def prior_root(vision: PosePrior, radius: float) -> Array:
@@ -107,7 +110,7 @@ def prior_root(vision: PosePrior, radius: float) -> Array:
     return np.asarray((vectors / np.sqrt(np.maximum(values, (1e-5 * radius) ** 2))).T * scale)
 
 
-def solve(problem: Problem, Ts_start: Array, used: Array) -> tuple[Descent, Array]:
+def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]:
     """Candidates on the fine field, cheapest first, and which contacts (K, n) count for each.
 
     `used` is (1, n) for all starts alike or (K, n) for each its own.
@@ -130,7 +133,7 @@ def solve(problem: Problem, Ts_start: Array, used: Array) -> tuple[Descent, Arra
     )
 
 
-def survivors(model: ObjectModel, coarse: Descent, used: Array) -> Array:
+def survivors(model: ObjectModel, coarse: Descent, used: Mask) -> Indices:
     """Indices of the descents worth finishing: cheap and no repeats, apart for each set of contacts."""
     order = np.argsort(coarse.cost, kind="stable")
     if len(order) == 1:
@@ -145,7 +148,7 @@ def survivors(model: ObjectModel, coarse: Descent, used: Array) -> Array:
     return np.concatenate([np.asarray(k, dtype=np.int64) for k in kept])
 
 
-def posterior(problem: Problem, Ts: Array, used: Array) -> tuple[Array, Array, Array, Array]:
+def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Array, Array]:
     """At poses (K, 4, 4): information (K, 6, 6), that of touch alone, χ² and cost (minus two log density)."""
     field = problem.model.fine
     residuals, jacobian, log_spread = problem.touch(field, used).density(Ts)
@@ -155,7 +158,7 @@ def posterior(problem: Problem, Ts: Array, used: Array) -> tuple[Array, Array, A
     return by_touch + by_other, by_touch, chi2, chi2 + log_spread
 
 
-def freedom(problem: Problem, used: Array) -> int:
+def freedom(problem: Problem, used: Mask) -> int:
     """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
     rows = int((used * (1 + 2 * problem.contacts.has_normal)).sum())
     return rows if problem.vision is not None else max(rows - 6, 1)

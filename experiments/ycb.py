@@ -1,0 +1,123 @@
+"""Ten YCB objects, and what others recorded of them: what the experiments on real data share.
+
+The data are not part of handsight. Without them an experiment says so in one line and ends well.
+"""
+
+import functools
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import handsight as hs
+import report
+import scenes
+from handsight import se3
+from handsight.objects import propose_symmetries
+
+ESTIMATORS = {
+    "CosyPose": "cosypose",
+    "PoseCNN": "posecnn_rss2018",
+    "AAE": "sundermeyer",
+    "PoseCNN+ICP": "posecnn_icp_rss2018",
+}
+"""Label, folder of its poses."""
+QUERIES, SURFACE = 1000, 50_000
+"""Points of the object under one pose, and under the other: dense, so that their spacing (under a millimetre)
+does not pass for an error where a can is seen turned about its own axis."""
+
+
+def data_folder() -> Path:
+    """$HANDSIGHT_DATA, or `shared/data` beside the checkout; ends the program, exit code 0, where neither is."""
+    named = os.environ.get("HANDSIGHT_DATA")
+    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not (folder / "ycb_meshes").is_dir():
+        where = f"HANDSIGHT_DATA={named} has no ycb_meshes" if named else "HANDSIGHT_DATA is not set"
+        print(f"skipped: the YCB data this experiment reads are not here ({where}).")
+        sys.exit(0)
+    return folder
+
+
+@dataclass(frozen=True)
+class YcbObject:
+    """One object: its model with symmetries, and its surface for judging poses."""
+
+    model: hs.ObjectModel
+    queries_object: np.ndarray
+    """(QUERIES, 3) [m]."""
+    tree: cKDTree
+    """Of SURFACE points."""
+
+    def closest_point_error(self, T_hat, T_true):
+        """ADD-S, also called ADI [m]: mean distance from the object's points at one pose to it at the other."""
+        moved = se3.apply(se3.inverse(T_true) @ T_hat, self.queries_object)
+        return float(self.tree.query(moved)[0].mean())
+
+    def turn(self, T_hat, T_true):
+        """Angle [rad] between two poses, modulo the object's symmetries."""
+        nearest = scenes.nearest_truth(self.model, T_true, T_hat)
+        return float(np.linalg.norm(se3.rotation_log(T_hat[:3, :3] @ nearest[:3, :3].T)))
+
+
+@functools.cache
+def load(folder: Path, name: str) -> YcbObject:
+    """The object of that name, with the symmetries that its shape shows."""
+    model = hs.ObjectModel.from_file(folder / "ycb_meshes" / f"{name}.ply")
+    model = model.with_symmetries(propose_symmetries(model))
+    return YcbObject(model, model.sample(QUERIES, seed=1)[0], cKDTree(model.sample(SURFACE, seed=2)[0]))
+
+
+def area_under_curve(errors, limit):
+    """AUC [%]: share of errors below a threshold, averaged over thresholds from 0 to `limit`."""
+    return 100 * float(np.clip(1 - np.asarray(errors) / limit, 0, 1).mean())
+
+
+def surface_samples(folder: Path, name: str):
+    """About 2000 points and outward normals on the object's surface (its own frame), sampled by others."""
+    rows = np.loadtxt(folder / "surface_samples" / f"{name}_2000.off", skiprows=2)
+    return rows[:, :3], rows[:, 3:6] / np.linalg.norm(rows[:, 3:6], axis=1, keepdims=True)
+
+
+def read_poses(path: Path):
+    """Poses `T_camera_object` (n, 4, 4) of one file, and which (n,) were detected at all."""
+    rows = np.loadtxt(path, ndmin=2)
+    detected = np.abs(rows[:, :4]).sum(axis=1) > 0
+    quaternions_xyzw = np.where(detected[:, None], rows[:, [1, 2, 3, 0]], [0.0, 0.0, 0.0, 1.0])
+    return se3.compose(se3.rotation_from_quaternion(quaternions_xyzw), rows[:, 4:7]), detected
+
+
+def triplets(folder: Path):
+    """The three-finger problems: (object, number, points (3, 3), outward normals (3, 3)), all at one pose."""
+    found = []
+    for path in sorted((folder / "tactile_triplets").glob("*/triplet_*/poses_sensors.txt")):
+        rows = np.loadtxt(path)
+        R = se3.rotation_exp(rows[:, 3:6] * rows[:, 6:])
+        points = rows[:, :3] + R @ np.array([0.02, 0.0, 0.015])
+        found.append((path.parts[-3], int(path.parts[-2].split("_")[1]), points, -R[:, :, 0]))
+    return found
+
+
+TRIPLET_TRUTH = se3.compose(np.eye(3), np.array([0.1, 0.0, 0.2]))
+"""`T_world_object` of every triplet."""
+
+
+def in_parallel(function, tasks, what):
+    """The answers to the tasks in their order, worked out by a process per core, with a bar on stderr."""
+    # One thread each: the arrays are small, and processes that share cores only get in each other's way.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    workers = min(os.cpu_count() or 1, len(tasks))
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(function, *task) for task in tasks]
+        return [future.result() for future in report.progress(futures, what)]
+
+
+def spread(values, digits=1, scale=1.0):
+    """Median and mean with its standard error, as text."""
+    scaled = scale * np.asarray(values, dtype=np.float64)
+    return f"{np.median(scaled):.{digits}f} ({report.plus_minus(scaled, digits)})"

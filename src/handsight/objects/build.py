@@ -1,0 +1,118 @@
+"""What every object model measures on its surface, whatever the surface came from."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import pdist
+
+from handsight.checks import Array
+from handsight.objects.field import Field, GridField
+from handsight.objects.grid import coarse_grid
+from handsight.objects.surface import Faces, Surface, spread
+
+SMALL, LARGE = 0.005, 2.0
+"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
+ROUGHNESS_SAMPLES = 2000
+# The median of |x| over a standard deviation, and of the length of a vector of two such.
+_MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
+
+
+class ObjectWarning(UserWarning):
+    """Something about an object was repaired, or looks odd."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """A surface and its fields, before anything is measured on it."""
+
+    name: str
+    surface: Surface
+    vertices: Array
+    """(k, 3) [m]."""
+    faces: Faces
+    """(m, 3)"""
+    fine: Field
+    coarse: GridField | None = None
+    """None: sampled from the fine field."""
+    closed: bool = True
+    remarks: tuple[str, ...] = ()
+
+
+def measured(made: Made, samples: int) -> dict[str, Any]:
+    """Every field of an ObjectModel but its symmetries and its surface."""
+    bounds = np.stack([made.vertices.min(axis=0), made.vertices.max(axis=0)])
+    size = diameter(made.vertices)
+    points, normals = spread(made.surface, samples)
+    sigma_point, sigma_normal = roughness(made.surface, made.fine)
+    remarks = (*made.remarks, *unit_remarks(bounds))
+    for remark in remarks:
+        warnings.warn(remark, ObjectWarning, stacklevel=4)
+    return {
+        "name": made.name,
+        "coarse": made.coarse or sampled(made.fine, bounds, size),
+        "fine": made.fine,
+        "points_object": frozen(points),
+        "normals_object": frozen(normals),
+        "area": made.surface.area,
+        "diameter": size,
+        "bounds_object": frozen(bounds),
+        "closed": made.closed,
+        "sigma_point": sigma_point,
+        "sigma_normal": sigma_normal,
+        "vertices": frozen(made.vertices),
+        "faces": made.faces,
+        "remarks": remarks,
+    }
+
+
+def frozen(array: Array) -> Array:
+    """A copy that cannot be written to."""
+    array = np.array(array)
+    array.flags.writeable = False
+    return array
+
+
+def sampled(exact: Field, bounds: Array, size: float) -> GridField:
+    """The coarse field of an object whose exact one is known."""
+    grid, _ = coarse_grid(bounds, size, float((bounds[1] - bounds[0]).min()))
+    distance = exact.evaluate(grid.nodes()).distance
+    return GridField(grid.origin, grid.cell, distance.reshape(grid.shape).astype(np.float32))
+
+
+def diameter(points: Array) -> float:
+    """The largest distance between two of the points (n, 3) [m]."""
+    try:
+        points = points[ConvexHull(points).vertices]
+    except QhullError:  # flat
+        pass
+    if len(points) > 3000:  # a ball's hull: the extremes along many directions miss by less than a thousandth
+        direction = np.random.default_rng(0).normal(size=(1500, 3))
+        along = points @ (direction / np.linalg.norm(direction, axis=1, keepdims=True)).T
+        points = points[np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))]
+    return float(pdist(points).max())
+
+
+def roughness(surface: Surface, fine: Field) -> tuple[float, float]:
+    """Standard deviations of the fine field on the surface: distance [m] and normal per axis [rad].
+
+    By medians, so that edges, which the field rounds off, do not speak for the faces.
+    """
+    points, normals = surface.draw(ROUGHNESS_SAMPLES, np.random.default_rng(1))
+    distance, gradient, _ = fine.evaluate(points)
+    sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
+    angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
+    return float(np.median(np.abs(distance)) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)
+
+
+def unit_remarks(bounds: Array) -> tuple[str, ...]:
+    """A sentence if the size suggests another unit than metres."""
+    extent = float((bounds[1] - bounds[0]).max())
+    if SMALL <= extent <= LARGE:
+        return ()
+    for unit, scale in (("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("kilometres", 1000.0)):
+        if SMALL < extent * scale < LARGE / 4:
+            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
+    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

@@ -1,0 +1,118 @@
+"""An object's surface, in its own frame: samples, two distance fields, symmetries."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.objects import primitives
+from handsight.objects.build import Made, measured
+from handsight.objects.exact import BoxField, CylinderField, SphereField
+from handsight.objects.field import Field, FieldValues, GridField
+from handsight.objects.surface import Faces, Rounded, Surface
+from handsight.objects.symmetry import Symmetries
+
+SAMPLES = 256
+"""Surface points that phase 1 of the correction matches contacts with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ObjectModel:
+    """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh` or `from_points`."""
+
+    name: str
+    """What it is called in plots; a file's stem. May be empty."""
+    coarse: GridField
+    """Smooth distance field, cells of an 18th of the diameter: from far away it leads further."""
+    fine: Field
+    """Sharp distance field: exact for box, cylinder and sphere, else a grid of a quarter of the coarse cell."""
+    points_object: Array
+    """(256, 3) surface points, evenly spread [m]."""
+    normals_object: Array
+    """(256, 3) their unit outward normals."""
+    area: float
+    """Of the surface [m²]."""
+    diameter: float
+    """Largest distance between two surface points [m]."""
+    bounds_object: Array
+    """(2, 3) least and largest coordinates [m]."""
+    closed: bool
+    """Whether the surface has an inside; an open one has a distance only, negative behind it near by."""
+    symmetries: Symmetries
+    """The rotations that leave the surface the same, as far as declared."""
+    sigma_point: float
+    """Roughness of the fine field: one standard deviation of its distance at surface points [m]."""
+    sigma_normal: float
+    """One standard deviation per axis of the angle between the surface's normals and the fine field's [rad]."""
+    vertices: Array
+    """(k, 3) for drawing [m]; a cloud's points."""
+    faces: Faces
+    """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
+    remarks: tuple[str, ...]
+    """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
+    _surface: Surface = field(repr=False)
+
+    @property
+    def radius(self) -> float:
+        """Half the diameter [m]: what a radian of rotation weighs in metres."""
+        return self.diameter / 2
+
+    @property
+    def center_object(self) -> Array:
+        """(3,) the middle of the bounds [m]."""
+        return np.asarray(self.bounds_object.mean(axis=0))
+
+    @property
+    def sample_spacing(self) -> float:
+        """√(area / 256): about how far apart `points_object` are [m]."""
+        return float(np.sqrt(self.area / SAMPLES))
+
+    @classmethod
+    def box(cls, size: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
+        """A box centred at the origin, sides `size` (3,) [m] along x, y, z; raises InvalidInput."""
+        sides = checks.finite(size, "size", (3,))
+        if not (sides > 0).all():
+            raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
+        triangles = primitives.box_triangles(sides / 2)
+        made = Made("box", triangles, triangles.vertices, triangles.faces, BoxField(sides / 2))
+        return cls._from(made, symmetries or primitives.box_symmetries(sides))
+
+    @classmethod
+    def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
+        """A cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
+        radius, height = checks.positive(radius, "radius"), checks.positive(height, "height")
+        triangles, exact = primitives.cylinder_triangles(radius, height / 2), CylinderField(radius, height / 2)
+        made = Made("cylinder", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
+        return cls._from(made, symmetries or primitives.cylinder_symmetries())
+
+    @classmethod
+    def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
+        """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
+        radius = checks.positive(radius, "radius")
+        triangles, exact = primitives.sphere_triangles(radius), SphereField(radius)
+        made = Made("sphere", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
+        return cls._from(made, symmetries or primitives.sphere_symmetries())
+
+    @classmethod
+    def _from(cls, made: Made, symmetries: Symmetries) -> Self:
+        return cls(**measured(made, SAMPLES), symmetries=symmetries, _surface=made.surface)
+
+    def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
+        """n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+            raise InvalidInput(f"n: expected a whole number above 0, got {n!r:.60}")
+        return self._surface.draw(int(n), np.random.default_rng(seed))
+
+    def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
+        """Distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
+        points = checks.finite(points_object, "points_object", (None, 3))
+        return (self.fine if fine else self.coarse).evaluate(points)
+
+    def with_symmetries(self, symmetries: Symmetries) -> Self:
+        """The same object with these symmetries declared."""
+        return dataclasses.replace(self, symmetries=symmetries)

@@ -1,0 +1,71 @@
+"""Box, cylinder and sphere: their triangles for drawing and the rotations that leave them the same."""
+
+import itertools
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.objects.surface import Triangles
+from handsight.objects.symmetry import Symmetries
+
+SEGMENTS = 96
+_SIDES_EQUAL = 1e-9
+
+
+def box_triangles(half: Array) -> Triangles:
+    """Twelve triangles of a box with half sides `half` (3,) [m]."""
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return Triangles(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+
+
+def cylinder_triangles(radius: float, half_height: float) -> Triangles:
+    """Triangles of a cylinder about z, vertices on its rims [m]."""
+    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    levels = [np.column_stack([ring, np.full(SEGMENTS, z)]) for z in (-half_height, half_height)]
+    vertices = np.vstack([*levels, [[0, 0, -half_height], [0, 0, half_height]]])
+    low = np.arange(SEGMENTS)
+    after = (low + 1) % SEGMENTS
+    high, high_after = low + SEGMENTS, after + SEGMENTS
+    bottom, top = np.full(SEGMENTS, 2 * SEGMENTS), np.full(SEGMENTS, 2 * SEGMENTS + 1)
+    parts = [(low, after, high_after), (low, high_after, high), (bottom, after, low), (top, high, high_after)]
+    return Triangles(vertices, np.vstack([np.stack(p, axis=1) for p in parts]))
+
+
+def sphere_triangles(radius: float) -> Triangles:
+    """Triangles of a sphere, vertices on it [m]: an octahedron divided five times."""
+    vertices = np.vstack([np.eye(3), -np.eye(3)])
+    faces = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)])
+    for _ in range(4):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        pairs, which = np.unique(edges, axis=0, return_inverse=True)
+        ab, bc, ca = (len(vertices) + which.reshape(-1, 3)).T
+        a, b, c = faces.T
+        middles = vertices[pairs].sum(axis=1)
+        vertices = np.vstack([vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+        parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        faces = np.vstack([np.stack(p, axis=1) for p in parts])
+    return Triangles(radius * vertices, faces)
+
+
+def box_symmetries(size: Array) -> Symmetries:
+    """Half turns about the axes; quarter turns too where two sides are equal: 4, 8 or 24 rotations."""
+    turns = [np.pi * axis for axis in np.eye(3)]
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        if abs(size[i] - size[j]) <= _SIDES_EQUAL * max(size[i], size[j]):
+            turns.append(np.pi / 2 * np.eye(3)[k])
+    return Symmetries(rotations=se3.compose(se3.rotation_exp(np.array(turns)).round(), np.zeros((len(turns), 3))))
+
+
+def cylinder_symmetries() -> Symmetries:
+    """Any turn about z, and the half turn that swaps the caps."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    return Symmetries([((0, 0, 0), (0, 0, 1))], flip[None])
+
+
+def sphere_symmetries() -> Symmetries:
+    """Any turn about the centre."""
+    return Symmetries([((0, 0, 0), axis) for axis in np.eye(3)])
