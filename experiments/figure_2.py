@@ -104,10 +104,11 @@ def print_table(rows, trials):
             chosen = [row for row in rows if (row["shape"], row["least"]) == (shape, least)]
             numbers = [report.plus_minus((row[n] for row in chosen), d) for n, d in SHOWN.items()]
             cells.append([shape, least, *numbers])
-    columns = ["shape", "at least", "points", "reach cm", "grown", "of the cloud", "true point", "all four"]
+    columns = ["shape", "at least", "points", "reach cm", "grown", "share", "true point", "all four"]
     note = (
-        f"Mean±standard error over {trials} trials, four contacts each. grown: share of regions wider than ε; "
-        "true point, all four:\nshare of contacts, of trials, whose regions hold the point truly touched."
+        f"Mean±standard error over {trials} trials, four contacts each. grown: share of regions wider than ε. "
+        "share: of the cloud. true point, all four: share of contacts, and of trials, whose regions hold what "
+        "is truly touched."
     )
     report.print_table("Regions of eq. 2, ε = 2 cm", columns, cells, note)
 

@@ -1,11 +1,11 @@
-"""Fig. 3 of the paper: the object where it was seen (grey), where it is (green), where it is corrected to (yellow).
+"""Fig. 3 of the paper: an object where it was seen (grey), where it is (green), corrected (yellow).
 
-The paper shows Levenberg-Marquardt with normals on simulated data and finds that its result "coincides almost
-perfectly" with the truth. Here it is beside handsight, on the same starts and contacts: Table I's, with 2 cm
-per axis and 20° of error and four exact contacts. One picture may flatter, so the trial shown is the one whose
-error with the paper's method is the median of all trials, and the table has the mean of all.
+The paper shows Levenberg-Marquardt with normals on simulated data and finds that its result "coincides
+almost perfectly" with the truth. Here it is beside handsight, on the same starts and contacts: Table I's,
+with 2 cm per axis and 20° of error and four exact contacts. One picture may flatter, so the trial shown is
+the one whose error with the paper's method is the median of all, and the table has the mean of all.
 
-`surface` is the mean distance that a point of the object's surface is from where it truly is, so of everything
+`surface` is how far a point of the object's surface is on average from where it truly is, so of everything
 that a picture shows; modulo the object's symmetry, which no picture shows. `contacts` is the same of the four
 points touched (Table I's RME).
 """
@@ -20,7 +20,8 @@ from handsight import se3
 METHODS = {"LM with normals (paper)": "paper-lm", "handsight": "handsight"}
 SIGMAS = (1e-4, np.deg2rad(0.3))
 """What the exact contacts say of themselves: point [m], normal [rad], per axis."""
-SHOWN = 1400
+SHOWN = 1200
+COLOURS, WIDTHS = (report.INITIAL, report.TRUTH, report.RESULT), (1.6, 4.5, 1.8)
 
 
 def scene_of(options, k, s, model):
@@ -89,7 +90,8 @@ def print_table(table, trials):
         line = [row["shape"], row["method"]]
         for name in ("surface_cm", "contacts_cm", "turn_deg"):
             mean, error = row[f"{name}_mean"], row[f"{name}_se"]
-            line += [f"{mean:.3f}±{error:.3f}", f"{row[f'{name}_median']:.3f}", f"{row[f'{name}_shown']:.3f}"]
+            line.append(f"{mean:.3f}±{error:.3f}")
+            line += [f"{row[f'{name}_{of}']:.4f}" for of in ("median", "shown")]
         cells.append(line)
     columns = ["shape", "method"]
     for name in ("surface cm", "contacts cm", "turn °"):
@@ -101,7 +103,7 @@ def print_table(table, trials):
 def draw(options, models, table, path):
     """Three clouds a panel: a row per shape, a column per method."""
     plt = report.pyplot()
-    figure = plt.figure(figsize=(10.5, 10), layout="constrained")
+    figure = plt.figure(figsize=(10, 9.6), layout="constrained")
     grid = figure.add_gridspec(2, 2, wspace=0.06, hspace=0.05)
     for s, (shape, model) in enumerate(models.items()):
         for m, (label, method) in enumerate(METHODS.items()):
@@ -110,35 +112,28 @@ def draw(options, models, table, path):
             estimate = hs.correct_pose(model, scene.contacts, vision=scene.vision, method=method)
             axes = figure.add_subplot(grid[s, m], projection="3d")
             draw_clouds(axes, model, scene, estimate.T_palm_object)
-            axes.set_title(
-                f"{shape}, {label}\nsurface off by {10 * row['surface_cm_shown']:.2g} mm on average"
-            )
-    handles = [
-        plt.Line2D([], [], marker="o", linestyle="none", markersize=7, color=color, label=text)
-        for color, text in (
-            (report.INITIAL, "initial"),
-            (report.TRUTH, "truth"),
-            (report.RESULT, "corrected"),
-        )
-    ]
+            off = 10 * row["surface_cm_shown"]
+            axes.set_title(f"{shape}, {label}\nsurface off by {off:.2g} mm on average", y=1.0)
+    styles = zip(("initial", "truth", "corrected"), COLOURS, WIDTHS, strict=True)
+    handles = [plt.Line2D([], [], color=color, linewidth=1.4 * w, label=text) for text, color, w in styles]
     handles.append(plt.Line2D([], [], marker="x", linestyle="none", color="k", markersize=8, label="contact"))
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     report.save_figure(figure, path)
 
 
 def draw_clouds(axes, model, scene, T_result):
-    """Grey, green, yellow; green is drawn larger, so that yellow upon it shows where they coincide."""
+    """Clouds with outlines; green is drawn wider, so that yellow upon it shows where they coincide."""
     cloud, normals = model.sample(SHOWN)
     poses = (scene.vision.T_palm_object, scene.T_palm_object, T_result)
-    clouds = [se3.apply(T, cloud) for T in poses]
-    report.frame_3d(axes, np.vstack(clouds))
-    for points, T, color, size in zip(clouds, poses, COLOURS, (4, 16, 5), strict=True):
+    report.frame_3d(axes, np.vstack([se3.apply(T, cloud) for T in poses]))
+    axes.computed_zorder = False
+    for k, (T, color, width) in enumerate(zip(poses, COLOURS, WIDTHS, strict=True)):
         front = report.faces_viewer(axes, normals @ T[:3, :3].T)
-        axes.scatter(*points[front].T, s=size, color=color, alpha=0.75, linewidths=0, depthshade=False)
+        points = se3.apply(T, cloud[front])
+        axes.scatter(*points.T, s=3 * width, color=color, linewidths=0, depthshade=False, zorder=k)
+        for line in report.outline(model):
+            axes.plot(*se3.apply(T, line).T, color=color, linewidth=width, zorder=10 + k)
     axes.plot(*scene.contacts.points_palm.T, "x", color="k", markersize=10, markeredgewidth=2.2, zorder=20)
-
-
-COLOURS = (report.INITIAL, report.TRUTH, report.RESULT)
 
 
 def main():

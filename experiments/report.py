@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import itertools
 import os
 import platform
 import textwrap
@@ -182,6 +183,18 @@ def frame_3d(
     axes.grid(False)
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=view[0], azim=view[1])
+
+
+def outline(model: Any) -> list[np.ndarray]:
+    """Polylines (k, 3), object frame, of a box' edges or of a cylinder's rims."""
+    low, high = model.bounds_object
+    if model.symmetries.axes:
+        angle = np.linspace(0, 2 * np.pi, 73)
+        rim = high[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return [np.column_stack([rim, np.full(len(rim), z)]) for z in (low[2], high[2])]
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    pairs = itertools.combinations(range(8), 2)
+    return [corners[[i, j]] for i, j in pairs if (corners[i] != corners[j]).sum() == 1]
 
 
 def faces_viewer(axes: Any, normals: np.ndarray) -> np.ndarray:

@@ -138,3 +138,41 @@ def nearest_truth(model, T_palm_object, T_hat):
     from handsight.objects.symmetry import nearest
 
     return nearest(model.symmetries, T_palm_object, T_hat, model.radius)
+
+
+def at_least_as_probable(model, scene, estimate):
+    """Whether the answer is at least as probable as the optimum reached from the truth itself.
+
+    If so a miss is an information limit; if not, the solver failed.
+    """
+    sure = hs.PosePrior(scene.T_palm_object, scene.vision.covariance)
+    from_truth = hs.correct_pose(model, scene.contacts, vision=sure, method=hs.TwoPhase(starts=1))
+    ours, theirs = (
+        cost_at(model, scene, e.T_palm_object) for e in (estimate, from_truth)
+    )
+    return bool(ours <= theirs + 1.0)
+
+
+def cost_at(model, scene, T_palm_object):
+    """Squared residuals of contacts and vision at a pose, whitened by their sigmas."""
+    from handsight.objects.symmetry import nearest
+
+    points = se3.apply(se3.inverse(T_palm_object), scene.contacts.points_palm)
+    values = model.fine.evaluate(points)
+    normals = values.gradient / np.linalg.norm(values.gradient, axis=1, keepdims=True)
+    felt = scene.contacts.normals_palm @ T_palm_object[:3, :3]
+    variances = np.diagonal(scene.contacts.covariance, axis1=1, axis2=2)
+    cost = (values.distance**2 / variances[:, 0]).sum()
+    cost += (((normals - felt) ** 2).sum(axis=1) / (variances[:, 3:].sum(axis=1) / 2)).sum()
+    vision = scene.vision.T_palm_object
+    delta = se3.difference(nearest(model.symmetries, T_palm_object, vision, model.radius), vision)
+    return cost + delta @ np.linalg.solve(scene.vision.covariance, delta)
+
+
+def anywhere_on(model):
+    """How contacts are drawn uniformly over a model's surface."""
+
+    def draw(rng, n=5):
+        return model.sample(n, seed=int(rng.integers(1 << 31)))
+
+    return draw

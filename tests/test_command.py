@@ -110,9 +110,9 @@ NAN = float("nan")
             "contacts[0].point: expected 3 finite numbers, got [nan, 0, 0]",
         ),
         (changed("contacts[0].point", ["a", 0, 0]), "contacts[0].point: expected 3 finite numbers"),
-        (changed("contacts[0].point", [True, 0, 0]), None),
+        (changed("contacts[0].point", [True, 0, 0]), "contacts[0].point: expected 3 finite numbers, got [True, 0, 0]"),
         (changed("contacts[0].point", [10**400, 0, 0]), "contacts[0].point: expected 3 finite numbers"),
-        (changed("contacts[1].point", [1e300, 0, 0]), "points_palm[1]"),
+        (changed("contacts[1].point", [1e300, 0, 0]), "contacts[1].point: "),
         (
             changed("contacts[1].normal", [0, 0, 0]),
             "contacts[1].normal: expected a direction, got a zero vector",
@@ -150,8 +150,8 @@ NAN = float("nan")
             "vision: expected sigma_position and sigma_rotation_deg or a covariance, got both",
         ),
         (changed("object", {}), "object: expected one of mesh, box, cylinder, got none"),
-        (changed("object", {"box": [0.1, 0.1, -0.1]}), "box"),
-        (changed("object", {"mesh": "no-such-file.ply"}), "no-such-file.ply"),
+        (changed("object", {"box": [0.1, 0.1, -0.1]}), "object.box: expected 3 numbers above 0, got [0.1, 0.1, -0.1]"),
+        (changed("object", {"mesh": "no-such-file.ply"}), "object.mesh: "),
         (changed("object", {"box": [0.1, 0.1, 0.1], "scale": 2}), "object.scale: expected beside mesh only"),
         (changed("method", "magic"), "method: expected one of handsight, paper-lm, paper-gd"),
         (changed("samples", -1), "samples: expected a whole number from 0, got -1"),
@@ -167,7 +167,7 @@ NAN = float("nan")
 def test_each_wrong_line_names_field_expectation_and_what_came(problem, error):
     (answer,) = corrected(problem, expect=1)
     assert list(answer) == ["error"]
-    assert error is None or error in answer["error"]
+    assert error in answer["error"]
 
 
 def test_a_contact_without_a_normal_has_no_angle():

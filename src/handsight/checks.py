@@ -16,8 +16,8 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
         array = np.asarray(value)
     except ValueError:  # ragged
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}") from None
-    # Not even numbers in strings, truth values or integers beyond 64 bits pass for numbers.
-    if array.size and array.dtype.kind not in "iuf":
+    # Neither numbers in strings nor truth values nor integers beyond 64 bits pass for numbers.
+    if array.size and (array.dtype.kind not in "iuf" or _holds_truth(value)):
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
     if array.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
@@ -28,6 +28,13 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     if not np.isfinite(array).all():
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
     return array
+
+
+def _holds_truth(value: ArrayLike) -> bool:
+    """Whether a list of numbers has a truth value among them, which NumPy would read as 0 or 1."""
+    if isinstance(value, list | tuple):
+        return any(_holds_truth(item) for item in value)
+    return isinstance(value, bool)
 
 
 def positive(value: ArrayLike, name: str) -> float:

@@ -129,13 +129,19 @@ class Reader:
             raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
         if fields.mesh is not None:
             scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
-            return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
+            try:
+                return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
+            except HandsightError as error:
+                raise InvalidInput(f"object.mesh: {error}") from None
         if fields.cylinder is not None:
             radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
             return ObjectModel.cylinder(
                 radius, checks.positive(fields.cylinder.height, "object.cylinder.height")
             )
-        return ObjectModel.box(checks.finite(fields.box, "object.box", (3,)))
+        sides = checks.finite(fields.box, "object.box", (3,))
+        if not (sides > 0).all():
+            raise InvalidInput(f"object.box: expected 3 numbers above 0, got {checks.brief(fields.box)}")
+        return ObjectModel.box(sides)
 
 
 def answer(problem: Problem) -> dict[str, Any]:
@@ -241,7 +247,10 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
             sigma_normal = np.deg2rad(checks.positive(row.sigma_normal_deg, f"{name}.sigma_normal_deg"))
         covariance[i, :3, :3] = sigma_point**2 * np.eye(3)
         covariance[i, 3:, 3:] = sigma_normal**2 * np.eye(3)
-    return Contacts(points, normals, covariance=covariance)
+    try:
+        return Contacts(points, normals, covariance=covariance)
+    except HandsightError as error:
+        raise InvalidInput(re.sub(r"^points_palm(\[\d+\])", r"contacts\1.point", str(error))) from None
 
 
 def _vision(fields: VisionFields | None) -> PosePrior | None:

@@ -1,8 +1,10 @@
 """Which grids an object's two fields are sampled on."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight.checks import Array
 
@@ -26,8 +28,11 @@ class Grid:
 
     def nodes(self) -> Array:
         """(nx ny nz, 3) positions [m], z fastest."""
-        axes = [o + self.cell * np.arange(n) for o, n in zip(self.origin, self.shape, strict=True)]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return self.nodes_at(np.arange(int(np.prod(self.shape))))
+
+    def nodes_at(self, index: NDArray[np.int64]) -> Array:
+        """(n, 3) positions [m] of the nodes with these places in the flat order."""
+        return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
 
 
 def coarse_grid(bounds: Array, diameter: float, width: float) -> tuple[Grid, bool]:
@@ -46,7 +51,7 @@ def fine_grid(bounds: Array, coarse_cell: float) -> tuple[Grid, bool]:
     return _grid(bounds, coarse_cell / FINE_PER_COARSE, lambda c: FINE_MARGIN * c, FINE_MOST_NODES)
 
 
-def _grid(bounds: Array, cell: float, margin, most: int) -> tuple[Grid, bool]:  # type: ignore[no-untyped-def]
+def _grid(bounds: Array, cell: float, margin: Callable[[float], float], most: int) -> tuple[Grid, bool]:
     enlarged = False
     while True:
         extent = bounds[1] - bounds[0] + 2 * margin(cell)

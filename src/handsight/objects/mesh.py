@@ -1,0 +1,199 @@
+"""The two distance fields of a triangle mesh."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from handsight.checks import Array
+from handsight.objects.field import GridField
+from handsight.objects.grid import Grid, coarse_grid, fine_grid
+from handsight.objects.nearest import Feet, NearestPoint
+from handsight.objects.repair import side_samples
+from handsight.objects.surface import Triangles
+from handsight.objects.topology import Holes, holes_of, pseudonormals
+from handsight.objects.winding import Winding
+
+BAND = 4
+"""Fine nodes within this many cells of the surface carry exact distances."""
+LARGEST_HOLE = 0.25
+"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is wide,
+inside and outside are a guess, and past a quarter that would be most of the object."""
+CLOSED_SHARE = 0.95
+SAMPLES_PER_CELL = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fields:
+    """Both fields of a surface."""
+
+    coarse: GridField
+    fine: GridField
+    closed: bool
+    remarks: tuple[str, ...]
+
+
+def mesh_fields(mesh: Triangles, diameter: float) -> Fields:
+    """The smooth and the sharp field of a repaired mesh, and whether it has an inside."""
+    bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+    coarse, thin = coarse_grid(bounds, diameter, thinnest(mesh.vertices))
+    fine, capped = fine_grid(bounds, coarse.cell)
+    nearest = NearestPoint(mesh, fine.cell / SAMPLES_PER_CELL)
+    winding, holes = Winding.of_mesh(mesh), holes_of(mesh)
+    closed = is_closed(mesh, winding, holes, diameter)
+    side: Side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
+    values = _signed(coarse, nearest, side)
+    sharp = _refined(coarse, values, fine, nearest, side)
+    remarks = grid_remarks(thin, capped, coarse, fine)
+    return Fields(_field(coarse, values), _field(fine, sharp), closed, remarks)
+
+
+def grid_remarks(thin: bool, capped: bool, coarse: Grid, fine: Grid) -> tuple[str, ...]:
+    """A sentence if the object is too long and thin for the grids that would suit it."""
+    if not (thin or capped):
+        return ()
+    return (
+        f"very long and thin: distance fields are coarser than usual, "
+        f"cells of {1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm",
+    )
+
+
+def thinnest(vertices: Array) -> float:
+    """The least extent [m] along the object's own axes or the principal ones; a sheet has about 0."""
+    centered = vertices - vertices.mean(axis=0)
+    principal = np.linalg.eigh(centered.T @ centered)[1]
+    return float(min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min()))
+
+
+def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
+    """Whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
+    if len(holes.extents) and holes.extents.max() > LARGEST_HOLE * diameter:
+        return False
+    points, normals, _ = side_samples(mesh)
+    step = 1e-4 * diameter
+    behind, front = winding.at(points - step * normals), winding.at(points + step * normals)
+    # Where pieces overlap the count goes to 2 and the surface is no boundary: that is closed too.
+    good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
+    return bool(good.mean() >= CLOSED_SHARE)
+
+
+class Side:
+    """Says on which side of the surface points lie."""
+
+    def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
+        """Signed distances (n,) [m] of grid nodes, given where they touch down."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ByWinding(Side):
+    """Inside is where the surface winds around a point more than half a time.
+
+    Two neighbouring nodes whose distances add up to more than the step between them have no surface between
+    them, so they share a sign: one winding number for each connected set is enough. Near holes, where
+    inside and outside are connected, every node has its own.
+    """
+
+    winding: Winding
+    holes: Holes
+
+    def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
+        """Signed distances (n,) [m] of grid nodes, given where they touch down."""
+        near_hole = np.zeros(len(points), dtype=bool)
+        for middle, extent in zip(self.holes.middles, self.holes.extents, strict=True):
+            near_hole |= ((points - middle) ** 2).sum(axis=1) < (extent + grid.cell) ** 2
+        label = _connected(grid_index, grid, feet.distance, ~near_hole)
+        # The node farthest from the surface speaks for its set.
+        order = np.lexsort((feet.distance, label))
+        speaker = order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)]
+        inside = self.winding.at(points[speaker]) > 0.5
+        return np.asarray(np.where(inside[label], -feet.distance, feet.distance))
+
+
+class ByNormal(Side):
+    """Behind an open surface is where its normal at the nearest point looks away, and less so near its rim.
+
+    The distance behind the surface is negative and meets the positive one around the rim continuously:
+    d - 2 min(d, e), with e from the nearest point to the rim.
+    """
+
+    def __init__(self, mesh: Triangles, holes: Holes, spacing: float) -> None:
+        """`spacing` [m]: between the points that stand for the rim."""
+        self._normals = pseudonormals(mesh)
+        start, along = holes.segments[:, 0], holes.segments[:, 1] - holes.segments[:, 0]
+        count = np.ceil(np.linalg.norm(along, axis=1) / spacing).astype(np.int64) + 1
+        segment = np.repeat(np.arange(len(start)), count)
+        at = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)
+        self._rim = cKDTree(start[segment] + at[:, None] * along[segment]) if len(segment) else None
+
+    def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
+        """Signed distances (n,) [m] of grid nodes, given where they touch down."""
+        zero = feet.corners == 0
+        count = zero.sum(axis=1)
+        # Opposite corner 0 is edge 12, and so on; with two zeros the foot is at the third corner.
+        edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
+        corner = 4 + (~zero).argmax(axis=1)
+        feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
+        normal = self._normals[feet.face, feature]
+        behind = ((points - feet.points) * normal).sum(axis=1) < 0
+        rim = np.full(len(points), np.inf) if self._rim is None else self._rim.query(feet.points)[0]
+        d = feet.distance
+        return np.asarray(np.where(behind, d - 2 * np.minimum(d, rim), d))
+
+
+def _connected(
+    grid_index: NDArray[np.int64], grid: Grid, distance: Array, linkable: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """(n,) the set of each node: neighbours with no surface between them are together."""
+    n = len(grid_index)
+    local = np.full(int(np.prod(grid.shape)), -1, dtype=np.int64)
+    local[grid_index] = np.arange(n)
+    cube = local.reshape(grid.shape)
+    rows, columns = [], []
+    for axis in range(3):
+        low, high = (np.take(cube, r, axis=axis).reshape(-1) for r in _pairs(grid.shape[axis]))
+        both = (low >= 0) & (high >= 0)
+        low, high = low[both], high[both]
+        # On a face across the step the sum is the step, give or take the rounding.
+        free = (distance[low] + distance[high] > 1.1 * grid.cell) & linkable[low] & linkable[high]
+        rows.append(low[free])
+        columns.append(high[free])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _pairs(n: int) -> tuple[range, range]:
+    return range(n - 1), range(1, n)
+
+
+def _signed(grid: Grid, nearest: NearestPoint, side: Side) -> Array:
+    """Signed distances at every node of the coarse grid."""
+    nodes = grid.nodes()
+    return side.signed(np.arange(len(nodes)), grid, nodes, nearest.feet(nodes)[0])
+
+
+def _refined(coarse: Grid, values: Array, fine: Grid, nearest: NearestPoint, side: Side) -> Array:
+    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones."""
+    start = (fine.origin - coarse.origin) / coarse.cell
+    axes = [s + np.arange(n) * (fine.cell / coarse.cell) for s, n in zip(start, fine.shape, strict=True)]
+    table = values.reshape(coarse.shape)
+    for k, at in enumerate(axes):  # linear, one axis at a time
+        low = np.clip(at.astype(np.int64), 0, coarse.shape[k] - 2)
+        share = (at - low).reshape([-1 if j == k else 1 for j in range(3)])
+        table = (1 - share) * np.take(table, low, axis=k) + share * np.take(table, low + 1, axis=k)
+    sharp = table.reshape(-1)
+    band = BAND * fine.cell
+    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
+    index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
+    feet, close = nearest.feet(fine.nodes_at(index), within=band)
+    index = index[close]
+    sharp[index] = side.signed(index, fine, fine.nodes_at(index), feet)
+    return sharp
+
+
+def _field(grid: Grid, values: Array) -> GridField:
+    return GridField(grid.origin, grid.cell, values.reshape(grid.shape).astype(np.float32))

@@ -1,0 +1,143 @@
+"""How a mesh's triangles hang together: edges, pieces, holes, sides."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from handsight.checks import Array
+from handsight.objects.surface import Faces, Triangles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """A mesh's edges, each as its triangles run through it."""
+
+    pairs: Faces
+    """(e, 2) vertex indices, the smaller first."""
+    of_face: Faces
+    """(m, 3) the edge from corner 0 to 1, 1 to 2, 2 to 0."""
+    forward: NDArray[np.bool_]
+    """(m, 3) whether the triangle runs through it from the smaller index."""
+    count: Faces
+    """(e,) triangles at the edge."""
+
+
+def edges_of(faces: Faces) -> Edges:
+    """The edges of triangles (m, 3)."""
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    ordered = np.sort(directed, axis=1)
+    size = int(faces.max()) + 1 if len(faces) else 1
+    keys, first, which, count = np.unique(
+        ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
+    )
+    forward = directed[:, 0] < directed[:, 1]
+    return Edges(ordered[first], which.reshape(-1, 3), forward.reshape(-1, 3), count)
+
+
+def _links(edges: Edges) -> tuple[Faces, Faces, NDArray[np.bool_]]:
+    """Triangles (l,) and (l,) that share an edge of just two, and whether they run through it oppositely."""
+    face = np.repeat(np.arange(len(edges.of_face)), 3)
+    edge, forward = edges.of_face.reshape(-1), edges.forward.reshape(-1)
+    order = np.argsort(edge, kind="stable")
+    start = np.cumsum(edges.count) - edges.count
+    two = start[edges.count == 2]
+    i, j = order[two], order[two + 1]
+    return face[i], face[j], forward[i] != forward[j]
+
+
+def neighbours(faces: Faces) -> Faces:
+    """(m, 3) the triangle across each edge; the triangle itself where there is none, or more than one."""
+    edges = edges_of(faces)
+    m = len(faces)
+    beside = np.repeat(np.arange(m)[:, None], 3, axis=1).reshape(-1)
+    order = np.argsort(edges.of_face.reshape(-1), kind="stable")
+    start = (np.cumsum(edges.count) - edges.count)[edges.count == 2]
+    i, j = order[start], order[start + 1]
+    beside[i], beside[j] = j // 3, i // 3
+    return beside.reshape(-1, 3)
+
+
+def consistent(faces: Faces) -> tuple[Faces, int, bool]:
+    """Triangles turned so that neighbours agree, how many were turned, and whether all neighbours could agree.
+
+    Each triangle stands twice in a graph, as it is and turned; neighbours that agree are linked side to side,
+    others crosswise. What is connected to a triangle "as it is" is how its neighbours must stand.
+    """
+    i, j, agree = _links(edges_of(faces))
+    m = len(faces)
+    if agree.all():
+        return faces, 0, True
+    row = np.concatenate([i, i + m])
+    column = np.concatenate([np.where(agree, j, j + m), np.where(agree, j + m, j)])
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(2 * m, 2 * m))
+    label = connected_components(graph, directed=False)[1]
+    as_is, turned = label[:m], label[m:]
+    orientable = bool((as_is != turned).all())
+    # The two halves of a piece carry two labels; the more common one "as it is" wins.
+    votes = np.bincount(as_is, minlength=label.max() + 1)
+    flip = (votes[turned] > votes[as_is]) | ((votes[turned] == votes[as_is]) & (turned < as_is))
+    return np.where(flip[:, None], faces[:, [0, 2, 1]], faces), int(flip.sum()), orientable
+
+
+def pieces(faces: Faces) -> NDArray[np.int64]:
+    """(m,) the connected piece of each triangle, through shared vertices."""
+    if not len(faces):
+        return np.empty(0, dtype=np.int64)
+    row = np.concatenate([faces[:, 0], faces[:, 1]])
+    column = np.concatenate([faces[:, 1], faces[:, 2]])
+    size = int(faces.max()) + 1
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size, size))
+    label = connected_components(graph, directed=False)[1]
+    return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Holes:
+    """Where a surface ends."""
+
+    middles: Array
+    """(h, 3) of each connected run of boundary edges [m]."""
+    extents: Array
+    """(h,) the diagonal of its bounding box [m]."""
+    segments: Array
+    """(b, 2, 3) every boundary edge [m]."""
+
+
+def holes_of(mesh: Triangles) -> Holes:
+    """The boundary of a mesh: edges with one triangle, in connected runs."""
+    edges = edges_of(mesh.faces)
+    pairs = edges.pairs[edges.count == 1]
+    segments = mesh.vertices[pairs]
+    if not len(pairs):
+        return Holes(np.empty((0, 3)), np.empty(0), segments)
+    used, local = np.unique(pairs, return_inverse=True)
+    local = local.reshape(-1, 2)
+    graph = coo_array((np.ones(len(local), dtype=np.int8), tuple(local.T)), shape=(len(used), len(used)))
+    count, label = connected_components(graph, directed=False)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, label, mesh.vertices[used])
+    np.maximum.at(high, label, mesh.vertices[used])
+    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1), segments)
+
+
+def pseudonormals(mesh: Triangles) -> Array:
+    """(m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
+
+    Angle-weighted, so that their sign tells the side of the nearest point wherever it lies (Baerentzen and
+    Aanaes 2005).
+    """
+    faces = mesh.faces
+    normal = mesh.doubled_normals()
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    edges = edges_of(faces)
+    at_edge, at_vertex = np.zeros((len(edges.pairs), 3)), np.zeros((len(mesh.vertices), 3))
+    corners = mesh.vertices[faces]
+    for k in range(3):
+        np.add.at(at_edge, edges.of_face[:, k], normal)
+        u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
+        np.add.at(at_vertex, faces[:, k], angle[:, None] * normal)
+    return np.concatenate([normal[:, None], at_edge[edges.of_face], at_vertex[faces]], axis=1)
