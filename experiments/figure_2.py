@@ -106,9 +106,9 @@ def print_table(rows, trials):
             cells.append([shape, least, *numbers])
     columns = ["shape", "at least", "points", "reach cm", "grown", "share", "true point", "all four"]
     note = (
-        f"Mean±standard error over {trials} trials, four contacts each. grown: share of regions wider than ε. "
-        "share: of the cloud. true point, all four: share of contacts, and of trials, whose regions hold what "
-        "is truly touched."
+        f"Mean±standard error over {trials} trials, four contacts each. grown: share of regions wider than "
+        "ε. share: of the cloud. true point, all four: share of contacts, and of trials, whose regions hold "
+        "what is truly touched."
     )
     report.print_table("Regions of eq. 2, ε = 2 cm", columns, cells, note)
 

@@ -35,11 +35,10 @@ def errors_cm(model, scene, T_hat):
     T_near = scenes.nearest_truth(model, scene.T_palm_object, T_hat)
     surface, _ = model.sample(SHOWN)
     moved = np.linalg.norm(se3.apply(T_hat, surface) - se3.apply(T_near, surface), axis=1)
-    here, there = (se3.apply(se3.inverse(T), scene.contacts.points_palm) for T in (T_hat, T_near))
-    turn = np.linalg.norm(se3.rotation_log(T_hat[:3, :3] @ T_near[:3, :3].T))
+    contacts, turn = scenes.contact_errors(model, scene, T_hat)
     return {
         "surface_cm": 100 * float(moved.mean()),
-        "contacts_cm": 100 * float(np.linalg.norm(here - there, axis=1).mean()),
+        "contacts_cm": 100 * contacts,
         "turn_deg": float(np.rad2deg(turn)),
     }
 

@@ -76,6 +76,11 @@ def progress(items: Sequence[Any], what: str) -> Iterable[Any]:
     return track(items, description=what, console=Console(stderr=True), total=len(items))
 
 
+def values(rows: Iterable[Mapping[str, Any]], name: str, **key: object) -> np.ndarray:
+    """The numbers of one column, of the rows whose other columns are as given."""
+    return np.array([row[name] for row in rows if all(row[k] == v for k, v in key.items())])
+
+
 def summary(values: Iterable[float]) -> tuple[float, float]:
     """Mean and its standard error."""
     array = np.asarray(list(values), dtype=np.float64)
@@ -96,9 +101,46 @@ def all_of(answers: Iterable[bool | None]) -> bool | None:
 
 def plus_minus(values: Iterable[float], digits: int = 2) -> str:
     """Mean±standard error, as text; one significant digit where the digits would show a zero."""
-    mean, error = summary(values)
+    return with_error(*summary(values), digits)
+
+
+def with_error(mean: float, error: float, digits: int = 2) -> str:
+    """Mean±error, as text, as `plus_minus`."""
     form = f".{digits}f" if abs(mean) >= 0.5 * 10**-digits or mean == 0 else ".0e"
     return f"{mean:{form}}±{error:{form}}"
+
+
+def grouped(
+    rows: Sequence[Mapping[str, Any]], keys: Sequence[str], names: Iterable[str]
+) -> list[dict[str, Any]]:
+    """A row per combination of `keys`, in order of appearance: mean, standard error, median of each name."""
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    table = []
+    for values, members in groups.items():
+        line: dict[str, Any] = dict(zip(keys, values, strict=True))
+        for name in names:
+            found = [row[name] for row in members]
+            line[f"{name}_mean"], line[f"{name}_se"] = summary(found)
+            line[f"{name}_median"] = float(np.median(found))
+        table.append(line | {"trials": len(members)})
+    return table
+
+
+def print_grouped(
+    title: str,
+    rows: Sequence[Mapping[str, Any]],
+    keys: Sequence[str],
+    digits: Mapping[str, int],
+    note: str = "",
+) -> None:
+    """Prints `grouped` rows as mean±standard error, each column with its digits."""
+    cells = []
+    for line in grouped(rows, keys, digits):
+        numbers = (with_error(line[f"{name}_mean"], line[f"{name}_se"], d) for name, d in digits.items())
+        cells.append([*(line[key] for key in keys), *numbers])
+    print_table(title, [*keys, *digits], cells, note)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], note: str = "") -> None:

@@ -111,6 +111,19 @@ def on_four_sides(model, rng):
     return points[chosen], normals[chosen]
 
 
+def on_box_edges(rng, near):
+    """Four points and normals on different faces of `BOX`: all 1-5 mm from an edge, or 15 mm from any."""
+    half = np.array(BOX) / 2
+    outward = np.concatenate([np.eye(3), -np.eye(3)])[rng.permutation(6)[:4]]
+    points = outward * half
+    for point, normal in zip(points, outward, strict=True):
+        a, b = rng.permutation(np.flatnonzero(normal == 0))
+        point[[a, b]] = rng.uniform(-1, 1, 2) * (half[[a, b]] - 0.015)
+        if near:
+            point[a] = rng.choice([-1, 1]) * (half[a] - rng.uniform(0.001, 0.005))
+    return points, outward
+
+
 def displaced(points_object, normals_object, rng, *, start=START, noise=(0.0, 0.0), sigmas=None):
     """The scene of these contacts as the paper simulates it: the object is seen at the palm's origin.
 
@@ -147,9 +160,7 @@ def at_least_as_probable(model, scene, estimate):
     """
     sure = hs.PosePrior(scene.T_palm_object, scene.vision.covariance)
     from_truth = hs.correct_pose(model, scene.contacts, vision=sure, method=hs.TwoPhase(starts=1))
-    ours, theirs = (
-        cost_at(model, scene, e.T_palm_object) for e in (estimate, from_truth)
-    )
+    ours, theirs = (cost_at(model, scene, e.T_palm_object) for e in (estimate, from_truth))
     return bool(ours <= theirs + 1.0)
 
 
@@ -176,3 +187,11 @@ def anywhere_on(model):
         return model.sample(n, seed=int(rng.integers(1 << 31)))
 
     return draw
+
+
+def contact_errors(model, scene, T_hat):
+    """A pose's mean error of the contacts' places on the object [m], and its turn [rad], modulo symmetry."""
+    T_near = nearest_truth(model, scene.T_palm_object, T_hat)
+    here, there = (se3.apply(se3.inverse(T), scene.contacts.points_palm) for T in (T_hat, T_near))
+    turn = se3.rotation_log(T_hat[:3, :3] @ T_near[:3, :3].T)
+    return float(np.linalg.norm(here - there, axis=1).mean()), float(np.linalg.norm(turn))

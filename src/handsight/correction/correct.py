@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import modes, outliers, paper, two_phase
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior
@@ -71,7 +70,7 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
 def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEstimate:
     found = outliers.solve_robustly(problem, options)
     model, used = problem.model, found.used
-    Ts = found.Ts_palm_object
+    Ts = found.descent.Ts_palm_object
     if problem.vision is not None:
         Ts = nearest(model.symmetries, Ts, problem.vision.T_palm_object, model.radius)
     informations, by_touch, chi2, costs = two_phase.posterior(problem, Ts, used)
@@ -82,8 +81,8 @@ def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEst
         T_palm_object=best.T_palm_object,
         covariance=best.covariance,
         information=best.information,
-        converged=bool(found.converged[k]),
-        iterations=int(found.iterations[k]),
+        converged=bool(found.descent.converged[k]),
+        iterations=int(found.descent.iterations[k]),
         residuals=two_phase.residuals(problem, best.T_palm_object),
         unobservable=modes.unobservable(by_touch[k], model.radius),
         consistent=modes.fits(float(chi2[k]), two_phase.freedom(problem, used)),

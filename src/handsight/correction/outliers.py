@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from handsight.checks import Array, Indices, Mask
+from handsight.checks import Array, Mask
 from handsight.correction import modes, starts, two_phase
 from handsight.correction.solve import Descent
 from handsight.correction.two_phase import Problem, TwoPhase
@@ -24,12 +24,14 @@ DECISIVE = float(chdtri(3, 1e-3))
 class Candidates:
     """Minima that use one and the same set of contacts, cheapest first."""
 
-    Ts_palm_object: Array
-    iterations: Indices
-    converged: Mask
-    cost: Array
+    descent: Descent
     used: Mask
     """(1, n) bool."""
+
+    @property
+    def cost(self) -> float:
+        """The least."""
+        return float(self.descent.cost[0])
 
 
 def solve_robustly(problem: Problem, options: TwoPhase) -> Candidates:
@@ -37,20 +39,23 @@ def solve_robustly(problem: Problem, options: TwoPhase) -> Candidates:
     n = len(problem.contacts)
     everyone = np.ones((1, n), dtype=bool)
     found = _candidates(*two_phase.solve(problem, _starts(problem, options, everyone), everyone))
-    if found.converged[0] and _fits(problem, found):
+    if found.descent.converged[0] and _fits(problem, found, SUSPICION):
         return found
     if problem.vision is not None and options.starts is None:
         more = starts.from_prior(problem.vision, ESCALATED)
         found = _cheaper(found, _candidates(*two_phase.solve(problem, more, everyone)))
-    while options.reject_outliers and not _fits(problem, found):
+    alarm = SUSPICION
+    while options.reject_outliers and not _fits(problem, found, alarm):
         left = int(found.used.sum())
         if n - left >= most_outliers(n, blind=problem.vision is None):
             break
         without = _leave_one_out(problem, options, found.used)
-        gain = found.cost[0] - without.cost[0]
-        if gain < max(DECISIVE, 0.5 * found.cost[0]):
+        gain = found.cost - without.cost
+        decisive = _fits(problem, without, SUSPICION) or gain > 0.5 * found.cost
+        if gain < DECISIVE or not decisive:
             break
-        found = without
+        # One wrong contact is rare, a second one rarer.
+        found, alarm = without, modes.ALARM
     return found
 
 
@@ -68,22 +73,16 @@ def _starts(problem: Problem, options: TwoPhase, used: Mask) -> Array:
 
 def _candidates(descent: Descent, used: Mask) -> Candidates:
     """The descents that use the same contacts as the cheapest."""
-    same = (used == used[0]).all(axis=1)
-    return Candidates(
-        descent.Ts_palm_object[same],
-        descent.iterations[same],
-        descent.converged[same],
-        descent.cost[same],
-        used[:1],
-    )
+    same = np.flatnonzero((used == used[0]).all(axis=1))
+    return Candidates(descent.taking(same), used[:1])
 
 
 def _cheaper(a: Candidates, b: Candidates) -> Candidates:
-    return b if b.cost[0] < a.cost[0] - 1e-9 * (1 + a.cost[0]) else a
+    return b if b.cost < a.cost - 1e-9 * (1 + a.cost) else a
 
 
-def _fits(problem: Problem, found: Candidates) -> bool:
-    return modes.fits(float(found.cost[0]), two_phase.freedom(problem, found.used), SUSPICION)
+def _fits(problem: Problem, found: Candidates, alarm: float) -> bool:
+    return modes.fits(found.cost, two_phase.freedom(problem, found.used), alarm)
 
 
 def _leave_one_out(problem: Problem, options: TwoPhase, used: Mask) -> Candidates:

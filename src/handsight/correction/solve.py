@@ -35,6 +35,21 @@ class Descent:
     converged: Mask
     """(K,) bool: the last accepted step was small."""
 
+    def taking(self, rows: Indices) -> "Descent":
+        """Some of the descents."""
+        return Descent(
+            self.Ts_palm_object[rows], self.cost[rows], self.iterations[rows], self.converged[rows]
+        )
+
+    def joined(self, more: "Descent") -> "Descent":
+        """These descents and then the others."""
+        return Descent(
+            np.concatenate([self.Ts_palm_object, more.Ts_palm_object]),
+            np.concatenate([self.cost, more.cost]),
+            np.concatenate([self.iterations, more.iterations]),
+            np.concatenate([self.converged, more.converged]),
+        )
+
 
 def normal_equations(terms: Sequence[Evidence], Ts_palm_object: Array) -> tuple[Array, Array, Array]:
     """Hessian (K, 6, 6) and gradient (K, 6) by (δp, δθ), and cost (K,), of the terms' sum of squares."""
@@ -166,7 +181,7 @@ def match(
 ) -> tuple[Array, int]:
     """Phase 1: poses (K, 4, 4) after Gauss-Newton steps on nearest samples, and the steps taken."""
     T, undamped = Ts_palm_object, np.full(len(Ts_palm_object), 1e-9)
-    for taken in range(1, MATCH_STEPS + 1):
+    for taken in range(1, MATCH_STEPS + 1):  # noqa: B007
         H, g, _ = chart.normal_equations([matches, *others], T)
         steps = chart.damped_step(H, g, undamped)
         T = chart.stepped(T, steps)

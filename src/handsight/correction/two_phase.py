@@ -3,17 +3,15 @@
 starts → phase 1 (nearest samples) → phase 2 on the coarse field → phase 2 on the fine field → modes
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handsight import checks
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
-from handsight.correction.evidence import Evidence, Outside, Touch, roughness, surface_at, vision
+from handsight.correction.evidence import Evidence, Outside, Touch, Vision, roughness, surface_at, vision
 from handsight.correction.solve import Chart, Descent, Matches, Samples, descend, match, normal_equations
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
@@ -23,7 +21,7 @@ COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
 EDGE = 0.75
 """Radius of curvature [coarse cells] below which the surface counts as an edge."""
-KEPT = 24
+KEPT, KEPT_BLIND = 24, 64
 """Candidates that go on from the coarse field to the fine one."""
 CANDIDATE_APART = (0.002, np.deg2rad(2.0))
 
@@ -75,6 +73,18 @@ class Problem:
         root = prior_root(self.vision, self.model.radius)
         return [vision(self.vision.T_palm_object, root, self.model.symmetries)]
 
+    def held(self) -> list[Evidence]:
+        """When blind: that the object's middle is among the contacts, give or take its radius.
+
+        It chooses among poses that fit alike (along a slide, say) and is no knowledge: no information is
+        reported for it.
+        """
+        if self.vision is not None:
+            return []
+        root = np.zeros((6, 6))
+        root[:3, :3] = np.eye(3) / self.model.radius
+        return [Vision(self.model.center_object, None, self.center_palm, np.eye(3), root)]
+
     def hand(self, field: Field) -> list[Evidence]:
         """The hand's points as evidence; nothing where there are none or the object has no inside.
 
@@ -117,23 +127,26 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]
     """
     model, sight = problem.model, problem.sight()
     chart = Chart(problem.center_palm, model.radius)
-    T, steps = match(problem.matches(used), sight, Ts_start, chart)
+    T, steps = match(problem.matches(used), [*sight, *problem.held()], Ts_start, chart)
     terms = [problem.touch(model.coarse, used).frozen(T), *sight, *problem.hand(model.coarse)]
     coarse = descend(terms, T, chart, max_iterations=COARSE_STEPS, small_step=COARSE_STEP)
-    keep = survivors(model, coarse, used)
+    keep = survivors(model, coarse, used, KEPT_BLIND if problem.vision is None else KEPT)
     T = coarse.Ts_palm_object[keep]
     used_kept = used[keep] if len(used) > 1 else used
     terms = [problem.touch(model.fine, used_kept).frozen(T), *sight, *problem.hand(model.fine)]
     fine = descend(terms, T, chart, max_iterations=FINE_STEPS)
+    fine = replace(fine, iterations=steps + coarse.iterations[keep] + fine.iterations)
+    used_all = np.broadcast_to(used_kept, (len(keep), used.shape[1]))
+    if problem.vision is None:
+        # Along a slide any place is a minimum: beside where each descent ended, the most likely one.
+        likely = descend([*terms, *problem.held()], fine.Ts_palm_object, chart, max_iterations=FINE_STEPS)
+        likely = replace(likely, cost=normal_equations(terms, likely.Ts_palm_object)[2])
+        fine, used_all = likely.joined(fine), np.concatenate([used_all, used_all])
     order = np.argsort(fine.cost, kind="stable")
-    taken = steps + coarse.iterations[keep] + fine.iterations
-    return (
-        Descent(fine.Ts_palm_object[order], fine.cost[order], taken[order], fine.converged[order]),
-        np.broadcast_to(used_kept, (len(order), used.shape[1]))[order],
-    )
+    return fine.taking(order), used_all[order]
 
 
-def survivors(model: ObjectModel, coarse: Descent, used: Mask) -> Indices:
+def survivors(model: ObjectModel, coarse: Descent, used: Mask, most: int) -> Indices:
     """Indices of the descents worth finishing: cheap and no repeats, apart for each set of contacts."""
     order = np.argsort(coarse.cost, kind="stable")
     if len(order) == 1:
@@ -143,7 +156,7 @@ def survivors(model: ObjectModel, coarse: Descent, used: Mask) -> Indices:
     else:
         _, group = np.unique(used, axis=0, return_inverse=True)
         groups = [order[group[order] == k] for k in range(group.max() + 1)]
-    each = max(2, KEPT // len(groups))
+    each = max(2, most // len(groups))
     kept = [modes.distinct(model, coarse.Ts_palm_object, g, each, CANDIDATE_APART) for g in groups]
     return np.concatenate([np.asarray(k, dtype=np.int64) for k in kept])
 
@@ -154,8 +167,9 @@ def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Ar
     residuals, jacobian, log_spread = problem.touch(field, used).density(Ts)
     by_touch = jacobian.swapaxes(-1, -2) @ jacobian
     by_other, _, chi2 = normal_equations([*problem.sight(), *problem.hand(field)], Ts)
+    _, _, unlikely = normal_equations(problem.held(), Ts)
     chi2 = chi2 + (residuals * residuals).sum(axis=-1)
-    return by_touch + by_other, by_touch, chi2, chi2 + log_spread
+    return by_touch + by_other, by_touch, chi2, chi2 + log_spread + unlikely
 
 
 def freedom(problem: Problem, used: Mask) -> int:

@@ -24,6 +24,9 @@ LARGEST_HOLE = 0.25
 inside and outside are a guess, and past a quarter that would be most of the object."""
 CLOSED_SHARE = 0.95
 SAMPLES_PER_CELL = 2.0
+LINK_MARGINS = (1.1, 1.5, np.inf)
+"""Nodes are linked when their distances add up to this many steps; the last links none."""
+SPEAKERS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,15 +105,33 @@ class ByWinding(Side):
 
     def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
         """Signed distances (n,) [m] of grid nodes, given where they touch down."""
-        near_hole = np.zeros(len(points), dtype=bool)
+        free = np.ones(len(points), dtype=bool)
         for middle, extent in zip(self.holes.middles, self.holes.extents, strict=True):
-            near_hole |= ((points - middle) ** 2).sum(axis=1) < (extent + grid.cell) ** 2
-        label = _connected(grid_index, grid, feet.distance, ~near_hole)
-        # The node farthest from the surface speaks for its set.
-        order = np.lexsort((feet.distance, label))
-        speaker = order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)]
-        inside = self.winding.at(points[speaker]) > 0.5
-        return np.asarray(np.where(inside[label], -feet.distance, feet.distance))
+            free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
+        inside = np.zeros(len(points), dtype=bool)
+        todo = np.arange(len(points))
+        for margin in LINK_MARGINS:
+            label = _connected(grid_index[todo], grid, feet.distance[todo], free[todo], margin)
+            votes, agreed = self._votes(label, points[todo])
+            inside[todo] = votes[label]
+            todo = todo[~agreed[label]]
+            if not len(todo):
+                break
+        return np.asarray(np.where(inside, -feet.distance, feet.distance))
+
+    def _votes(self, label: NDArray[np.int64], points: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether each set is inside, and whether its speakers agree.
+
+        They do not where a distance that is a little too large has linked the two sides.
+        """
+        order = np.argsort(label, kind="stable")
+        size = np.bincount(label)
+        start = np.cumsum(size) - size
+        spread = np.random.default_rng(4).random((len(size), SPEAKERS))
+        speakers = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
+        asked, which = np.unique(speakers, return_inverse=True)
+        inside = (self.winding.at(points[asked]) > 0.5)[which].reshape(speakers.shape)
+        return inside[:, 0], inside.all(axis=1) | ~inside.any(axis=1)
 
 
 class ByNormal(Side):
@@ -145,7 +166,7 @@ class ByNormal(Side):
 
 
 def _connected(
-    grid_index: NDArray[np.int64], grid: Grid, distance: Array, linkable: NDArray[np.bool_]
+    grid_index: NDArray[np.int64], grid: Grid, distance: Array, free: NDArray[np.bool_], margin: float
 ) -> NDArray[np.int64]:
     """(n,) the set of each node: neighbours with no surface between them are together."""
     n = len(grid_index)
@@ -157,10 +178,10 @@ def _connected(
         low, high = (np.take(cube, r, axis=axis).reshape(-1) for r in _pairs(grid.shape[axis]))
         both = (low >= 0) & (high >= 0)
         low, high = low[both], high[both]
-        # On a face across the step the sum is the step, give or take the rounding.
-        free = (distance[low] + distance[high] > 1.1 * grid.cell) & linkable[low] & linkable[high]
-        rows.append(low[free])
-        columns.append(high[free])
+        # Right across a face the sum is the step, give or take the rounding.
+        link = (distance[low] + distance[high] > margin * grid.cell) & free[low] & free[high]
+        rows.append(low[link])
+        columns.append(high[link])
     row, column = np.concatenate(rows), np.concatenate(columns)
     graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

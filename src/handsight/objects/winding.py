@@ -58,8 +58,9 @@ class Winding:
         q, c = points - origin, self._middle - origin
         gap2 = (q * q).sum(axis=1)[:, None] - 2 * (q @ c.T) + (c * c).sum(axis=1)
         near = gap2 <= (FAR_PATCH * self._radius) ** 2 + 1e-12 * gap2.max()
-        along = (self._patch_vectors * c).sum(axis=1) - q @ self._patch_vectors.T
-        total = (along / np.where(near, np.inf, gap2) ** 1.5).sum(axis=1)
+        along = _dot(self._patch_vectors, c) - q @ self._patch_vectors.T
+        far = np.where(near, np.inf, gap2)
+        total = (along / (far * np.sqrt(far))).sum(axis=1)
         row, patch = np.nonzero(near)
         sizes = self._sizes[patch]
         for k in _slices(sizes):
@@ -73,13 +74,17 @@ class Winding:
         element = np.arange(sizes.sum()) - np.repeat(first - self._starts[patch], sizes)
         point = np.repeat(row, sizes)
         way = self._centers[element] - points[point]
-        gap = np.sqrt((way * way).sum(axis=1))
-        angle = (self._vectors[element] * way).sum(axis=1) / np.maximum(gap, 1e-300) ** 3
+        gap = np.sqrt(_dot(way, way))
+        angle = _dot(self._vectors[element], way) / np.maximum(gap, 1e-300) ** 3
         angle[gap == 0] = 0.0
         if self._corners is not None:
             close = np.flatnonzero(gap < FAR_TRIANGLE * self._reach[element])
             angle[close] = _solid_angles(self._corners[element[close]] - points[point[close], None])
         return np.bincount(point, angle, minlength=len(points))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
 def _slices(sizes: NDArray[np.int64]) -> list[slice]:
@@ -92,9 +97,9 @@ def _slices(sizes: NDArray[np.int64]) -> list[slice]:
 def _solid_angles(corners: Array) -> Array:
     """Signed solid angles (m,) of triangles (m, 3, 3) seen from the origin (Van Oosterom and Strackee 1983)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    la, lb, lc = (np.sqrt((v * v).sum(axis=1)) for v in (a, b, c))
-    volume = (a * np.cross(b, c)).sum(axis=1)
-    ab, bc, ca = ((u * v).sum(axis=1) for u, v in ((a, b), (b, c), (c, a)))
+    la, lb, lc = (np.sqrt(_dot(v, v)) for v in (a, b, c))
+    volume = _dot(a, np.cross(b, c))
+    ab, bc, ca = (_dot(u, v) for u, v in ((a, b), (b, c), (c, a)))
     return np.asarray(2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb))
 
 

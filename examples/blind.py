@@ -1,0 +1,17 @@
+"""No camera at all: which poses of a can fit three touches? Several do, and each comes with its weight."""
+
+import numpy as np
+
+import handsight as hs
+
+model = hs.ObjectModel.cylinder(radius=0.033, height=0.115)
+angle = np.deg2rad([0.0, 120.0, 240.0])
+normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], axis=1)
+points = 0.033 * normals + np.array([[0, 0, 0.02], [0, 0, -0.02], [0, 0, 0.01]])
+contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
+
+estimate = hs.correct_pose(model, contacts)
+for mode in estimate.hypotheses:
+    axis = mode.T_palm_object[:3, 2]
+    print(f"weight {mode.weight:.2f}: middle at {np.round(1e3 * mode.T_palm_object[:3, 3])} mm, axis {np.round(axis, 2)}")
+print(f"{len(estimate.unobservable)} directions open: the can may slide and spin between the fingers")
