@@ -2,8 +2,8 @@
 
 a  If a contact is "close to an edge", distance alone "can give a wrong result"; with normals "one can also
    know which face of the object the robot is touching". Four contacts on different faces of a 60 x 90 x 140
-   mm box, all 1 to 5 mm from an edge, or all at least 15 mm from any. Counted: contacts that, at the corrected
-   pose, lie on another face than their own (of the box' symmetric poses, at the one nearest to it).
+   mm box, all 1 to 5 mm from an edge, or all at least 15 mm from any. Counted: contacts that lie on another
+   face than their own at the corrected pose (of the box' symmetric poses, at the one nearest to it).
 b  "By giving a large value to w_n", the method fits normals "more than it will try to minimise the distance".
    Levenberg-Marquardt with normals on Table I's cube and cylinder, for w_n from 0.5 to 50 cm.
 c  "A local minimum close to the initial estimate" is "more likely to be a better solution than a global
@@ -210,22 +210,21 @@ def edges_judged(rows):
 
 
 def weights_judged(rows):
-    """Claim b, for each shape."""
+    """Claim b, for each shape: from the smallest to the largest w_n."""
     found = []
     for shape in ("cube", "cylinder"):
-        by_w = [{n: report.values(rows, n, shape=shape, w_n_cm=w) for n in WEIGHED} for w in W_N_CM]
-        first, last = by_w[0], by_w[-1]
-        fits = [report.positive(first["normal_deg"] - last["normal_deg"])]
-        fits += [report.positive(last["distance_mm"] - first["distance_mm"])]
-        least, best = min((at["rme_mm"].mean(), w) for at, w in zip(by_w, W_N_CM, strict=True))
-        turn, turn_w = min((at["mae_deg"].mean(), w) for at, w in zip(by_w, W_N_CM, strict=True))
-        claim = f"b {shape}: a larger w_n fits the normals better and the distances worse"
-        angles, distances = ([at[n].mean() for at in (first, last)] for n in ("normal_deg", "distance_mm"))
+        by_w = {n: np.array([report.values(rows, n, shape=shape, w_n_cm=w) for w in W_N_CM]) for n in WEIGHED}
+        normals, distances = by_w["normal_deg"], by_w["distance_mm"]
+        fits = [report.positive(normals[0] - normals[-1]), report.positive(distances[-1] - distances[0])]
+        mean = {name: array.mean(axis=1) for name, array in by_w.items()}
+        best = {name: f"{m.min():.1f} at {W_N_CM[m.argmin()]:g} cm" for name, m in mean.items()}
+        (a, *_, b), (c, *_, d) = mean["normal_deg"], mean["distance_mm"]
         text = (
-            f"From w_n = {W_N_CM[0]} to {W_N_CM[-1]} cm normals go from {angles[0]:.1f} to {angles[1]:.1f}°, "
-            f"distances from {distances[0]:.2f} to {distances[1]:.2f} mm off the surface. "
-            f"Least RME: {least:.1f} mm at {best:g} cm; least MAE: {turn:.1f}° at {turn_w:g} cm."
+            f"From w_n = {W_N_CM[0]} to {W_N_CM[-1]} cm the normals' angle goes from {a:.1f} to {b:.1f}° (least "
+            f"{best['normal_deg']}), the distance from {c:.2f} to {d:.2f} mm; least RME [mm]: "
+            f"{best['rme_mm']}; least MAE [°]: {best['mae_deg']}."
         )
+        claim = f"b {shape}: a larger w_n fits the normals better and the distances worse"
         found.append(report.verdict(claim, report.all_of(fits), text))
     return found
 

@@ -38,7 +38,7 @@ def draw_edges(axes, rows):
     table = report.grouped(rows, ("near_edge", "method"), ("wrong_face",))
     for near, label, color, shift in (
         (1, "1-5 mm from an edge", "#c2185b", -0.2),
-        (0, "over 15 mm", "0.65", 0.2),
+        (0, "over 15 mm from any", "0.65", 0.2),
     ):
         chosen = [row for row in table if row["near_edge"] == near]
         mean, error = ([row[f"wrong_face_{n}"] for row in chosen] for n in ("mean", "se"))
@@ -63,11 +63,23 @@ def draw_weights(axes, rows, names):
             style = {"color": color, "linestyle": line, "marker": "o", "markersize": 4, "capsize": 3}
             axes.errorbar(*columns, **style, label=f"{shape}: {label}")
     axes.set(xscale="log", yscale="log", xlabel="w_n [cm]", ylabel=" / ".join(names.values()))
+    axes.set_ylim(top=2.2 * axes.get_ylim()[1])  # room for the legend
+    plain(axes)
     ticks = sorted({row["w_n_cm"] for row in rows})
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.minorticks_off()
     axes.grid(color="0.92")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=7.5, loc="upper right", ncols=2, columnspacing=0.8)
+
+
+def plain(axes):
+    """Plain numbers at 1, 2 and 5 on logarithmic axes."""
+    from matplotlib.ticker import LogLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 1000 * low else (1,)))
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.minorticks_off()
 
 
 def draw_minima(axes, rows):
@@ -82,8 +94,10 @@ def draw_minima(axes, rows):
     limits = axes.get_xlim() + axes.get_ylim()
     low, high = min(limits), max(limits)
     axes.plot([low, high], [low, high], color="0.7", zorder=0)
+    plain(axes)
     axes.set(xlabel="nearest to the initial estimate: error [mm]", ylabel="of least cost: error [mm]")
-    axes.legend(fontsize=8, loc="lower right")
+    axes.set_ylim(low, 12 * high)  # room for the legend
+    axes.legend(fontsize=8, loc="upper center", ncols=2)
 
 
 def draw_speed(axes, rows, task, xlabel):
@@ -96,5 +110,6 @@ def draw_speed(axes, rows, task, xlabel):
         axes.fill_between(points, low, high, color=color, alpha=0.2, linewidth=0)
         axes.plot(points, middle, "o-", color=color, markersize=4, label=way)
     axes.set(xscale="log", yscale="log", xlabel=xlabel, ylabel="time [µs], median and quartiles")
+    plain(axes)
     axes.grid(color="0.92")
     axes.legend(fontsize=8)

@@ -6,6 +6,7 @@ The data are not part of handsight. Without them an experiment says so in one li
 import functools
 import os
 import sys
+import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -18,7 +19,7 @@ import handsight as hs
 import report
 import scenes
 from handsight import se3
-from handsight.objects import propose_symmetries
+from handsight.objects import ObjectWarning, propose_symmetries
 
 ESTIMATORS = {
     "CosyPose": "cosypose",
@@ -32,13 +33,20 @@ QUERIES, SURFACE = 1000, 50_000
 does not pass for an error where a can is seen turned about its own axis."""
 
 
-def data_folder() -> Path:
-    """$HANDSIGHT_DATA, or `shared/data` beside the checkout; ends the program, exit code 0, where neither is."""
+def data_folder() -> Path | None:
+    """Where the data are: $HANDSIGHT_DATA, else `shared/data` beside the checkout; None: nowhere."""
     named = os.environ.get("HANDSIGHT_DATA")
     folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
-    if not (folder / "ycb_meshes").is_dir():
-        where = f"HANDSIGHT_DATA={named} has no ycb_meshes" if named else "HANDSIGHT_DATA is not set"
-        print(f"skipped: the YCB data this experiment reads are not here ({where}).")
+    return folder if (folder / "ycb_meshes").is_dir() else None
+
+
+def data_or_goodbye() -> Path:
+    """`data_folder`; without data a sentence, and the end of the program with exit code 0."""
+    folder = data_folder()
+    if folder is None:
+        named = os.environ.get("HANDSIGHT_DATA")
+        why = f"HANDSIGHT_DATA={named} has no ycb_meshes" if named else "set HANDSIGHT_DATA to their folder"
+        print(f"skipped: the YCB data that this experiment reads are not here ({why}).")
         sys.exit(0)
     return folder
 
@@ -54,7 +62,7 @@ class YcbObject:
     """Of SURFACE points."""
 
     def closest_point_error(self, T_hat, T_true):
-        """ADD-S, also called ADI [m]: mean distance from the object's points at one pose to it at the other."""
+        """ADD-S, or ADI [m]: mean distance from the object's points at one pose to its surface at the other."""
         moved = se3.apply(se3.inverse(T_true) @ T_hat, self.queries_object)
         return float(self.tree.query(moved)[0].mean())
 
@@ -67,7 +75,9 @@ class YcbObject:
 @functools.cache
 def load(folder: Path, name: str) -> YcbObject:
     """The object of that name, with the symmetries that its shape shows."""
-    model = hs.ObjectModel.from_file(folder / "ycb_meshes" / f"{name}.ply")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ObjectWarning)  # the marker's mesh has triangles without area
+        model = hs.ObjectModel.from_file(folder / "ycb_meshes" / f"{name}.ply")
     model = model.with_symmetries(propose_symmetries(model))
     return YcbObject(model, model.sample(QUERIES, seed=1)[0], cKDTree(model.sample(SURFACE, seed=2)[0]))
 
@@ -115,9 +125,3 @@ def in_parallel(function, tasks, what):
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(function, *task) for task in tasks]
         return [future.result() for future in report.progress(futures, what)]
-
-
-def spread(values, digits=1, scale=1.0):
-    """Median and mean with its standard error, as text."""
-    scaled = scale * np.asarray(values, dtype=np.float64)
-    return f"{np.median(scaled):.{digits}f} ({report.plus_minus(scaled, digits)})"

@@ -14,7 +14,7 @@ STEP = 1e-6
 def problem(model, points, normals, *, seed=3, outside=None):
     contacts, vision, T = grasp(points, normals, seed)
     hand = np.empty((0, 3)) if outside is None else se3.apply(T, outside)
-    return Problem(model, contacts, vision, hand, contacts.points_palm.mean(axis=0)), T
+    return Problem(model, contacts, vision, hand), T
 
 
 def central_differences(term, T):
@@ -42,11 +42,11 @@ def terms():
     yield pytest.param(coarse_box.frozen(near[None]), near, id="touch, coarse box near")
     yield pytest.param(coarse_box.frozen(far[None]), far, id="touch, coarse box far")
     yield pytest.param(coarse_can.frozen(far_can[None]), far_can, id="touch, coarse can far")
-    yield pytest.param(p.sight()[0], near, id="vision near")
-    yield pytest.param(p.sight()[0], far, id="vision far")
-    yield pytest.param(q.sight()[0], near_can, id="vision of a can near")
-    yield pytest.param(q.sight()[0], far_can, id="vision of a can far")
-    yield pytest.param(q.sight()[0], q.vision.T_palm_object, id="vision of a can at its own pose")
+    yield pytest.param(p.sight[0], near, id="vision near")
+    yield pytest.param(p.sight[0], far, id="vision far")
+    yield pytest.param(q.sight[0], near_can, id="vision of a can near")
+    yield pytest.param(q.sight[0], far_can, id="vision of a can far")
+    yield pytest.param(q.sight[0], q.vision.T_palm_object, id="vision of a can at its own pose")
     yield pytest.param(p.hand(p.model.coarse)[0], near, id="outside")
 
 
@@ -68,7 +68,7 @@ def test_the_whitening_is_the_root_of_the_residuals_covariance_under_measured_no
     squares = []
     for seed in range(400):
         contacts, _, T = grasp(points, normals, rng.integers(1 << 30))
-        q = Problem(can(), contacts, None, np.empty((0, 3)), points.mean(axis=0))
+        q = Problem(can(), contacts, None, np.empty((0, 3)))
         residuals, _ = q.touch(q.model.fine, used).linearize(T[None])
         squares.append((residuals**2).sum())
     # 5 contacts, 3 degrees of freedom each: mean 15, its standard error sqrt(30 / 400).
@@ -100,7 +100,7 @@ def test_a_contact_adds_a_positive_semidefinite_matrix_at_a_fixed_pose():
 
 def test_vision_says_nothing_about_a_spin_of_the_can():
     q, T = problem(can(), *can_contacts())
-    vision = q.sight()[0]
+    vision = q.sight[0]
     axis = T[:3, :3] @ np.array([0, 0, 1.0])
     residuals, jacobian = vision.linearize(T[None])
     spun = se3.moved(T, np.r_[0, 0, 0, 1.3 * axis])

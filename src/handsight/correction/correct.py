@@ -53,7 +53,7 @@ def correct_pose(
     hand = checks.finite(points, "outside", (None, 3))
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
         raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
-    problem = Problem(model, contacts, vision, hand, contacts.points_palm.mean(axis=0))
+    problem = Problem(model, contacts, vision, hand)
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     return _by_two_phases(problem, options, int(samples))

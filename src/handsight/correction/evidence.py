@@ -106,23 +106,29 @@ class Touch:
         full = np.linalg.slogdet(S)[1]
         each = np.where(self.has_normal, full, np.log(S[..., 0, 0]))
         whitening = self.whiten(S)
-        residuals, _ = self.whitened(surface, whitening)
-        _, jacobian = self.whitened(self.without_edges(surface), whitening)
+        residuals, jacobian = self.whitened(surface, whitening)
+        edge = self.edges(surface)
+        if edge.any():
+            _, jacobian = self.whitened(self.without(surface, edge), whitening)
         return residuals, jacobian, (each * self.used).sum(axis=-1)
 
-    def without_edges(self, surface: Surface) -> Surface:
-        """The surface with a plane along the contact's normal where it bends as sharply as an edge.
+    def edges(self, surface: Surface) -> Mask:
+        """(K, n): where the surface bends as sharply as an edge, and the contact's normal tells the face."""
+        bend = (surface.curvature * surface.curvature).sum(axis=(-1, -2))
+        return np.asarray((bend > self.sharp**2) & self.has_normal)
+
+    def without(self, surface: Surface, edge: Mask) -> Surface:
+        """The surface with a plane along the contact's normal in place of edges.
 
         A contact that the prior has pushed to an edge is stopped on one side only; the sharp bend there is a
         wall, not a measurement of the way back.
         """
-        bend = np.sqrt((surface.curvature * surface.curvature).sum(axis=(-1, -2)))
-        edge = ((bend > self.sharp) & self.has_normal)[..., None]
+        at = edge[..., None]
         return replace(
             surface,
-            gradient=np.where(edge, self.normals_palm, surface.gradient),
-            normal=np.where(edge, self.normals_palm, surface.normal),
-            curvature=np.where(edge[..., None], 0.0, surface.curvature),
+            gradient=np.where(at, self.normals_palm, surface.gradient),
+            normal=np.where(at, self.normals_palm, surface.normal),
+            curvature=np.where(at[..., None], 0.0, surface.curvature),
         )
 
     def whitened(self, surface: Surface, whitening: Array) -> tuple[Array, Array]:

@@ -14,11 +14,11 @@ from handsight.correction.evidence import Evidence, cross
 
 MAX_TURN = 0.7
 """Longest turn of one step [rad]: beyond it the linearisation says nothing."""
-MATCH_STEPS, MATCH_TOLERANCE = 8, 0.01
+MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
 """Most steps of phase 1, and the step [radii] that ends it."""
 SHORT_STEP = 2e-5
 """A step is short when it moves no part of the object by more than this many radii."""
-SMALL_STEP = 1e-3
+SMALL_STEP = 1e-2
 """A step is small when it is shorter than this many standard deviations of the answer."""
 
 
@@ -51,17 +51,21 @@ class Descent:
         )
 
 
-def normal_equations(terms: Sequence[Evidence], Ts_palm_object: Array) -> tuple[Array, Array, Array]:
-    """Hessian (K, 6, 6) and gradient (K, 6) by (δp, δθ), and cost (K,), of the terms' sum of squares."""
+def stacked(terms: Sequence[Evidence], Ts_palm_object: Array) -> tuple[Array, Array]:
+    """Residuals (K, r) and derivatives (K, r, 6) by (δp, δθ) of all terms together; r may be 0."""
+    parts = [term.linearize(Ts_palm_object) for term in terms]
+    if len(parts) == 1:
+        return parts[0]
     K = len(Ts_palm_object)
-    H, g, cost = np.zeros((K, 6, 6)), np.zeros((K, 6)), np.zeros(K)
-    for term in terms:
-        residuals, jacobian = term.linearize(Ts_palm_object)
-        transposed = jacobian.swapaxes(-1, -2)
-        H += transposed @ jacobian
-        g += (transposed @ residuals[..., None])[..., 0]
-        cost += (residuals * residuals).sum(axis=-1)
-    return H, g, cost
+    residuals = np.concatenate([np.empty((K, 0)), *(part[0] for part in parts)], axis=1)
+    return residuals, np.concatenate([np.empty((K, 0, 6)), *(part[1] for part in parts)], axis=1)
+
+
+def normal_equations(residuals: Array, jacobian: Array) -> tuple[Array, Array, Array]:
+    """Hessian (K, 6, 6), gradient (K, 6) and cost (K,) of the residuals' sum of squares."""
+    transposed = jacobian.swapaxes(-1, -2)
+    gradient = (transposed @ residuals[..., None])[..., 0]
+    return transposed @ jacobian, gradient, (residuals * residuals).sum(axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +84,13 @@ class Chart:
         self, terms: Sequence[Evidence], Ts_palm_object: Array
     ) -> tuple[Array, Array, Array]:
         """Hessian (K, 6, 6) and gradient (K, 6) by (τ, radius ω), and cost (K,)."""
-        H, g, cost = normal_equations(terms, Ts_palm_object)
+        residuals, jacobian = stacked(terms, Ts_palm_object)
         # δp = τ + ω × (p - c), δθ = ω
-        D = np.zeros_like(H)
+        D = np.zeros((len(Ts_palm_object), 6, 6))
         D[:, (0, 1, 2), (0, 1, 2)] = 1.0
         D[:, (3, 4, 5), (3, 4, 5)] = 1 / self.radius
         D[:, :3, 3:] = se3.skew((self.center_palm - Ts_palm_object[:, :3, 3]) / self.radius)
-        Dt = D.swapaxes(-1, -2)
-        return Dt @ H @ D, (Dt @ g[..., None])[..., 0], cost
+        return normal_equations(residuals, jacobian @ D)
 
     def stepped(self, Ts_palm_object: Array, steps: Array) -> Array:
         """The poses (K, 4, 4) after steps (K, 6); the turn by Cayley's map, which needs no sine."""

@@ -3,7 +3,7 @@
 starts → phase 1 (nearest samples) → phase 2 on the coarse field → phase 2 on the fine field → modes
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
 from handsight.correction.evidence import Evidence, Outside, Touch, Vision, roughness, surface_at, vision
-from handsight.correction.solve import Chart, Descent, Matches, Samples, descend, match, normal_equations
+from handsight.correction.solve import Chart, Descent, Matches, Samples, descend, match, normal_equations, stacked
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
 
-COARSE_STEPS, FINE_STEPS = 4, 25
+COARSE_STEPS, FINE_STEPS = 3, 25
 COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
 EDGE = 0.75
@@ -49,14 +49,24 @@ class Problem:
     vision: PosePrior | None
     outside_palm: Array
     """(m, 3), m may be 0."""
-    center_palm: Array
-    """(3,) centroid of the contacts in use."""
+    center_palm: Array = field(init=False)
+    """(3,) centroid of the contacts."""
+    sight: tuple[Evidence, ...] = field(init=False)
+    """Vision as evidence; nothing when blind."""
 
-    def touch(self, field: Field, used: Mask) -> Touch:
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center_palm", self.contacts.points_palm.mean(axis=0))
+        seen: tuple[Evidence, ...] = ()
+        if self.vision is not None:
+            root = prior_root(self.vision, self.model.radius)
+            seen = (vision(self.vision.T_palm_object, root, self.model.symmetries),)
+        object.__setattr__(self, "sight", seen)
+
+    def touch(self, surface: Field, used: Mask) -> Touch:
         """The contacts as evidence; `used` (K or 1, n) says which count for which pose."""
         c, model = self.contacts, self.model
         return Touch(
-            field,
+            surface,
             c.points_palm,
             c.normals_palm,
             c.has_normal,
@@ -65,13 +75,6 @@ class Problem:
             sharp=1 / (EDGE * model.coarse.cell),
             used=used,
         )
-
-    def sight(self) -> list[Evidence]:
-        """Vision as evidence; nothing when blind."""
-        if self.vision is None:
-            return []
-        root = prior_root(self.vision, self.model.radius)
-        return [vision(self.vision.T_palm_object, root, self.model.symmetries)]
 
     def held(self) -> list[Evidence]:
         """When blind: that the object's middle is among the contacts, give or take its radius.
@@ -85,7 +88,7 @@ class Problem:
         root[:3, :3] = np.eye(3) / self.model.radius
         return [Vision(self.model.center_object, None, self.center_palm, np.eye(3), root)]
 
-    def hand(self, field: Field) -> list[Evidence]:
+    def hand(self, surface: Field) -> list[Evidence]:
         """The hand's points as evidence; nothing where there are none or the object has no inside.
 
         Their place is as uncertain as the contacts', through the same kinematics.
@@ -94,7 +97,7 @@ class Problem:
             return []
         sigma = float(np.median(np.sqrt(np.trace(self.contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3)))
         sigma = max(sigma, 1e-3 * self.model.diameter)
-        return [Outside(field, self.outside_palm, 1.5 * sigma, 2 * sigma)]
+        return [Outside(surface, self.outside_palm, 1.5 * sigma, 2 * sigma)]
 
     def matches(self, used: Mask) -> Matches:
         """The contacts as phase 1 sees them."""
@@ -125,7 +128,7 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]
 
     `used` is (1, n) for all starts alike or (K, n) for each its own.
     """
-    model, sight = problem.model, problem.sight()
+    model, sight = problem.model, problem.sight
     chart = Chart(problem.center_palm, model.radius)
     T, steps = match(problem.matches(used), [*sight, *problem.held()], Ts_start, chart)
     terms = [problem.touch(model.coarse, used).frozen(T), *sight, *problem.hand(model.coarse)]
@@ -140,7 +143,7 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]
     if problem.vision is None:
         # Along a slide any place is a minimum: beside where each descent ended, the most likely one.
         likely = descend([*terms, *problem.held()], fine.Ts_palm_object, chart, max_iterations=FINE_STEPS)
-        likely = replace(likely, cost=normal_equations(terms, likely.Ts_palm_object)[2])
+        likely = replace(likely, cost=(stacked(terms, likely.Ts_palm_object)[0] ** 2).sum(axis=1))
         fine, used_all = likely.joined(fine), np.concatenate([used_all, used_all])
     order = np.argsort(fine.cost, kind="stable")
     return fine.taking(order), used_all[order]
@@ -163,12 +166,12 @@ def survivors(model: ObjectModel, coarse: Descent, used: Mask, most: int) -> Ind
 
 def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Array, Array]:
     """At poses (K, 4, 4): information (K, 6, 6), that of touch alone, χ² and cost (minus two log density)."""
-    field = problem.model.fine
-    residuals, jacobian, log_spread = problem.touch(field, used).density(Ts)
-    by_touch = jacobian.swapaxes(-1, -2) @ jacobian
-    by_other, _, chi2 = normal_equations([*problem.sight(), *problem.hand(field)], Ts)
-    _, _, unlikely = normal_equations(problem.held(), Ts)
-    chi2 = chi2 + (residuals * residuals).sum(axis=-1)
+    fine = problem.model.fine
+    residuals, jacobian, log_spread = problem.touch(fine, used).density(Ts)
+    by_touch, _, chi2 = normal_equations(residuals, jacobian)
+    by_other, _, chi2_other = normal_equations(*stacked([*problem.sight, *problem.hand(fine)], Ts))
+    unlikely = (stacked(problem.held(), Ts)[0] ** 2).sum(axis=1)
+    chi2 = chi2 + chi2_other
     return by_touch + by_other, by_touch, chi2, chi2 + log_spread + unlikely
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array
+from handsight.objects.field import GridField
 
 COARSE_PER_DIAMETER = 18
 COARSE_PER_WIDTH = 4
@@ -33,6 +34,52 @@ class Grid:
     def nodes_at(self, index: NDArray[np.int64]) -> Array:
         """(n, 3) positions [m] of the nodes with these places in the flat order."""
         return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
+
+
+    def field(self, values: Array) -> GridField:
+        """The smooth field of these distances (nx ny nz,) [m] at the nodes."""
+        return GridField(self.origin, self.cell, values.reshape(self.shape).astype(np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fields:
+    """Both distance fields of a surface."""
+
+    coarse: GridField
+    fine: GridField
+    closed: bool
+    """Whether the surface has an inside."""
+    remarks: tuple[str, ...]
+
+
+def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:
+    """The coarse and the fine grid around vertices (k, 3) [m], and a sentence if they had to be coarser."""
+    bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    coarse, thin = coarse_grid(bounds, diameter, thinnest(vertices))
+    fine, capped = fine_grid(bounds, coarse.cell)
+    if not (thin or capped):
+        return coarse, fine, ()
+    cells = f"{1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm"
+    return coarse, fine, (f"very long or thin: its distance fields are coarser than usual, cells of {cells}",)
+
+
+def thinnest(vertices: Array) -> float:
+    """The least extent [m] along the object's own axes or the principal ones; a sheet has about 0."""
+    centered = vertices - vertices.mean(axis=0)
+    principal = np.linalg.eigh(centered.T @ centered)[1]
+    return float(min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min()))
+
+
+def interpolated(coarse: Grid, values: Array, fine: Grid) -> Array:
+    """Values (n,) at every fine node, linear between the coarse ones, which reach farther."""
+    start = (fine.origin - coarse.origin) / coarse.cell
+    axes = [s + np.arange(n) * (fine.cell / coarse.cell) for s, n in zip(start, fine.shape, strict=True)]
+    table = values.reshape(coarse.shape)
+    for k, at in enumerate(axes):
+        low = np.clip(at.astype(np.int64), 0, coarse.shape[k] - 2)
+        share = (at - low).reshape([-1 if j == k else 1 for j in range(3)])
+        table = (1 - share) * np.take(table, low, axis=k) + share * np.take(table, low + 1, axis=k)
+    return np.asarray(table.reshape(-1))
 
 
 def coarse_grid(bounds: Array, diameter: float, width: float) -> tuple[Grid, bool]:

@@ -9,8 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from handsight.checks import Array
-from handsight.objects.field import GridField
-from handsight.objects.grid import Grid, coarse_grid, fine_grid
+from handsight.objects.grid import Fields, Grid, grids, interpolated
 from handsight.objects.nearest import Feet, NearestPoint
 from handsight.objects.repair import side_samples
 from handsight.objects.surface import Triangles
@@ -29,46 +28,16 @@ LINK_MARGINS = (1.1, 1.5, np.inf)
 SPEAKERS = 16
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fields:
-    """Both fields of a surface."""
-
-    coarse: GridField
-    fine: GridField
-    closed: bool
-    remarks: tuple[str, ...]
-
-
 def mesh_fields(mesh: Triangles, diameter: float) -> Fields:
     """The smooth and the sharp field of a repaired mesh, and whether it has an inside."""
-    bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
-    coarse, thin = coarse_grid(bounds, diameter, thinnest(mesh.vertices))
-    fine, capped = fine_grid(bounds, coarse.cell)
+    coarse, fine, remarks = grids(mesh.vertices, diameter)
     nearest = NearestPoint(mesh, fine.cell / SAMPLES_PER_CELL)
     winding, holes = Winding.of_mesh(mesh), holes_of(mesh)
     closed = is_closed(mesh, winding, holes, diameter)
     side: Side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
     values = _signed(coarse, nearest, side)
     sharp = _refined(coarse, values, fine, nearest, side)
-    remarks = grid_remarks(thin, capped, coarse, fine)
-    return Fields(_field(coarse, values), _field(fine, sharp), closed, remarks)
-
-
-def grid_remarks(thin: bool, capped: bool, coarse: Grid, fine: Grid) -> tuple[str, ...]:
-    """A sentence if the object is too long and thin for the grids that would suit it."""
-    if not (thin or capped):
-        return ()
-    return (
-        f"very long and thin: distance fields are coarser than usual, "
-        f"cells of {1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm",
-    )
-
-
-def thinnest(vertices: Array) -> float:
-    """The least extent [m] along the object's own axes or the principal ones; a sheet has about 0."""
-    centered = vertices - vertices.mean(axis=0)
-    principal = np.linalg.eigh(centered.T @ centered)[1]
-    return float(min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min()))
+    return Fields(coarse.field(values), fine.field(sharp), closed, remarks)
 
 
 def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
@@ -199,14 +168,7 @@ def _signed(grid: Grid, nearest: NearestPoint, side: Side) -> Array:
 
 def _refined(coarse: Grid, values: Array, fine: Grid, nearest: NearestPoint, side: Side) -> Array:
     """Distances at every fine node: exact near the surface, elsewhere between the coarse ones."""
-    start = (fine.origin - coarse.origin) / coarse.cell
-    axes = [s + np.arange(n) * (fine.cell / coarse.cell) for s, n in zip(start, fine.shape, strict=True)]
-    table = values.reshape(coarse.shape)
-    for k, at in enumerate(axes):  # linear, one axis at a time
-        low = np.clip(at.astype(np.int64), 0, coarse.shape[k] - 2)
-        share = (at - low).reshape([-1 if j == k else 1 for j in range(3)])
-        table = (1 - share) * np.take(table, low, axis=k) + share * np.take(table, low + 1, axis=k)
-    sharp = table.reshape(-1)
+    sharp = interpolated(coarse, values, fine)
     band = BAND * fine.cell
     # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
     index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
@@ -214,7 +176,3 @@ def _refined(coarse: Grid, values: Array, fine: Grid, nearest: NearestPoint, sid
     index = index[close]
     sharp[index] = side.signed(index, fine, fine.nodes_at(index), feet)
     return sharp
-
-
-def _field(grid: Grid, values: Array) -> GridField:
-    return GridField(grid.origin, grid.cell, values.reshape(grid.shape).astype(np.float32))

@@ -1,6 +1,7 @@
 """An object's surface, in its own frame: samples, two distance fields, symmetries."""
 
 import dataclasses
+import os
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -14,6 +15,7 @@ from handsight.objects import primitives
 from handsight.objects.build import Made, measured
 from handsight.objects.exact import BoxField, CylinderField, SphereField
 from handsight.objects.field import Field, FieldValues, GridField
+from handsight.objects.sources import made_of_file, made_of_mesh, made_of_points
 from handsight.objects.surface import Faces, Rounded, Surface
 from handsight.objects.symmetry import Symmetries
 
@@ -97,6 +99,38 @@ class ObjectModel:
         triangles, exact = primitives.sphere_triangles(radius), SphereField(radius)
         made = Made("sphere", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
         return cls._from(made, symmetries or primitives.sphere_symmetries())
+
+    @classmethod
+    def from_mesh(cls, vertices: ArrayLike, faces: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
+        """The object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
+
+        Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
+        surface is valid. Raises InvalidObject where there is no surface.
+        """
+        return cls._from(made_of_mesh(vertices, faces), symmetries or Symmetries())
+
+    @classmethod
+    def from_points(
+        cls, points: ArrayLike, normals: ArrayLike | None = None, *, symmetries: Symmetries | None = None
+    ) -> Self:
+        """The object whose surface the points (n, 3) [m] lie on; outward normals (n, 3) of any length, or None.
+
+        Normals not given are estimated. Outliers are not removed. Raises InvalidInput for numbers that are
+        not finite, InvalidObject below 20 different points.
+        """
+        return cls._from(made_of_points(points, normals), symmetries or Symmetries())
+
+    @classmethod
+    def from_file(
+        cls, path: str | os.PathLike[str], scale: float = 1.0, *, symmetries: Symmetries | None = None
+    ) -> Self:
+        """The object in a file: a mesh (STL, OBJ, PLY, OFF) or a cloud (PLY or OFF without faces, PCD, XYZ).
+
+        `scale`: metres per unit of the file. Raises InvalidFile where it cannot be read and InvalidObject where
+        it holds no surface, both starting with the file's name.
+        """
+        scale = checks.positive(scale, "scale")
+        return cls._from(made_of_file(path, scale), symmetries or Symmetries())
 
     @classmethod
     def _from(cls, made: Made, symmetries: Symmetries) -> Self:

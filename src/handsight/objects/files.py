@@ -1,0 +1,208 @@
+"""Shapes read from files: meshes from STL, OBJ, PLY and OFF, clouds from PLY, OFF, PCD and XYZ.
+
+Only the named file is opened: no material, texture or other path inside it is followed.
+"""
+
+import io
+import os
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from handsight.checks import Array
+from handsight.errors import InvalidFile
+from handsight.objects.pcd import pcd_columns
+from handsight.objects.surface import Faces
+from handsight.objects.text import BadText, number_rows, off_shape
+
+LARGEST_FILE = 2_000_000_000
+"""Bytes; more is refused."""
+_UNREADABLE = (
+    ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, struct.error,
+    EOFError, MemoryError, RuntimeError, StopIteration, ImportError,
+)  # fmt: skip
+"""What parsers raise on content that is not what it should be."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """What a file holds, in the file's own unit."""
+
+    vertices: Array
+    """(k, 3)"""
+    faces: Faces | None
+    """(m, 3); None: a cloud."""
+    normals: Array | None
+    """(k, 3) of a cloud, of any length; None: not in the file."""
+    remarks: tuple[str, ...] = ()
+
+
+def read_shape(path: str | os.PathLike[str]) -> Shape:
+    """The mesh or cloud in a file, by its extension; raises InvalidFile starting with the file's name."""
+    file = Path(path)
+    reader = READERS.get(file.suffix.lower())
+    if reader is None:
+        known = ", ".join(sorted(READERS))
+        raise InvalidFile(f"{file.name}: expected one of {known}, got {file.suffix or 'no extension'}")
+    data = _bytes(file)
+    try:
+        shape = reader(data)
+    except BadText as error:
+        raise InvalidFile(f"{file.name}: {error}") from None
+    except _UNREADABLE as error:
+        detail = f"{type(error).__name__}: {error}".split("\n")[0][:120]
+        raise InvalidFile(f"{file.name}: not a readable {file.suffix[1:].upper()} file ({detail})") from error
+    if not len(shape.vertices):
+        raise InvalidFile(f"{file.name}: expected points or triangles, got none")
+    return shape if shape.faces is not None else _finite_rows(shape)
+
+
+def _bytes(file: Path) -> bytes:
+    try:
+        size = file.stat().st_size
+        if file.is_dir():
+            raise InvalidFile(f"{file.name}: expected a file, got a folder")
+        if not file.is_file():
+            raise InvalidFile(f"{file.name}: expected a regular file")
+        if size > LARGEST_FILE:
+            raise InvalidFile(f"{file.name}: expected at most {LARGEST_FILE:.0e} bytes, got {size}")
+        data = file.read_bytes()
+    except OSError as error:
+        raise InvalidFile(f"{file.name}: cannot be read: {error.strerror or error}") from None
+    except ValueError:  # a null byte in the path
+        raise InvalidFile(f"{file.name!r}: not a path") from None
+    if not data:
+        raise InvalidFile(f"{file.name}: the file is empty")
+    return data
+
+
+def _finite_rows(shape: Shape) -> Shape:
+    """A cloud without its missing points: sensors write those as NaN."""
+    good = np.isfinite(shape.vertices).all(axis=1)
+    if shape.normals is not None:
+        good &= np.isfinite(shape.normals).all(axis=1) & (shape.normals != 0).any(axis=1)
+    if good.all():
+        return shape
+    remark = f"{int((~good).sum())} points that are not finite, or have no normal, were dropped"
+    normals = None if shape.normals is None else shape.normals[good]
+    return Shape(shape.vertices[good], None, normals, (*shape.remarks, remark))
+
+
+def _by_trimesh(data: bytes, kind: str) -> Shape:
+    scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
+    vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
+    for part in scene.geometry.values():
+        points = np.asarray(part.vertices, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise BadText(f"expected 3 coordinates a point, got shape {points.shape}")
+        vertices.append(points)
+        triangles = getattr(part, "faces", None)
+        if triangles is not None:
+            faces.append(np.asarray(triangles, dtype=np.int64).reshape(-1, 3) + start)
+        start += len(points)
+    return Shape(np.concatenate(vertices), np.concatenate(faces), None)
+
+
+def _stl(data: bytes) -> Shape:
+    count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
+    if not (count and len(data) >= 84 + 50 * count):
+        if not data.lstrip()[:5].lower() == b"solid":
+            raise BadText(f"expected {84 + 50 * count} bytes of binary STL, got {len(data)}: is it cut short?")
+        if b"endsolid" not in data[-4096:].lower():
+            raise BadText("expected 'endsolid' at the end: is it cut short?")
+        data = _plain(data)
+    return _with_faces(_by_trimesh(data, "stl"))
+
+
+def _obj(data: bytes) -> Shape:
+    return _with_faces(_by_trimesh(_plain(data), "obj"))
+
+
+def _plain(data: bytes) -> bytes:
+    """Text whose comments may be in any encoding, as UTF-8."""
+    return data.decode("latin-1").encode("utf-8")
+
+
+def _with_faces(shape: Shape) -> Shape:
+    if shape.faces is None or not len(shape.faces):
+        raise BadText("expected triangles, got none")
+    return shape
+
+
+def _ply(data: bytes) -> Shape:
+    geometry = trimesh.load(io.BytesIO(data), file_type="ply", process=False, skip_materials=True)
+    elements: dict[str, Any] = geometry.metadata.get("_ply_raw", {})
+    vertex = elements.get("vertex", {}).get("data")
+    if vertex is None:
+        raise BadText("expected an element 'vertex', got none")
+    for name, element in elements.items():
+        found = _rows(element.get("data"))
+        if name in ("vertex", "face") and found != element["length"]:
+            raise BadText(f"expected {element['length']} rows of '{name}', got {found}: is it cut short?")
+    columns = _columns(vertex, ("x", "y", "z"))
+    if columns is None:
+        raise BadText("expected the vertex properties x, y, z")
+    faces = getattr(geometry, "faces", None)
+    if faces is not None and len(faces):
+        return Shape(columns, np.asarray(faces, dtype=np.int64), None)
+    return Shape(columns, None, _columns(vertex, ("nx", "ny", "nz")))
+
+
+def _rows(data: Any) -> int:
+    """How many rows a PLY element came with: trimesh keeps a dict of columns or a structured array."""
+    if data is None:
+        return 0
+    if isinstance(data, dict):
+        return len(next(iter(data.values()))) if data else 0
+    return len(data)
+
+
+def _columns(table: Any, names: tuple[str, ...]) -> Array | None:
+    """(k, 3) of the named columns, or None where one is missing."""
+    have = table.keys() if isinstance(table, dict) else (table.dtype.names or ())
+    if not all(name in have for name in names):
+        return None
+    return np.stack([np.asarray(table[name], dtype=np.float64).reshape(-1) for name in names], axis=1)
+
+
+def _off(data: bytes) -> Shape:
+    vertices, normals, faces = off_shape(data)
+    return Shape(vertices, faces if len(faces) else None, normals)
+
+
+def _pcd(data: bytes) -> Shape:
+    columns = pcd_columns(data)
+    points = _named(columns, ("x", "y", "z"))
+    if points is None:
+        raise BadText(f"expected the fields x y z, got {' '.join(columns)}")
+    return Shape(points, None, _named(columns, ("normal_x", "normal_y", "normal_z")))
+
+
+def _named(columns: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array | None:
+    if not all(name in columns for name in names):
+        return None
+    return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
+
+
+def _xyz(data: bytes) -> Shape:
+    rows = number_rows(data)
+    if rows.shape[1] not in (3, 6):
+        raise BadText(f"expected 3 or 6 columns, got {rows.shape[1]}")
+    return Shape(rows[:, :3], None, rows[:, 3:] if rows.shape[1] == 6 else None)
+
+
+READERS: dict[str, Callable[[bytes], Shape]] = {
+    ".stl": _stl,
+    ".obj": _obj,
+    ".ply": _ply,
+    ".off": _off,
+    ".pcd": _pcd,
+    ".xyz": _xyz,
+}
+"""Extension to reader; a new format is a new line."""

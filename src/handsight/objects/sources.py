@@ -1,0 +1,92 @@
+"""Objects from meshes, clouds and files: read, repaired, their fields built or remembered."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.errors import InvalidObject
+from handsight.objects import cache
+from handsight.objects.build import Made, diameter
+from handsight.objects.cloud import cloud_fields, cloud_from
+from handsight.objects.field import GridField
+from handsight.objects.files import read_shape
+from handsight.objects.grid import Fields
+from handsight.objects.mesh import mesh_fields
+from handsight.objects.repair import repaired
+from handsight.objects.surface import Faces
+
+_KEPT = {"coarse", "coarse_grid", "fine", "fine_grid", "closed", "remarks"}
+
+
+def made_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Made:
+    """The object of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject."""
+    mesh, remarks = repaired(vertices, faces)
+    size = diameter(mesh.vertices)
+    fields = _remembered("mesh", lambda: mesh_fields(mesh, size), mesh.vertices, mesh.faces)
+    return _made(mesh, mesh.vertices, mesh.faces, fields, remarks)
+
+
+def made_of_points(points: ArrayLike, normals: ArrayLike | None) -> Made:
+    """The object of surface points (n, 3) [m], with outward normals or None; raises InvalidInput, InvalidObject."""
+    array = checks.finite(points, "points", (None, 3))
+    directions = None
+    if normals is not None:
+        directions = checks.unit(normals, "normals", (len(array), 3))
+    cloud, remarks = cloud_from(array, directions)
+    size = diameter(cloud.points)
+    fields = _remembered("cloud", lambda: cloud_fields(cloud, size), cloud.points, cloud.normals)
+    return _made(cloud, cloud.points, np.empty((0, 3), dtype=np.int64), fields, remarks)
+
+
+def made_of_file(path: str | os.PathLike[str], scale: float) -> Made:
+    """The object in a file whose unit is `scale` metres; raises InvalidFile and InvalidObject."""
+    shape = read_shape(path)
+    try:
+        if shape.faces is None:
+            made = made_of_points(scale * shape.vertices, shape.normals)
+        else:
+            made = made_of_mesh(scale * shape.vertices, shape.faces)
+    except InvalidObject as error:
+        raise InvalidObject(f"{Path(path).name}: {error}") from None
+    remarks = tuple(f"{Path(path).name}: {remark}" for remark in (*shape.remarks, *made.remarks))
+    return dataclasses.replace(made, name=Path(path).stem, remarks=remarks)
+
+
+def _made(surface, vertices: Array, faces: Faces, fields: Fields, remarks: tuple[str, ...]) -> Made:  # type: ignore
+    return Made(
+        "",
+        surface,
+        vertices,
+        faces,
+        fields.fine,
+        coarse=fields.coarse,
+        closed=fields.closed,
+        remarks=(*remarks, *fields.remarks),
+    )
+
+
+def _remembered(kind: str, build: Callable[[], Fields], points: Array, second: np.ndarray) -> Fields:  # type: ignore
+    """The fields from the cache, or built and put there."""
+
+    def arrays() -> cache.Arrays:
+        fields = build()
+        return {
+            "coarse": fields.coarse.values,
+            "coarse_grid": np.append(fields.coarse.origin, fields.coarse.cell),
+            "fine": fields.fine.values,
+            "fine_grid": np.append(fields.fine.origin, fields.fine.cell),
+            "closed": np.array(fields.closed),
+            "remarks": np.array(fields.remarks, dtype=np.str_),
+        }
+
+    kept = cache.remembered(cache.key(kind, "", points, second), _KEPT, arrays)
+    coarse, fine = (
+        GridField(kept[f"{k}_grid"][:3], float(kept[f"{k}_grid"][3]), kept[k]) for k in ("coarse", "fine")
+    )
+    return Fields(coarse, fine, bool(kept["closed"]), tuple(str(remark) for remark in kept["remarks"]))
