@@ -220,8 +220,8 @@ def weights_judged(rows):
         best = {name: f"{m.min():.1f} at {W_N_CM[m.argmin()]:g} cm" for name, m in mean.items()}
         (a, *_, b), (c, *_, d) = mean["normal_deg"], mean["distance_mm"]
         text = (
-            f"From w_n = {W_N_CM[0]} to {W_N_CM[-1]} cm the normals' angle goes from {a:.1f} to {b:.1f}° (least "
-            f"{best['normal_deg']}), the distance from {c:.2f} to {d:.2f} mm; least RME [mm]: "
+            f"From w_n = {W_N_CM[0]} to {W_N_CM[-1]} cm the normals' angle goes from {a:.1f} to {b:.1f}° "
+            f"(least {best['normal_deg']}), the distance from {c:.2f} to {d:.2f} mm; least RME [mm]: "
             f"{best['rme_mm']}; least MAE [°]: {best['mae_deg']}."
         )
         claim = f"b {shape}: a larger w_n fits the normals better and the distances worse"

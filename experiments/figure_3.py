@@ -6,8 +6,8 @@ with 2 cm per axis and 20° of error and four exact contacts. One picture may fl
 the one whose error with the paper's method is the median of all, and the table has the mean of all.
 
 `surface` is how far a point of the object's surface is on average from where it truly is, so of everything
-that a picture shows; modulo the object's symmetry, which no picture shows. `contacts` is the same of the four
-points touched (Table I's RME).
+that a picture shows; modulo the object's symmetry, so the truth is drawn, too, at the equivalent pose nearest
+to the answer. `contacts` is the same of the four points touched (Table I's RME).
 """
 
 import numpy as np
@@ -123,7 +123,8 @@ def draw(options, models, table, path):
 def draw_clouds(axes, model, scene, T_result):
     """Clouds with outlines; green is drawn wider, so that yellow upon it shows where they coincide."""
     cloud, normals = model.sample(SHOWN)
-    poses = (scene.vision.T_palm_object, scene.T_palm_object, T_result)
+    T_near = scenes.nearest_truth(model, scene.T_palm_object, T_result)
+    poses = (scene.vision.T_palm_object, T_near, T_result)
     report.frame_3d(axes, np.vstack([se3.apply(T, cloud) for T in poses]))
     axes.computed_zorder = False
     for k, (T, color, width) in enumerate(zip(poses, COLOURS, WIDTHS, strict=True)):

@@ -163,6 +163,11 @@ def say(text: str) -> None:
     console.print(wrapped, markup=False, highlight=False, soft_wrap=True)
 
 
+def wrote(path: Path) -> None:
+    """Prints the name of a file, never wrapped."""
+    _console().print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+
+
 def verdict(claim: str, holds: bool | None, numbers: str) -> dict[str, str]:
     """Prints a claim with its outcome; the same as a row for a CSV file. None: the numbers do not decide."""
     outcome = {True: "confirmed", False: "NOT confirmed", None: "not decided by so few trials"}[holds]
@@ -182,7 +187,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
         writer.writeheader()
         for row in rows:
             writer.writerow({key: f"{v:.6g}" if isinstance(v, float) else v for key, v in row.items()})
-    say(f"wrote {path}")
+    wrote(path)
 
 
 def pyplot() -> Any:
@@ -203,7 +208,7 @@ def save_figure(figure: Any, path: Path) -> None:
     """Writes the figure as PNG, closes it, and says so."""
     figure.savefig(path, dpi=140)
     pyplot().close(figure)
-    say(f"wrote {path}")
+    wrote(path)
 
 
 def frame_3d(

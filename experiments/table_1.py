@@ -78,6 +78,7 @@ def trial(model, scene, method, normals):
         "open_directions": len(open_directions),
         "seconds": seconds,
         "converged": int(estimate.converged),
+        "rejected": len(estimate.outliers),
     }
 
 
@@ -186,6 +187,10 @@ def findings(rows):
             f"{shape}: handsight with normals, of what contacts observe, MAE ≤ 0.5°, RME ≤ 0.02 cm, ≤ 15 its"
         )
         found.append(report.verdict(claim, holds, text))
+        rejected = values(rows, shape, "handsight with normals", "rejected")
+        text = f"{rejected.sum()} of {4 * len(rejected)} were."
+        claim = f"{shape}, handsight with normals: no exact contact is rejected as an outlier"
+        found.append(report.verdict(claim, not rejected.any(), text))
     return found
 
 

@@ -9,8 +9,8 @@ and 5 cm in a random direction, with 5, 10 and 15 degrees about a random axis; t
 All forty have one and the same true pose, so each problem is first moved by a random rigid motion: nothing
 that starts at a fixed pose can profit.
 
-  position   distance [cm] of the origin of the object's frame (about the middle of the object) from the truth,
-             as those authors measure it; not modulo symmetry
+  position   distance [cm] of the origin of the object's frame (about the object's middle) from the truth, as
+             those authors measure it; not modulo symmetry
   ADI        mean distance [mm] from the object's points at the answer to its surface at the truth
   AUC        area under the share of ADIs below a threshold, from 0 to 2 cm [%]
   covered    share of problems in which the truth, modulo symmetry, is inside the 95 % region of some mode
@@ -106,7 +106,7 @@ def errors(thing, Ts, T_true, whose):
     return {f"{whose}_position_cm": 100 * position, f"{whose}_adi_mm": 1000 * adi}
 
 
-WHOSE = {"vision": "vision itself", "best": "best-weighted mode", "five": "closest of five modes"}
+WHOSE = {"vision": "vision", "best": "best mode", "five": "closest of five"}
 
 
 def print_scores(rows):
@@ -128,7 +128,7 @@ def print_scores(rows):
                     *(of_modes if whose == "best" else ("", "")),
                 ]
             )
-    columns = ["position [cm]: median (quartiles)", "mean±se", "ADI [mm]: median (quartiles)", "mean±se"]
+    columns = ["position, cm: median (quartiles)", "mean±se", "ADI, mm: median (quartiles)", "mean±se"]
     report.print_table(
         f"Position of the object's origin and ADI, {len(ycb_problems(rows))} problems",
         ["vision: answer", *columns, "AUC", "covered", "consistent"],
@@ -158,7 +158,7 @@ def print_objects(rows):
         cells += [f"{np.median(report.values(mine, f'{w}_adi_mm')):.1f}" for w in ("best", "five")]
         cells += [f"{report.values(mine, c).mean():.1f}" for c in ("modes", "weight", "seconds")]
         lines.append([name, *cells])
-    columns = ["position [cm]", "of five", "ADI [mm]", "of five", "modes", "weight of the best", "seconds"]
+    columns = ["position, cm", "of five", "ADI, mm", "of five", "modes", "weight of the best", "seconds"]
     report.print_table("Blind, by object: medians of 4 problems", ["object", *columns], lines)
 
 

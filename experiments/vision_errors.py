@@ -1,9 +1,9 @@
 """Real vision errors, corrected by a few touches: CosyPose, PoseCNN, AAE and PoseCNN+ICP on YCB-Video.
 
-2666 views of seven objects in six recorded sequences, as each of four published estimators saw them, with true
-poses: real images, real estimators, real truth. The touches are SYNTHETIC: three or five points drawn over
-the object's surface (samples made by others), put at the true pose, with 1 mm and 5° of noise per axis. All
-estimators get the same touches in the same frame. An object that was not detected is skipped and counted.
+2666 views of seven objects in six recorded sequences, as each of four published estimators saw them, with
+true poses: real images, real estimators, real truth. The touches are SYNTHETIC: three or five points drawn
+over the object's surface (samples made by others), put at the true pose, with 1 mm and 5° of noise per axis.
+All estimators get the same touches in the same frame. An object that was not detected is skipped and counted.
 
 How far an estimator may be wrong is learnt from its errors on the other objects, never on the one corrected,
 by one rule for all four: along the axes of the viewing ray, since a camera knows depth worst, four sigmas
@@ -36,7 +36,7 @@ AUC_LIMIT, WORSE, FLIP = 0.10, 1.0, 90.0
 
 
 def ray_axes(Ts_camera_object):
-    """Rotations (..., 3, 3) whose third column is the direction in which the camera sees the object's origin."""
+    """Rotations (..., 3, 3) whose third column points from the camera to the object's origin."""
     z = Ts_camera_object[..., :3, 3] / np.linalg.norm(Ts_camera_object[..., :3, 3], axis=-1, keepdims=True)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
@@ -44,7 +44,7 @@ def ray_axes(Ts_camera_object):
 
 
 def errors_along_ray(model, Ts_vision, Ts_true):
-    """(n, 6) shift [m] and turn [rad] from vision's pose to the truth, modulo symmetry, along the ray's axes."""
+    """(n, 6) shift [m] and turn [rad] from vision to the truth, modulo symmetry, along the ray's axes."""
     delta = se3.difference(scenes.nearest_truth(model, Ts_true, Ts_vision), Ts_vision)
     R = ray_axes(Ts_vision)
     return np.concatenate([np.einsum("nji,nj->ni", R, part) for part in np.split(delta, 2, axis=1)], axis=1)
@@ -143,9 +143,9 @@ def print_sigmas(sigmas):
         lines.append([label, *cells])
     report.print_table(
         "Prior sigmas per axis, learnt on the other objects (range over the object left out)",
-        ["estimator", "across the ray [mm]", "along it [mm]", "tilt [°]", "roll [°]"],
+        ["estimator", "across the ray, mm", "along it, mm", "tilt, °", "roll, °"],
         lines,
-        f"One rule for all: the {100 * ONE_SIGMA:.0f} % quantile of |error|, every object with the same weight.",
+        f"One rule for all: the {100 * ONE_SIGMA:.0f} % quantile of |error|; every object counts the same.",
     )
 
 
@@ -170,7 +170,7 @@ def print_estimators(rows):
             worse = f"{100 * worsened(some).mean():.1f} %"
             lines.append([f"  and {n} touches", *scores(report.values(some, "after_mm")), worse, flips, ""])
     report.print_table(
-        "ADD-S [mm]: real vision, SYNTHETIC touches",
+        "ADD-S in mm: real vision, SYNTHETIC touches",
         ["", "median (quartiles)", "mean", "90 %", "AUC", f"worse by > {WORSE:.0f} mm", "flips", "poses"],
         lines,
     )
@@ -207,7 +207,7 @@ def print_objects(rows):
                 cells.append(f"{before:.1f} -> {after:.1f} ({100 * worsened(some).mean():.0f} %)")
             lines.append([f"{name}, {n} touches" if n == COUNTS[0] else f"{' ' * len(name)}  {n}", *cells])
     report.print_table(
-        f"By object: median ADD-S [mm] before -> after (share of poses worse by > {WORSE:.0f} mm)",
+        f"By object: median ADD-S in mm, before -> after (share of poses worse by > {WORSE:.0f} mm)",
         ["object", *ycb.ESTIMATORS],
         lines,
     )

@@ -62,7 +62,7 @@ class YcbObject:
     """Of SURFACE points."""
 
     def closest_point_error(self, T_hat, T_true):
-        """ADD-S, or ADI [m]: mean distance from the object's points at one pose to its surface at the other."""
+        """ADD-S, or ADI [m]: mean distance from the points at one pose to the surface at the other."""
         moved = se3.apply(se3.inverse(T_true) @ T_hat, self.queries_object)
         return float(self.tree.query(moved)[0].mean())
 

@@ -74,7 +74,14 @@ def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEst
     if problem.vision is not None:
         Ts = nearest(model.symmetries, Ts, problem.vision.T_palm_object, model.radius)
     informations, by_touch, chi2, costs = two_phase.posterior(problem, Ts, used)
-    ranked = modes.hypotheses(model, Ts, informations, costs, blind=problem.vision is None)
+    ranked = modes.hypotheses(
+        model,
+        Ts,
+        informations,
+        costs,
+        lambda poses: two_phase.posterior(problem, poses, used)[3],
+        blind=problem.vision is None,
+    )
     best = ranked[0]
     k = int(np.flatnonzero((Ts == best.T_palm_object).all(axis=(1, 2)))[0])
     estimate = PoseEstimate(

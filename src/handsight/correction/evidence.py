@@ -15,6 +15,13 @@ from handsight.checks import Array, Mask
 from handsight.objects import Field, ObjectModel, Symmetries
 
 
+EYE_6 = np.eye(6)
+EDGE = 0.75
+"""Radius of curvature [coarse cells] below which the surface counts as an edge."""
+LEAST_ROUGH = (1e-4, 2e-3)
+"""No model is better than this: of its place [diameters] and of its normal [rad]."""
+
+
 class Evidence(Protocol):
     """One source of evidence about the pose."""
 
@@ -37,6 +44,8 @@ class Surface:
     """(K, n, 3, 3) derivative of the normal by the point [1/m]."""
     lever: Array
     """(K, n, 3) from the object's origin to the point [m]."""
+    points_object: Array
+    """(K, n, 3) the points in the object's frame [m]."""
 
 
 def surface_at(field: Field, points_palm: Array, Ts_palm_object: Array) -> Surface:
@@ -44,7 +53,8 @@ def surface_at(field: Field, points_palm: Array, Ts_palm_object: Array) -> Surfa
     R = Ts_palm_object[:, :3, :3]
     Rt = R.transpose(0, 2, 1)
     lever = points_palm - Ts_palm_object[:, None, :3, 3]
-    values = field.evaluate((lever @ R).reshape(-1, 3))
+    points_object = lever @ R
+    values = field.evaluate(points_object.reshape(-1, 3))
     gradient = values.gradient.reshape(lever.shape) @ Rt
     hessian = R[:, None] @ values.hessian.reshape(*lever.shape, 3) @ Rt[:, None]
     slope = np.maximum(np.sqrt((gradient * gradient).sum(axis=-1)), 1e-9)[..., None]
@@ -52,7 +62,8 @@ def surface_at(field: Field, points_palm: Array, Ts_palm_object: Array) -> Surfa
     # d(g/|g|) = (I - n nᵀ) dg / |g|
     along = (normal[..., None, :] @ hessian) * normal[..., None]
     curvature = (hessian - along) / slope[..., None]
-    return Surface(values.distance.reshape(lever.shape[:2]), gradient, normal, curvature, lever)
+    distance = values.distance.reshape(lever.shape[:2])
+    return Surface(distance, gradient, normal, curvature, lever, points_object)
 
 
 def contact_distance(surface: Surface) -> tuple[Array, Array]:
@@ -65,7 +76,8 @@ def contact_distance(surface: Surface) -> tuple[Array, Array]:
 def contact_normal(surface: Surface, normals_palm: Array) -> tuple[Array, Array]:
     """Surface normal minus contact normal (K, n, 3), and derivatives (K, n, 3, 6) with the curvature's part."""
     by_rotation = surface.curvature @ se3.skew(surface.lever) - se3.skew(surface.normal)
-    return surface.normal - normals_palm, np.concatenate([-surface.curvature, by_rotation], axis=-1)
+    jacobian = np.concatenate([-surface.curvature, by_rotation], axis=-1)
+    return surface.normal - normals_palm, jacobian
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +93,8 @@ class Touch:
     """(n,) bool."""
     covariance: Array
     """(n, 6, 6) of point and normal, the model's own roughness excluded."""
-    roughness: tuple[float, float]
-    """The surface's own standard deviation per axis: of its place [m] and of its normal [rad]."""
-    sharp: float
-    """Curvature [1/m] from which the surface counts as an edge."""
+    model: ObjectModel
+    """Whose roughness and edges count."""
     used: Mask
     """(K or 1, n) bool: the contacts that count, per pose."""
     whitening: Array | None = None
@@ -114,8 +124,9 @@ class Touch:
 
     def edges(self, surface: Surface) -> Mask:
         """(K, n): where the surface bends as sharply as an edge, and the contact's normal tells the face."""
+        sharp = 1 / (EDGE * self.model.coarse.cell)
         bend = (surface.curvature * surface.curvature).sum(axis=(-1, -2))
-        return np.asarray((bend > self.sharp**2) & self.has_normal)
+        return np.asarray((bend > sharp**2) & self.has_normal)
 
     def without(self, surface: Surface, edge: Mask) -> Surface:
         """The surface with a plane along the contact's normal in place of edges.
@@ -166,10 +177,10 @@ class Touch:
         by_point_normal[..., 1:, :3] = surface.curvature
         by_point_normal[..., 1:, 3:] = -np.eye(3)
         S = by_point_normal @ self.covariance @ by_point_normal.swapaxes(-1, -2)
-        rough_point, rough_normal = self.roughness
-        S[..., 0, 0] += rough_point**2
-        S[..., 1:, 1:] += rough_normal**2 * np.eye(3)
-        tangential = np.trace(S[..., 1:, 1:], axis1=-2, axis2=-1) / 2
+        by_place = variances(self.model, surface.points_object.reshape(-1, 3)).reshape(K, n, 2)
+        S[..., 0, 0] += by_place[..., 0]
+        S[..., 1:, 1:] += by_place[..., 1, None, None] * np.eye(3)
+        tangential = (S[..., 1, 1] + S[..., 2, 2] + S[..., 3, 3]) / 2
         along = self.normals_palm[:, :, None] * self.normals_palm[:, None, :]
         S[..., 1:, 1:] += tangential[..., None, None] * along
         S[..., 1:, 1:] += np.where(self.has_normal, 0.0, 1.0)[:, None, None] * np.eye(3)
@@ -203,8 +214,8 @@ class Vision:
             by_turn = se3.left_jacobian_inverse(turn)
         else:
             turn, by_turn = swing(self.R_palm_object @ self.axis_object, R @ self.axis_object)
-        jacobian = np.zeros((len(R), 6, 6))
-        jacobian[:, (0, 1, 2), (0, 1, 2)] = 1.0
+        jacobian = np.empty((len(R), 6, 6))
+        jacobian[:] = EYE_6
         jacobian[:, :3, 3:] = -se3.skew(arm)
         jacobian[:, 3:, 3:] = by_turn
         error = np.concatenate([Ts_palm_object[:, :3, 3] + arm - self.pivot_palm, turn], axis=-1)
@@ -277,6 +288,9 @@ def cross(a: Array, b: Array) -> Array:
     return np.asarray((se3.skew(a) @ b[..., None])[..., 0])
 
 
-def roughness(model: ObjectModel) -> tuple[float, float]:
-    """The model's own standard deviations (point [m], normal [rad]), never below what its field resolves."""
-    return max(model.sigma_point, 1e-4 * model.diameter), max(model.sigma_normal, 2e-3)
+def variances(model: ObjectModel, points_object: Array) -> Array:
+    """(n, 2) the model's own, of distance [m²] and of normal per axis [rad²]; never below LEAST_ROUGH."""
+    least = np.array([(LEAST_ROUGH[0] * model.diameter) ** 2, LEAST_ROUGH[1] ** 2])
+    if model.roughness is None:
+        return np.broadcast_to(least, (len(points_object), 2))
+    return model.roughness.variances(points_object) + least

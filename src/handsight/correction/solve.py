@@ -12,6 +12,7 @@ from handsight import se3
 from handsight.checks import Array, Indices, Mask
 from handsight.correction.evidence import Evidence, cross
 
+EYE_3, EYE_6 = np.eye(3), np.eye(6)
 MAX_TURN = 0.7
 """Longest turn of one step [rad]: beyond it the linearisation says nothing."""
 MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
@@ -86,9 +87,8 @@ class Chart:
         """Hessian (K, 6, 6) and gradient (K, 6) by (τ, radius ω), and cost (K,)."""
         residuals, jacobian = stacked(terms, Ts_palm_object)
         # δp = τ + ω × (p - c), δθ = ω
-        D = np.zeros((len(Ts_palm_object), 6, 6))
-        D[:, (0, 1, 2), (0, 1, 2)] = 1.0
-        D[:, (3, 4, 5), (3, 4, 5)] = 1 / self.radius
+        D = np.empty((len(Ts_palm_object), 6, 6))
+        D[:] = np.diag([1.0] * 3 + [1 / self.radius] * 3)
         D[:, :3, 3:] = se3.skew((self.center_palm - Ts_palm_object[:, :3, 3]) / self.radius)
         return normal_equations(residuals, jacobian @ D)
 
@@ -96,7 +96,7 @@ class Chart:
         """The poses (K, 4, 4) after steps (K, 6); the turn by Cayley's map, which needs no sine."""
         half = steps[:, 3:] / (2 * self.radius)
         S = se3.skew(half)
-        turn = np.eye(3) + (2 / (1 + (half * half).sum(axis=1)))[:, None, None] * (S + S @ S)
+        turn = EYE_3 + (2 / (1 + (half * half).sum(axis=1)))[:, None, None] * (S + S @ S)
         T = Ts_palm_object.copy()
         T[:, :3, 3] -= self.center_palm
         T[:, :3] = turn @ T[:, :3]
@@ -106,7 +106,7 @@ class Chart:
     def damped_step(self, H: Array, g: Array, damping: Array) -> Array:
         """Levenberg-Marquardt steps (K, 6), their turn at most MAX_TURN; what nothing observes stays."""
         trace = np.einsum("kii->k", H)
-        damped = H + ((damping + 1e-12) * trace)[:, None, None] * np.eye(6)
+        damped = H + ((damping + 1e-12) * trace)[:, None, None] * EYE_6
         steps = -np.linalg.solve(damped, g[..., None])[..., 0]
         turn = np.sqrt((steps[:, 3:] ** 2).sum(axis=1)) / self.radius
         return np.asarray(steps * (MAX_TURN / np.maximum(turn, MAX_TURN))[:, None])

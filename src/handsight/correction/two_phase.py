@@ -11,7 +11,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
-from handsight.correction.evidence import Evidence, Outside, Touch, Vision, roughness, surface_at, vision
+from handsight.correction.evidence import Evidence, Outside, Touch, Vision, surface_at, vision
 from handsight.correction.solve import Chart, Descent, Matches, Samples, descend, match, normal_equations, stacked
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
@@ -19,8 +19,6 @@ from handsight.objects import Field, ObjectModel
 COARSE_STEPS, FINE_STEPS = 3, 25
 COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
-EDGE = 0.75
-"""Radius of curvature [coarse cells] below which the surface counts as an edge."""
 KEPT, KEPT_BLIND = 24, 64
 """Candidates that go on from the coarse field to the fine one."""
 CANDIDATE_APART = (0.002, np.deg2rad(2.0))
@@ -64,16 +62,15 @@ class Problem:
 
     def touch(self, surface: Field, used: Mask) -> Touch:
         """The contacts as evidence; `used` (K or 1, n) says which count for which pose."""
-        c, model = self.contacts, self.model
+        c = self.contacts
         return Touch(
             surface,
             c.points_palm,
             c.normals_palm,
             c.has_normal,
             c.covariance,
-            roughness=roughness(model),
-            sharp=1 / (EDGE * model.coarse.cell),
-            used=used,
+            self.model,
+            used,
         )
 
     def held(self) -> list[Evidence]:

@@ -1,5 +1,6 @@
 """What every object model measures on its surface, whatever the surface came from."""
 
+import contextlib
 import warnings
 from dataclasses import dataclass
 from typing import Any
@@ -9,15 +10,30 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 from handsight.checks import Array
+from handsight.errors import InvalidObject
 from handsight.objects.field import Field, GridField
 from handsight.objects.grid import coarse_grid
+from handsight.objects.roughness import roughness
 from handsight.objects.surface import Faces, Surface, spread
 
+SMALLEST, LARGEST = 1e-6, 1e6
+"""Sizes outside these [m] are refused."""
 SMALL, LARGE = 0.005, 2.0
 """A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
 ROUGHNESS_SAMPLES = 2000
 # The median of |x| over a standard deviation, and of the length of a vector of two such.
 _MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
+
+
+def check_extent(points: Array, name: str) -> float:
+    """The largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
+    with np.errstate(over="ignore"):
+        extent = float(np.ptp(points, axis=0).max())
+    if extent == 0:
+        raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
+    if not SMALLEST <= extent <= LARGEST or np.abs(points).max() > LARGEST:
+        raise InvalidObject(f"{name}: expected a size of {SMALLEST:g} to {LARGEST:g} m, got {extent:.4g}")
+    return extent
 
 
 class ObjectWarning(UserWarning):
@@ -46,13 +62,14 @@ def measured(made: Made, samples: int) -> dict[str, Any]:
     bounds = np.stack([made.vertices.min(axis=0), made.vertices.max(axis=0)])
     size = diameter(made.vertices)
     points, normals = spread(made.surface, samples)
-    sigma_point, sigma_normal = roughness(made.surface, made.fine)
+    sigma_point, sigma_normal = typical_roughness(made.surface, made.fine)
+    coarse = made.coarse or sampled(made.fine, bounds, size)
     remarks = (*made.remarks, *unit_remarks(bounds))
     for remark in remarks:
         warnings.warn(remark, ObjectWarning, stacklevel=4)
     return {
         "name": made.name,
-        "coarse": made.coarse or sampled(made.fine, bounds, size),
+        "coarse": coarse,
         "fine": made.fine,
         "points_object": frozen(points),
         "normals_object": frozen(normals),
@@ -62,6 +79,7 @@ def measured(made: Made, samples: int) -> dict[str, Any]:
         "closed": made.closed,
         "sigma_point": sigma_point,
         "sigma_normal": sigma_normal,
+        "roughness": roughness(made.surface, made.fine, bounds, coarse.cell) if made.coarse else None,
         "vertices": frozen(made.vertices),
         "faces": made.faces,
         "remarks": remarks,
@@ -84,18 +102,16 @@ def sampled(exact: Field, bounds: Array, size: float) -> GridField:
 
 def diameter(points: Array) -> float:
     """The largest distance between two of the points (n, 3) [m]."""
-    try:
+    with contextlib.suppress(QhullError):  # flat
         points = points[ConvexHull(points).vertices]
-    except QhullError:  # flat
-        pass
-    if len(points) > 3000:  # a ball's hull: the extremes along many directions miss by less than a thousandth
+    if len(points) > 2000:  # a ball's hull: extremes along many directions miss by less than a thousandth
         direction = np.random.default_rng(0).normal(size=(1500, 3))
         along = points @ (direction / np.linalg.norm(direction, axis=1, keepdims=True)).T
         points = points[np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))]
     return float(pdist(points).max())
 
 
-def roughness(surface: Surface, fine: Field) -> tuple[float, float]:
+def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
     """Standard deviations of the fine field on the surface: distance [m] and normal per axis [rad].
 
     By medians, so that edges, which the field rounds off, do not speak for the faces.
@@ -112,7 +128,12 @@ def unit_remarks(bounds: Array) -> tuple[str, ...]:
     extent = float((bounds[1] - bounds[0]).max())
     if SMALL <= extent <= LARGE:
         return ()
-    for unit, scale in (("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("kilometres", 1000.0)):
+    for unit, scale in (
+        ("millimetres", 0.001),
+        ("centimetres", 0.01),
+        ("inches", 0.0254),
+        ("kilometres", 1000.0),
+    ):
         if SMALL < extent * scale < LARGE / 4:
             return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
     return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

@@ -1,7 +1,7 @@
 """Distance fields kept on disk, so that an object is built once.
 
-Under `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`; each file is named by the
-hash of what it was computed from. Losing the folder costs time, nothing else.
+Under `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`; each file is named by
+the hash of what it was computed from. Losing the folder costs time, nothing else.
 """
 
 import contextlib
@@ -12,6 +12,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ VERSION = 1
 """Raise it whenever the same geometry gives other fields."""
 KEPT = 200
 """Files; the oldest go first."""
-Arrays = dict[str, NDArray[np.generic]]
+Arrays = dict[str, NDArray[Any]]
 _warned: set[str] = set()
 
 
@@ -35,7 +36,7 @@ def folder() -> Path:
     return Path(os.path.expanduser("~")) / ".cache" / "handsight"
 
 
-def key(kind: str, parameters: str, *arrays: NDArray[np.generic]) -> str:
+def key(kind: str, parameters: str, *arrays: NDArray[Any]) -> str:
     """The name under which what is computed from these is kept."""
     digest = hashlib.sha256(f"{VERSION} {kind} {parameters}".encode())
     for array in arrays:
@@ -61,7 +62,9 @@ def remembered(name: str, names: set[str], compute: Callable[[], Arrays]) -> Arr
         if str(path.parent) not in _warned:
             _warned.add(str(path.parent))
             detail = error.strerror or error
-            message = f"{path.parent}: distance fields cannot be cached there ({detail}); each run builds them"
+            message = (
+                f"{path.parent}: distance fields cannot be cached there ({detail}); each run builds them"
+            )
             warnings.warn(message, ObjectWarning, stacklevel=2)
     return arrays
 
@@ -82,10 +85,9 @@ def _store(path: Path, arrays: Arrays) -> None:
         with os.fdopen(handle, "wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
         os.replace(temporary, path)
-    except BaseException:
+    finally:  # still there only where that failed
         with contextlib.suppress(OSError):
             os.unlink(temporary)
-        raise
     _forget_oldest(path.parent)
 
 

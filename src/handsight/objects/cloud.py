@@ -8,10 +8,12 @@ not removed: each point given is taken for surface.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from handsight.checks import Array
 from handsight.errors import InvalidObject
+from handsight.objects.build import check_extent
 from handsight.objects.grid import Fields, Grid, grids, interpolated
 from handsight.objects.normals import LEAST_POINTS, estimated_normals
 from handsight.objects.winding import Winding
@@ -63,9 +65,7 @@ def cloud_from(points: Array, normals: Array | None) -> tuple[Cloud, tuple[str, 
     remarks: list[str] = []
     if len(points) < LEAST_POINTS:
         raise InvalidObject(f"points: expected at least {LEAST_POINTS} points, got {len(points)}")
-    extent = float(np.ptp(points, axis=0).max())
-    if extent == 0:
-        raise InvalidObject("points: expected an object with a size, got all points in one place")
+    extent = check_extent(points, "points")
     keys = np.round((points - points.min(axis=0)) / (_SAME_POINT * extent)).astype(np.int64)
     first = np.sort(np.unique(keys, axis=0, return_index=True)[1])
     if len(first) < len(points):
@@ -78,7 +78,6 @@ def cloud_from(points: Array, normals: Array | None) -> tuple[Cloud, tuple[str, 
     tree = cKDTree(points)
     if normals is None:
         normals = estimated_normals(points, tree)
-        remarks.append("normals were estimated from neighbouring points")
     reach = tree.query(points, k=AREA_NEIGHBOURS + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     return Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5)), tuple(remarks)
@@ -110,7 +109,7 @@ def _winds(cloud: Cloud, winding: Winding) -> bool:
     return bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
 
 
-def _largest_gap(grid: Grid, gap: Array, inside: np.typing.NDArray[np.bool_]) -> float:
+def _largest_gap(grid: Grid, gap: Array, inside: NDArray[np.bool_]) -> float:
     """The width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
     largest = 0.0
     cube, sign = gap.reshape(grid.shape), inside.reshape(grid.shape)
@@ -125,7 +124,7 @@ def _largest_gap(grid: Grid, gap: Array, inside: np.typing.NDArray[np.bool_]) ->
 
 
 def _distances(cloud: Cloud, tree: cKDTree, nodes: Array, winding: Winding | None) -> Array:
-    """Signed distances (n,) [m] of the nodes; without a winding number, by the normal of the nearest point."""
+    """Signed distances (n,) [m] of the nodes; without a winding number, by the nearest point's normal."""
     k = min(PLANES, len(cloud.points))
     gap, index = tree.query(nodes, k=k)
     near = gap[:, 0]

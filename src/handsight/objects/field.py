@@ -1,7 +1,7 @@
 """Signed distance to a surface, with gradient and Hessian: where contacts meet the object.
 
-Distances [m] are negative inside. The gradient is the outward normal where the field is exact, and shorter where
-a smooth one blends over an edge; the Hessian carries the surface's curvature.
+Distances [m] are negative inside. The gradient is the outward normal where the field is exact, and shorter
+where a smooth one blends over an edge; the Hessian carries the surface's curvature.
 """
 
 from dataclasses import dataclass, field
@@ -46,7 +46,7 @@ WEIGHTS = POWERS @ SPLINE
 class GridField:
     """A field sampled on a grid and read through a cubic B-spline, which smooths it by about a cell.
 
-    The smoothing is wanted: edges become round, facets of curved objects disappear, and solvers see a curvature.
+    The smoothing is wanted: edges become round, facets of curved objects disappear, solvers see a curvature.
     Outside the grid the field goes on linearly.
     """
 

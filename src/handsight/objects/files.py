@@ -113,7 +113,9 @@ def _stl(data: bytes) -> Shape:
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     if not (count and len(data) >= 84 + 50 * count):
         if not data.lstrip()[:5].lower() == b"solid":
-            raise BadText(f"expected {84 + 50 * count} bytes of binary STL, got {len(data)}: is it cut short?")
+            raise BadText(
+                f"expected {84 + 50 * count} bytes of binary STL, got {len(data)}: is it cut short?"
+            )
         if b"endsolid" not in data[-4096:].lower():
             raise BadText("expected 'endsolid' at the end: is it cut short?")
         data = _plain(data)

@@ -35,7 +35,6 @@ class Grid:
         """(n, 3) positions [m] of the nodes with these places in the flat order."""
         return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
 
-
     def field(self, values: Array) -> GridField:
         """The smooth field of these distances (nx ny nz,) [m] at the nodes."""
         return GridField(self.origin, self.cell, values.reshape(self.shape).astype(np.float32))

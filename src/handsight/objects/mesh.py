@@ -19,8 +19,8 @@ from handsight.objects.winding import Winding
 BAND = 4
 """Fine nodes within this many cells of the surface carry exact distances."""
 LARGEST_HOLE = 0.25
-"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is wide,
-inside and outside are a guess, and past a quarter that would be most of the object."""
+"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
+wide, inside and outside are a guess, and past a quarter that would be most of the object."""
 CLOSED_SHARE = 0.95
 SAMPLES_PER_CELL = 2.0
 LINK_MARGINS = (1.1, 1.5, np.inf)
@@ -100,7 +100,7 @@ class ByWinding(Side):
         speakers = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
         asked, which = np.unique(speakers, return_inverse=True)
         inside = (self.winding.at(points[asked]) > 0.5)[which].reshape(speakers.shape)
-        return inside[:, 0], inside.all(axis=1) | ~inside.any(axis=1)
+        return inside[:, 0], np.asarray(inside.all(axis=1) | ~inside.any(axis=1))
 
 
 class ByNormal(Side):

@@ -12,9 +12,10 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import primitives
-from handsight.objects.build import Made, measured
+from handsight.objects.build import LARGEST, SMALLEST, Made, measured
 from handsight.objects.exact import BoxField, CylinderField, SphereField
 from handsight.objects.field import Field, FieldValues, GridField
+from handsight.objects.roughness import Roughness
 from handsight.objects.sources import made_of_file, made_of_mesh, made_of_points
 from handsight.objects.surface import Faces, Rounded, Surface
 from handsight.objects.symmetry import Symmetries
@@ -25,14 +26,14 @@ SAMPLES = 256
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObjectModel:
-    """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh` or `from_points`."""
+    """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`."""
 
     name: str
     """What it is called in plots; a file's stem. May be empty."""
     coarse: GridField
     """Smooth distance field, cells of an 18th of the diameter: from far away it leads further."""
     fine: Field
-    """Sharp distance field: exact for box, cylinder and sphere, else a grid of a quarter of the coarse cell."""
+    """Sharp distance field: exact for box, cylinder, sphere; else a grid of a quarter of the coarse cell."""
     points_object: Array
     """(256, 3) surface points, evenly spread [m]."""
     normals_object: Array
@@ -50,7 +51,9 @@ class ObjectModel:
     sigma_point: float
     """Roughness of the fine field: one standard deviation of its distance at surface points [m]."""
     sigma_normal: float
-    """One standard deviation per axis of the angle between the surface's normals and the fine field's [rad]."""
+    """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
+    roughness: Roughness | None
+    """The same place by place; None where the fine field is exact."""
     vertices: Array
     """(k, 3) for drawing [m]; a cloud's points."""
     faces: Faces
@@ -80,6 +83,7 @@ class ObjectModel:
         sides = checks.finite(size, "size", (3,))
         if not (sides > 0).all():
             raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
+        _check_range(sides, "size")
         triangles = primitives.box_triangles(sides / 2)
         made = Made("box", triangles, triangles.vertices, triangles.faces, BoxField(sides / 2))
         return cls._from(made, symmetries or primitives.box_symmetries(sides))
@@ -88,7 +92,10 @@ class ObjectModel:
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """A cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
         radius, height = checks.positive(radius, "radius"), checks.positive(height, "height")
-        triangles, exact = primitives.cylinder_triangles(radius, height / 2), CylinderField(radius, height / 2)
+        _check_range(radius, "radius")
+        _check_range(height, "height")
+        triangles = primitives.cylinder_triangles(radius, height / 2)
+        exact = CylinderField(radius, height / 2)
         made = Made("cylinder", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
         return cls._from(made, symmetries or primitives.cylinder_symmetries())
 
@@ -96,12 +103,15 @@ class ObjectModel:
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
         radius = checks.positive(radius, "radius")
+        _check_range(radius, "radius")
         triangles, exact = primitives.sphere_triangles(radius), SphereField(radius)
         made = Made("sphere", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
         return cls._from(made, symmetries or primitives.sphere_symmetries())
 
     @classmethod
-    def from_mesh(cls, vertices: ArrayLike, faces: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
+    def from_mesh(
+        cls, vertices: ArrayLike, faces: ArrayLike, *, symmetries: Symmetries | None = None
+    ) -> Self:
         """The object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
 
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
@@ -113,10 +123,10 @@ class ObjectModel:
     def from_points(
         cls, points: ArrayLike, normals: ArrayLike | None = None, *, symmetries: Symmetries | None = None
     ) -> Self:
-        """The object whose surface the points (n, 3) [m] lie on; outward normals (n, 3) of any length, or None.
+        """The object whose surface the points (n, 3) [m] lie on.
 
-        Normals not given are estimated. Outliers are not removed. Raises InvalidInput for numbers that are
-        not finite, InvalidObject below 20 different points.
+        `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
+        InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
         return cls._from(made_of_points(points, normals), symmetries or Symmetries())
 
@@ -126,14 +136,15 @@ class ObjectModel:
     ) -> Self:
         """The object in a file: a mesh (STL, OBJ, PLY, OFF) or a cloud (PLY or OFF without faces, PCD, XYZ).
 
-        `scale`: metres per unit of the file. Raises InvalidFile where it cannot be read and InvalidObject where
-        it holds no surface, both starting with the file's name.
+        `scale`: metres per unit of the file. Raises InvalidFile where it cannot be read and InvalidObject
+        where it holds no surface, both starting with the file's name.
         """
         scale = checks.positive(scale, "scale")
         return cls._from(made_of_file(path, scale), symmetries or Symmetries())
 
     @classmethod
     def _from(cls, made: Made, symmetries: Symmetries) -> Self:
+        _check_symmetries(symmetries)
         return cls(**measured(made, SAMPLES), symmetries=symmetries, _surface=made.surface)
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
@@ -149,4 +160,17 @@ class ObjectModel:
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""
+        _check_symmetries(symmetries)
         return dataclasses.replace(self, symmetries=symmetries)
+
+
+def _check_range(value: ArrayLike, name: str) -> None:
+    """In other units than any that were meant, squares overflow."""
+    if np.min(value) < SMALLEST or np.max(value) > LARGEST:
+        expected = f"expected metres between {SMALLEST:g} and {LARGEST:g}"
+        raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
+
+
+def _check_symmetries(symmetries: object) -> None:
+    if not isinstance(symmetries, Symmetries):
+        raise InvalidInput(f"symmetries: expected Symmetries or None, got {type(symmetries).__name__}")

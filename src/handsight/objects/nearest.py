@@ -43,7 +43,7 @@ class NearestPoint:
         self._beside = neighbours(mesh.faces)
 
     def feet(self, points: Array, within: float = np.inf) -> tuple[Feet, Faces]:
-        """The nearest surface points of the points (n, 3) that lie within [m] of a sample, and which these are.
+        """The nearest surface points of those points (n, 3) within [m] of a sample, and which these are.
 
         From the triangles of the nearest samples over their neighbours, as long as that leads nearer. Where
         two sheets are closer to each other than the samples are, it may end on the wrong one: too far by a

@@ -57,7 +57,9 @@ def box_symmetries(size: Array) -> Symmetries:
         i, j = (k + 1) % 3, (k + 2) % 3
         if abs(size[i] - size[j]) <= _SIDES_EQUAL * max(size[i], size[j]):
             turns.append(np.pi / 2 * np.eye(3)[k])
-    return Symmetries(rotations=se3.compose(se3.rotation_exp(np.array(turns)).round(), np.zeros((len(turns), 3))))
+    return Symmetries(
+        rotations=se3.compose(se3.rotation_exp(np.array(turns)).round(), np.zeros((len(turns), 3)))
+    )
 
 
 def cylinder_symmetries() -> Symmetries:

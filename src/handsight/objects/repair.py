@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 
 from handsight.checks import Array
 from handsight.errors import InvalidObject
+from handsight.objects.build import check_extent
 from handsight.objects.surface import Faces, Triangles
 from handsight.objects.topology import consistent, pieces
 from handsight.objects.winding import Winding
@@ -33,7 +34,9 @@ def repaired(vertices: ArrayLike, faces: ArrayLike) -> tuple[Triangles, tuple[st
     if turned:
         remarks.append(f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours")
     if not orientable:
-        remarks.append("the surface has one side only somewhere: its triangles cannot all agree on what is outside")
+        remarks.append(
+            "the surface has one side only somewhere: its triangles cannot all agree on what is outside"
+        )
     mesh = _facing_out(Triangles(points, triangles), remarks)
     return mesh, tuple(remarks)
 
@@ -49,7 +52,9 @@ def _arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, Faces]:
     if triangles.size == 0:
         raise InvalidObject("faces: expected at least one triangle, got none")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-        raise InvalidObject(f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}")
+        raise InvalidObject(
+            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
+        )
     if triangles.min() < 0 or triangles.max() >= len(points):
         raise InvalidObject(
             f"faces: expected indices 0 to {len(points) - 1}, got {triangles.min()} to {triangles.max()}"
@@ -60,7 +65,7 @@ def _arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, Faces]:
 def _referenced(points: Array, triangles: Faces, remarks: list[str]) -> tuple[Array, Faces]:
     """Only vertices that triangles use; those must be finite."""
     used = np.unique(triangles)
-    finite = np.isfinite(points).all(axis=1)
+    finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():
         bad = int(used[~finite[used]][0])
         raise InvalidObject(f"vertices[{bad}]: expected 3 finite numbers, got {points[bad].tolist()}")
@@ -73,9 +78,7 @@ def _referenced(points: Array, triangles: Faces, remarks: list[str]) -> tuple[Ar
 
 def _merged(points: Array, triangles: Faces) -> tuple[Array, Faces]:
     """Equal vertices as one: STL, and OBJ with texture, repeat them for every triangle."""
-    extent = float(np.ptp(points, axis=0).max())
-    if extent == 0:
-        raise InvalidObject("vertices: expected an object with a size, got all vertices in one point")
+    extent = check_extent(points, "vertices")
     keys = np.round((points - points.min(axis=0)) / (_SAME_POINT * extent)).astype(np.int64)
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     # In the order they came, so that a mesh without doubles stays as it is.

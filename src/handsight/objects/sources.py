@@ -4,9 +4,10 @@ import dataclasses
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
 from handsight.checks import Array
@@ -19,7 +20,7 @@ from handsight.objects.files import read_shape
 from handsight.objects.grid import Fields
 from handsight.objects.mesh import mesh_fields
 from handsight.objects.repair import repaired
-from handsight.objects.surface import Faces
+from handsight.objects.surface import Faces, Surface
 
 _KEPT = {"coarse", "coarse_grid", "fine", "fine_grid", "closed", "remarks"}
 
@@ -33,7 +34,7 @@ def made_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Made:
 
 
 def made_of_points(points: ArrayLike, normals: ArrayLike | None) -> Made:
-    """The object of surface points (n, 3) [m], with outward normals or None; raises InvalidInput, InvalidObject."""
+    """The object of surface points (n, 3) [m], normals outward or None; InvalidInput, InvalidObject."""
     array = checks.finite(points, "points", (None, 3))
     directions = None
     if normals is not None:
@@ -58,7 +59,7 @@ def made_of_file(path: str | os.PathLike[str], scale: float) -> Made:
     return dataclasses.replace(made, name=Path(path).stem, remarks=remarks)
 
 
-def _made(surface, vertices: Array, faces: Faces, fields: Fields, remarks: tuple[str, ...]) -> Made:  # type: ignore
+def _made(surface: Surface, vertices: Array, faces: Faces, fields: Fields, remarks: tuple[str, ...]) -> Made:
     return Made(
         "",
         surface,
@@ -71,10 +72,11 @@ def _made(surface, vertices: Array, faces: Faces, fields: Fields, remarks: tuple
     )
 
 
-def _remembered(kind: str, build: Callable[[], Fields], points: Array, second: np.ndarray) -> Fields:  # type: ignore
+def _remembered(kind: str, build: Callable[[], Fields], points: Array, second: NDArray[Any]) -> Fields:
     """The fields from the cache, or built and put there."""
 
     def arrays() -> cache.Arrays:
+        """What is kept of the fields."""
         fields = build()
         return {
             "coarse": fields.coarse.values,

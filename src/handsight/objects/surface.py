@@ -88,9 +88,8 @@ class Rounded:
 def spread(surface: Surface, n: int, seed: int = 0) -> tuple[Array, Array]:
     """n points (n, 3) [m] with normals (n, 3), evenly apart and each for about the same area.
 
-    The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the draw
-    nearest the middle of those it stands for. Normals count too, so that the two sides of a thin wall are kept
-    apart.
+    The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the middle
+    of those it stands for. Normals count too, so that the two sides of a thin wall are kept apart.
     """
     points, normals = surface.draw(CROWD * n, np.random.default_rng(seed))
     spacing = np.sqrt(surface.area / n)
@@ -108,7 +107,7 @@ def spread(surface: Surface, n: int, seed: int = 0) -> tuple[Array, Array]:
 
 
 def _farthest(features: Array, n: int) -> Faces:
-    """Indices of n rows, each the farthest from those before it; the first is the farthest from the middle."""
+    """Indices of n rows, each the farthest from those before it; the first from the middle."""
     middle = features.mean(axis=0)
     index = np.empty(n, dtype=np.int64)
     index[0] = ((features - middle) ** 2).sum(axis=1).argmax()

@@ -30,7 +30,7 @@ def edges_of(faces: Faces) -> Edges:
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     ordered = np.sort(directed, axis=1)
     size = int(faces.max()) + 1 if len(faces) else 1
-    keys, first, which, count = np.unique(
+    _, first, which, count = np.unique(
         ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
     )
     forward = directed[:, 0] < directed[:, 1]
@@ -61,7 +61,7 @@ def neighbours(faces: Faces) -> Faces:
 
 
 def consistent(faces: Faces) -> tuple[Faces, int, bool]:
-    """Triangles turned so that neighbours agree, how many were turned, and whether all neighbours could agree.
+    """Triangles turned so that neighbours agree, how many were turned, and whether all could agree.
 
     Each triangle stands twice in a graph, as it is and turned; neighbours that agree are linked side to side,
     others crosswise. What is connected to a triangle "as it is" is how its neighbours must stand.

@@ -4,6 +4,8 @@ Barill, Dickson, Schmidt, Levin and Jacobson 2018, "Fast winding numbers for sou
 patch acts as one dipole, its area vector at its centre; near by every triangle counts with its solid angle.
 """
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +25,7 @@ class Winding:
     """The winding number of a triangle mesh or of an oriented cloud, at any points."""
 
     def __init__(self, centers: Array, area_vectors: Array, corners: Array | None = None) -> None:
-        """`centers` (m, 3) [m], `area_vectors` (m, 3) outward [m²]; `corners` (m, 3, 3) of triangles, or a cloud."""
+        """`centers` (m, 3) [m], `area_vectors` (m, 3) outward [m²]; `corners` (m, 3, 3) of triangles."""
         order, self._starts = _patches(centers)
         self._centers, self._vectors = centers[order], area_vectors[order]
         self._corners = None if corners is None else corners[order]
@@ -80,7 +82,7 @@ class Winding:
         if self._corners is not None:
             close = np.flatnonzero(gap < FAR_TRIANGLE * self._reach[element])
             angle[close] = _solid_angles(self._corners[element[close]] - points[point[close], None])
-        return np.bincount(point, angle, minlength=len(points))
+        return np.asarray(np.bincount(point, angle, minlength=len(points)), dtype=np.float64)
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -91,11 +93,11 @@ def _slices(sizes: NDArray[np.int64]) -> list[slice]:
     """Runs of patches with about as many elements as fit in memory at once."""
     cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // _PAIRS)) + 1
     edges = [0, *cuts.tolist(), len(sizes)]
-    return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+    return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
 
 def _solid_angles(corners: Array) -> Array:
-    """Signed solid angles (m,) of triangles (m, 3, 3) seen from the origin (Van Oosterom and Strackee 1983)."""
+    """Signed solid angles (m,) of triangles (m, 3, 3) seen from the origin (Oosterom, Strackee 1983)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     la, lb, lc = (np.sqrt(_dot(v, v)) for v in (a, b, c))
     volume = _dot(a, np.cross(b, c))

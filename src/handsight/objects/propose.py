@@ -1,0 +1,209 @@
+"""Symmetries that an object's geometry suggests; whether its print breaks them is for a person to say."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.objects.model import ObjectModel
+from handsight.objects.symmetry import Symmetries, about
+
+ORDERS = (8, 6, 5, 4, 3, 2)
+TOLERANCE = 0.01
+"""Of the diameter."""
+SAMPLES = 400
+FAR_OFF = 0.06
+"""Of the diameter: a root mean square distance from which no refinement leads to a symmetry."""
+ALIKE = 0.15
+"""Principal moments within this part of each other leave the axes between them open."""
+STEPS = 6
+BETWEEN = 150
+"""Directions tried on the half sphere where no axis is distinguished."""
+WORST = 98
+"""Per cent of the samples must be within the tolerance: the field rounds off what a few see."""
+_SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axis:
+    point: Array
+    direction: Array
+    order: int
+
+
+def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Symmetries:
+    """The rotations that take the surface onto itself to within `tolerance` [m] nearly everywhere.
+
+    Default tolerance: 1 % of the diameter. Tried are rotations of order 2, 3, 4, 5, 6, 8 and any angle about
+    the axes of inertia and, where those are not unique, about axes between them; found are the cyclic and
+    dihedral groups, those of the tetrahedron and the cube, the cylinder and the ball. This declares nothing:
+    `model.with_symmetries(...)` does. Raises InvalidInput for a tolerance that is not positive.
+    """
+    limit = TOLERANCE * model.diameter if tolerance is None else checks.positive(tolerance, "tolerance")
+    judge = _Judge(model, limit)
+    if judge.round():
+        return Symmetries([(judge.center, axis) for axis in np.eye(3)])
+    directions = judge.directions()
+    for direction in directions:
+        axis = judge.continuous(direction)
+        if axis is not None:
+            return judge.of_revolution(axis)
+    axes: list[_Axis] = []
+    for direction in directions:
+        if not any(abs(direction @ a.direction) > 0.999 for a in axes):
+            found = judge.finite(direction)
+            if found is not None and not any(abs(found.direction @ a.direction) > 0.98 for a in axes):
+                axes.append(found)
+    return judge.group(axes)
+
+
+class _Judge:
+    """Turns the object's samples and looks how far they end from its surface."""
+
+    def __init__(self, model: ObjectModel, tolerance: float) -> None:
+        self.points, _ = model.sample(SAMPLES)
+        many, _ = model.sample(4000, seed=1)
+        self.center = many.mean(axis=0)
+        self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
+        self.field, self.size = model.fine, model.diameter
+        self.limit = tolerance + self.worst(np.eye(4))
+
+    def worst(self, T: Array) -> float:
+        """The distance [m] that nearly all samples keep to after `T`."""
+        return float(np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), WORST))
+
+    def round(self) -> bool:
+        """Whether every turn about the centre keeps the surface."""
+        if self.moments[0] < (1 - ALIKE) * self.moments[2]:
+            return False
+        vectors = np.random.default_rng(5).normal(size=(24, 3))
+        return all(self.worst(about(self.center, v)) < self.limit for v in vectors)
+
+    def directions(self) -> Array:
+        """Directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
+        sure = np.vstack([self.principal.T[::-1], np.eye(3)])
+        low, middle, high = self.moments
+        if low > (1 - ALIKE) * high:
+            k = np.arange(BETWEEN) + 0.5
+            z, angle = k / BETWEEN, np.pi * (1 + np.sqrt(5)) * k
+            r = np.sqrt(1 - z * z)
+            return np.vstack([sure, np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)])
+        for i, j, alike in ((0, 1, low > (1 - ALIKE) * middle), (1, 2, middle > (1 - ALIKE) * high)):
+            if alike:
+                angle = np.pi * np.arange(48)[:, None] / 48
+                between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
+                sure = np.vstack([sure, between])
+        return sure
+
+    def refined(self, T: Array) -> Array | None:
+        """`T` moved to lay the samples best on the surface; None where they are far from it."""
+        for step in range(STEPS):
+            moved = se3.apply(T, self.points)
+            distance, gradient, _ = self.field.evaluate(moved)
+            if step in (0, 3) and np.sqrt((distance**2).mean()) > FAR_OFF * self.size / (1 + step):
+                return None
+            arm = (moved - T[:3, 3]) / self.size
+            rows = np.hstack([gradient, np.cross(arm, gradient)])
+            # What the surface leaves open stays where it is.
+            normal = rows.T @ rows + 1e-3 * len(rows) * np.diag([0.01] * 3 + [0.001] * 3)
+            change = -np.linalg.solve(normal, rows.T @ distance) / np.repeat([1.0, self.size], 3)
+            T = se3.moved(T, change)
+        return T
+
+    def line(self, T: Array) -> tuple[Array, Array]:
+        """The axis of a rotation: its point nearest to the centre, and its direction."""
+        vector = se3.rotation_log(T[:3, :3])
+        direction = vector / np.linalg.norm(vector)
+        offset = se3.apply(T, self.center[None])[0] - self.center
+        point = np.linalg.lstsq(np.eye(3) - T[:3, :3], offset - (offset @ direction) * direction, rcond=1e-6)[
+            0
+        ]
+        return self.center + point, direction
+
+    def continuous(self, direction: Array) -> tuple[Array, Array] | None:
+        """The axis near that direction about which any turn keeps the surface, if there is one."""
+        T = self.refined(about(self.center, _SPINS[0] * direction))
+        if T is None:
+            return None
+        point, axis = self.line(T)
+        if all(self.worst(about(point, angle * axis)) < self.limit for angle in _SPINS):
+            return point, axis * np.sign(axis @ direction)
+        return None
+
+    def finite(self, direction: Array) -> _Axis | None:
+        """The axis near that direction with the highest order that keeps the surface, if there is one."""
+        for order in ORDERS:
+            T = self.refined(about(self.center, 2 * np.pi / order * direction))
+            if T is None:
+                continue
+            vector = se3.rotation_log(T[:3, :3])
+            if abs(np.linalg.norm(vector) - 2 * np.pi / order) > 0.2 / order:
+                continue
+            point, axis = self.line(T)
+            if self.worst(about(point, 2 * np.pi / order * axis)) < self.limit:
+                return _Axis(point, axis, order)
+        return None
+
+    def of_revolution(self, line: tuple[Array, Array]) -> Symmetries:
+        """The symmetries about a continuous axis: with the half turn that swaps its ends, where it holds."""
+        point, axis = line
+        side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+        side /= np.linalg.norm(side)
+        T = self.refined(about(point, np.pi * side))
+        if T is not None:
+            # Only the height at which it swaps is free.
+            half = point + axis * ((T[:3, 3] + T[:3, :3] @ point - point) @ axis) / 2
+            flip = about(half, np.pi * side)
+            if self.worst(flip) < self.limit:
+                return Symmetries([(half, axis)], flip[None])
+        return Symmetries([line])
+
+    def group(self, axes: list[_Axis]) -> Symmetries:
+        """The largest group of these axes, set exactly at their proper angles, that keeps the surface."""
+        if not axes:
+            return Symmetries()
+        axes = sorted(axes, key=lambda a: -a.order)
+        center = np.mean([a.point for a in axes], axis=0) if len(axes) > 1 else axes[0].point
+        for vectors in (*_polyhedral(axes), *_dihedral(axes), _turns(axes[:1])):
+            found = Symmetries(rotations=about(center, vectors))
+            if all(self.worst(T) < 1.2 * self.limit for T in found.rotations):
+                return found
+        return Symmetries()
+
+
+def _turns(axes: list[_Axis]) -> Array:
+    return np.array([2 * np.pi / a.order * a.direction for a in axes])
+
+
+def _frame(x: Array, near_y: Array) -> Array:
+    """(3, 3) rows at right angles: the first along x, the second near y."""
+    y = near_y - (near_y @ x) * x
+    y = y / np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)])
+
+
+def _polyhedral(axes: list[_Axis]) -> list[Array]:
+    """Generators of the cube's and the tetrahedron's rotations, where the axes have room for them."""
+    by_order = {n: [a for a in axes if a.order % n == 0] for n in (2, 3, 4)}
+    found = []
+    for order in (4, 2):
+        square = by_order[order]
+        pairs = [(a, b) for a in square for b in square if abs(a.direction @ b.direction) < 0.1]
+        if pairs and len(by_order[3]) > 1:
+            frame = _frame(pairs[0][0].direction, pairs[0][1].direction)
+            diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
+            found.append(np.vstack([2 * np.pi / order * frame, diagonal]))
+    return found
+
+
+def _dihedral(axes: list[_Axis]) -> list[Array]:
+    """Generators of an axis with half turns across it."""
+    found = []
+    for main in axes:
+        for across in axes:
+            if across.order % 2 == 0 and abs(across.direction @ main.direction) < 0.1:
+                frame = _frame(main.direction, across.direction)
+                found.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
+                break
+    return found

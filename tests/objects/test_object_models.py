@@ -1,0 +1,216 @@
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+from objects.object_shapes import box_mesh, divided
+from scipy.spatial import cKDTree
+
+from handsight.errors import HandsightError, InvalidInput
+from handsight.objects import ObjectModel, ObjectWarning, Symmetries
+
+SIZE = np.array([0.06, 0.09, 0.14])
+
+
+@pytest.fixture(scope="module")
+def models():
+    box = ObjectModel.from_mesh(*divided(*box_mesh(SIZE), 2))
+    return {
+        "box": ObjectModel.box(SIZE),
+        "cylinder": ObjectModel.cylinder(0.033, 0.115),
+        "sphere": ObjectModel.sphere(0.04),
+        "mesh": box,
+        "cloud": ObjectModel.from_points(*box.sample(2000)),
+    }
+
+
+KINDS = ["box", "cylinder", "sphere", "mesh", "cloud"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "diameter", "area", "extent"),
+    [
+        ("box", np.linalg.norm(SIZE), 2 * (0.06 * 0.09 + 0.06 * 0.14 + 0.09 * 0.14), SIZE),
+        ("mesh", np.linalg.norm(SIZE), 2 * (0.06 * 0.09 + 0.06 * 0.14 + 0.09 * 0.14), SIZE),
+        ("cylinder", np.hypot(0.066, 0.115), 2 * np.pi * 0.033 * (0.033 + 0.115), [0.066, 0.066, 0.115]),
+        ("sphere", 0.08, 4 * np.pi * 0.04**2, [0.08, 0.08, 0.08]),
+    ],
+)
+def test_sizes_are_those_of_the_shape(models, kind, diameter, area, extent):
+    model = models[kind]
+    assert model.diameter == pytest.approx(diameter, rel=1e-9)
+    assert model.radius == pytest.approx(diameter / 2, rel=1e-9)
+    assert model.area == pytest.approx(area, rel=3e-3)
+    assert model.sample_spacing == pytest.approx(np.sqrt(area / 256), rel=3e-3)
+    np.testing.assert_allclose(np.ptp(model.bounds_object, axis=0), extent, rtol=1e-9)
+    np.testing.assert_allclose(model.center_object, 0, atol=1e-12)
+    assert model.closed
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_samples_lie_on_the_surface_with_its_normals(models, kind):
+    model = models[kind]
+    for points, normals in ((model.points_object, model.normals_object), model.sample(500)):
+        values = model.evaluate(points)
+        edge = 1.5e-3 if kind in ("mesh", "cloud") else 1e-12
+        assert np.abs(values.distance).max() < edge
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+        along = (values.gradient * normals).sum(axis=1)
+        assert (along > 0.95).mean() > 0.9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_there_are_256_samples_spread_evenly(models, kind):
+    model = models[kind]
+    assert model.points_object.shape == model.normals_object.shape == (256, 3)
+    gap = cKDTree(model.points_object).query(model.points_object, k=2)[0][:, 1]
+    assert gap.mean() > 0.6 * model.sample_spacing  # half for points thrown at random
+    reach = cKDTree(model.points_object).query(model.sample(5000, seed=9)[0])[0]
+    assert reach.max() < 1.5 * model.sample_spacing
+
+
+def test_samples_fall_on_each_face_by_its_area(models):
+    areas = np.array([0.09 * 0.14, 0.06 * 0.14, 0.06 * 0.09])
+    for kind in ("box", "mesh"):
+        for points, normals in (
+            models[kind].sample(20_000, seed=3),
+            (models[kind].points_object, models[kind].normals_object),
+        ):
+            share = np.array([(np.abs(normals[:, k]) > 0.9).mean() for k in range(3)])
+            np.testing.assert_allclose(share, areas / areas.sum(), atol=0.02)
+            # Within a face too: a quarter of it holds a quarter of the points.
+            face = points[normals[:, 0] > 0.9]
+            quarter = ((face[:, 1] > 0) & (face[:, 2] > 0)).mean()
+            assert quarter == pytest.approx(0.25, abs=0.03 if len(face) > 1000 else 0.06)
+
+
+def test_samples_fall_on_the_wall_and_the_caps_of_a_cylinder_by_their_area(models):
+    points, normals = models["cylinder"].sample(20_000)
+    wall = np.abs(normals[:, 2]) < 0.5
+    assert wall.mean() == pytest.approx(0.115 / (0.115 + 0.033), abs=0.005)
+    np.testing.assert_allclose(np.linalg.norm(points[wall, :2], axis=1), 0.033, rtol=1e-12)
+    # On a cap the square of the radius is uniform.
+    assert (np.linalg.norm(points[~wall, :2], axis=1) ** 2).mean() == pytest.approx(0.033**2 / 2, rel=0.03)
+
+
+def test_the_same_seed_draws_the_same_samples(models):
+    model = models["mesh"]
+    np.testing.assert_array_equal(model.sample(100, seed=4)[0], model.sample(100, seed=4)[0])
+    assert not np.array_equal(model.sample(100, seed=4)[0], model.sample(100, seed=5)[0])
+    again = ObjectModel.from_mesh(model.vertices, model.faces)
+    np.testing.assert_array_equal(again.points_object, model.points_object)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_fields_are_negative_inside_and_positive_outside(models, kind):
+    for fine in (True, False):
+        inner = models[kind].evaluate(np.zeros((1, 3)), fine=fine).distance
+        outer = models[kind].evaluate(np.full((1, 3), 0.08), fine=fine).distance
+        assert inner < -0.02
+        assert outer > 0.02
+
+
+def test_the_coarse_field_has_cells_of_an_18th_of_the_diameter_or_a_quarter_of_the_width(models):
+    assert models["box"].coarse.cell == pytest.approx(models["box"].diameter / 18)
+    assert ObjectModel.cylinder(0.009, 0.12).coarse.cell == pytest.approx(0.018 / 4)
+    assert models["mesh"].fine.cell == pytest.approx(models["mesh"].coarse.cell / 4)
+
+
+def test_a_mesh_of_a_box_agrees_with_the_exact_box(models, rng):
+    points = rng.uniform(-0.08, 0.08, (3000, 3))
+    exact, grid = models["box"].evaluate(points), models["mesh"].evaluate(points)
+    error = np.abs(exact.distance - grid.distance)
+    assert np.percentile(error, 50) < 1e-4
+    assert error.max() < 0.6 * models["mesh"].coarse.cell
+    near = np.abs(exact.distance) < 2 * models["mesh"].fine.cell
+    assert error[near].max() < 0.7 * models["mesh"].fine.cell
+
+
+def test_roughness_is_zero_for_exact_fields_and_a_fraction_of_a_cell_for_facets(models):
+    assert models["box"].sigma_point == 0
+    assert models["box"].sigma_normal < 1e-7
+    for kind in ("mesh", "cloud"):
+        assert models[kind].sigma_point < 0.1 * models["mesh"].fine.cell
+        assert models[kind].sigma_normal < np.deg2rad(2)
+
+
+def test_roughness_of_a_noisy_cloud_is_about_its_noise(models, rng):
+    points, normals = models["box"].sample(4000)
+    noisy = ObjectModel.from_points(points + 5e-4 * rng.normal(size=(len(points), 1)) * normals, normals)
+    assert 2.5e-4 < noisy.sigma_point < 7e-4
+
+
+def test_a_cloud_has_no_faces_and_its_points_for_vertices(models):
+    assert models["cloud"].faces.shape == (0, 3)
+    assert len(models["cloud"].vertices) == 2000
+    assert models["mesh"].faces.shape == (192, 3)
+
+
+def test_a_model_cannot_be_changed(models):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        models["box"].diameter = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        models["box"].points_object[0] = 0
+
+
+def test_symmetries_declared_replace_the_shapes_own():
+    none = Symmetries()
+    assert ObjectModel.box(SIZE, symmetries=none).symmetries is none
+    model = ObjectModel.cylinder(0.03, 0.1)
+    assert model.with_symmetries(none).symmetries is none
+    assert len(model.symmetries.axes) == 1
+    with pytest.raises(InvalidInput, match="symmetries: expected Symmetries or None, got str"):
+        ObjectModel.box(SIZE, symmetries="all")
+    with pytest.raises(InvalidInput, match="symmetries: expected Symmetries or None, got NoneType"):
+        model.with_symmetries(None)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ObjectModel.box((0.1, 0.1)), r"size: expected 3 finite numbers, got \[0.1, 0.1\]"),
+        (lambda: ObjectModel.box((0.1, 0, 0.1)), r"size: expected 3 numbers above 0, got \[0.1, 0.0, 0.1\]"),
+        (lambda: ObjectModel.box((0.1, np.nan, 0.1)), r"size: expected 3 finite numbers"),
+        (lambda: ObjectModel.box((0.1, 1e200, 0.1)), r"size: expected metres between 1e-06 and 1e\+06"),
+        (lambda: ObjectModel.cylinder(-1, 0.1), r"radius: expected a number above 0, got -1"),
+        (lambda: ObjectModel.cylinder(0.1, np.inf), r"height: expected a finite number, got inf"),
+        (lambda: ObjectModel.cylinder(0.1, "tall"), r"height: expected a finite number, got tall"),
+        (lambda: ObjectModel.sphere(0), r"radius: expected a number above 0, got 0"),
+        (lambda: ObjectModel.sphere(1e-200), r"radius: expected metres between"),
+        (lambda: ObjectModel.box(SIZE).sample(0), r"n: expected a whole number above 0, got 0"),
+        (lambda: ObjectModel.box(SIZE).sample(2.5), r"n: expected a whole number above 0, got 2.5"),
+        (lambda: ObjectModel.box(SIZE).evaluate([[0, 0]]), r"points_object: expected finite numbers of shape"),
+    ],
+)
+def test_a_wrong_size_is_named(make, message):
+    with pytest.raises(InvalidInput, match=message) as caught:
+        make()
+    assert isinstance(caught.value, HandsightError)
+
+
+@pytest.mark.parametrize(
+    ("extent", "message"),
+    [
+        (140.0, r"largest extent 140 m: looks like millimetres; try scale=0.001"),
+        (14.0, r"largest extent 14 m: looks like millimetres; try scale=0.001"),
+        (3.0, r"largest extent 3 m: looks like centimetres; try scale=0.01"),
+        (1.4e-4, r"largest extent 0.00014 m: looks like kilometres; try scale=1000"),
+        (1e-5, r"largest extent 1e-05 m: not the size of an object in a hand"),
+    ],
+)
+def test_a_likely_wrong_unit_warns_with_the_likely_factor(extent, message):
+    with pytest.warns(ObjectWarning, match=message):
+        model = ObjectModel.box((extent, extent / 2, extent / 2))
+    assert any(remark.startswith("largest extent") for remark in model.remarks)
+
+
+def test_an_ordinary_object_is_made_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ObjectModel.box(SIZE).remarks == ()
+
+
+def test_a_thin_plate_still_fits_in_memory():
+    model = ObjectModel.box((0.3, 0.2, 0.0005))
+    assert model.coarse.values.size <= 400_000
+    assert np.isfinite(model.coarse.evaluate(model.points_object).distance).all()

@@ -1,0 +1,216 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from objects.object_shapes import prism
+from scipy.optimize import minimize
+
+from handsight import se3
+from handsight.errors import InvalidInput, InvalidTransform
+from handsight.objects import ObjectModel, Symmetries, propose_symmetries
+from handsight.objects.symmetry import about, nearest, tangents
+
+RADIUS = 0.07
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+OFF_AXIS = ((0.02, -0.03, 0.1), (1.0, 2.0, 2.0))
+off_point, off_axis = np.array(OFF_AXIS[0]), np.array(OFF_AXIS[1]) / 3
+across = np.cross(off_axis, [1, 0, 0]) / np.linalg.norm(np.cross(off_axis, [1, 0, 0]))
+GROUPS = {
+    "none": Symmetries(),
+    "box": ObjectModel.box((0.06, 0.09, 0.14)).symmetries,
+    "cube": ObjectModel.box((0.06, 0.06, 0.06)).symmetries,
+    "can": ObjectModel.cylinder(0.03, 0.1).symmetries,
+    "cone": Symmetries([((0, 0, 0), (0, 0, 2))]),
+    "can, origin elsewhere": Symmetries([OFF_AXIS], about(off_point, np.pi * across)[None]),
+    "ball": ObjectModel.sphere(0.04).symmetries,
+    "ball, origin elsewhere": Symmetries([((0.1, 0, 0.02), (1, 0, 0)), ((0.1, 0, 0.02), (1, 1, 0))]),
+}
+each_group = pytest.mark.parametrize("symmetries", GROUPS.values(), ids=GROUPS.keys())
+
+
+def distance(T, T_reference):
+    delta = se3.difference(T, T_reference)
+    return np.sqrt((delta[..., :3] ** 2).sum(axis=-1) + RADIUS**2 * (delta[..., 3:] ** 2).sum(axis=-1))
+
+
+def equivalents(symmetries, T, rng, n=400):
+    """T @ S for many S of the group."""
+    S = symmetries.rotations[rng.integers(len(symmetries.rotations), size=n)]
+    for point, axis in symmetries.axes * 2:
+        S = S @ about(point, rng.uniform(-np.pi, np.pi, (n, 1)) * axis)
+    return T @ S
+
+
+@pytest.mark.parametrize(
+    ("name", "rotations", "axes"),
+    [("none", 1, 0), ("box", 4, 0), ("cube", 24, 0), ("can", 2, 1), ("cone", 1, 1), ("ball", 1, 3)],
+)
+def test_shapes_declare_their_own_symmetries(name, rotations, axes):
+    assert (len(GROUPS[name].rotations), len(GROUPS[name].axes)) == (rotations, axes)
+
+
+def test_a_square_bar_turns_over_in_eight_ways():
+    assert len(ObjectModel.box((0.04, 0.04, 0.15)).symmetries.rotations) == 8
+    assert len(ObjectModel.box((0.04, 0.04 * (1 + 1e-6), 0.15)).symmetries.rotations) == 4
+
+
+@each_group
+def test_discrete_rotations_are_a_group_with_the_identity_first(symmetries):
+    S = symmetries.rotations
+    np.testing.assert_array_equal(S[0], np.eye(4))
+    products = (S[:, None] @ S).reshape(-1, 1, 4, 4)
+    assert (np.abs(products - S).max(axis=(-1, -2)).min(axis=1) < 1e-9).all()
+
+
+@pytest.mark.parametrize("name", ["box", "cube", "can", "ball"])
+def test_symmetries_leave_the_surface_where_it_is(name, rng):
+    models = {
+        "box": ObjectModel.box((0.06, 0.09, 0.14)),
+        "cube": ObjectModel.box((0.06, 0.06, 0.06)),
+        "can": ObjectModel.cylinder(0.03, 0.1),
+        "ball": ObjectModel.sphere(0.04),
+    }
+    points = rng.uniform(-0.1, 0.1, (50, 3))
+    for S in equivalents(GROUPS[name], np.eye(4), rng, 30):
+        moved = models[name].fine.evaluate(se3.apply(S, points)).distance
+        np.testing.assert_allclose(moved, models[name].fine.evaluate(points).distance, atol=1e-12)
+
+
+@each_group
+def test_the_nearest_equivalent_is_no_farther_than_any_other(symmetries, rng):
+    for _ in range(25):
+        T, T_reference = se3.random(rng, 2, spread=0.05)
+        best = nearest(symmetries, T, T_reference, RADIUS)
+        others = distance(equivalents(symmetries, T, rng), T_reference)
+        assert distance(best, T_reference) <= others.min() + 1e-9
+
+
+@each_group
+def test_the_nearest_equivalent_is_one(symmetries, rng):
+    """Its own nearest to T is T itself: the way back is in the group."""
+    Ts = se3.random(rng, 40, spread=0.05)
+    T_reference = se3.random(rng, spread=0.05)
+    best = nearest(symmetries, Ts, T_reference, RADIUS)
+    assert best.shape == Ts.shape
+    np.testing.assert_allclose(distance(nearest(symmetries, best, Ts, RADIUS), Ts), 0, atol=2e-8)
+    np.testing.assert_allclose(best[:, :3, :3] @ best[:, :3, :3].swapaxes(1, 2), np.broadcast_to(np.eye(3), (40, 3, 3)), atol=1e-12)
+
+
+@each_group
+def test_equivalent_poses_have_the_same_nearest(symmetries, rng):
+    T = se3.random(rng, spread=0.05)
+    T_reference = se3.moved(T, np.array([0.01, 0.02, -0.01, 0.3, -0.2, 0.1]))
+    best = nearest(symmetries, equivalents(symmetries, T, rng, 50), T_reference, RADIUS)
+    np.testing.assert_allclose(best, np.broadcast_to(best[0], best.shape), atol=1e-6)
+
+
+@each_group
+def test_a_pose_equivalent_to_the_reference_becomes_it(symmetries, rng):
+    T = se3.random(rng, spread=0.05)
+    best = nearest(symmetries, equivalents(symmetries, T, rng, 60), T, RADIUS)
+    np.testing.assert_allclose(best, np.broadcast_to(T, best.shape), atol=1e-7)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31))
+def test_the_best_spin_is_the_minimum_along_the_axis(seed):
+    rng = np.random.default_rng(seed)
+    symmetries = Symmetries([OFF_AXIS])
+    T, T_reference = se3.random(rng, 2, spread=0.1)
+
+    def cost(angle):
+        return distance(T @ about(off_point, angle * off_axis), T_reference).item() ** 2
+
+    least = min(
+        minimize(lambda a: cost(a[0]), start, method="Nelder-Mead", options={"xatol": 1e-10}).fun
+        for start in np.linspace(-np.pi, np.pi, 7)
+    )
+    assert distance(nearest(symmetries, T, T_reference, RADIUS), T_reference) ** 2 <= least + 1e-12
+
+
+@each_group
+def test_tangents_are_the_derivatives_of_the_continuous_symmetries(symmetries, rng):
+    T = se3.random(rng, spread=0.1)
+    rows = tangents(symmetries, T)
+    assert rows.shape == (len(symmetries.axes), 6)
+    for row, (point, axis) in zip(rows, symmetries.axes, strict=True):
+        numeric = se3.difference(T @ about(point, 1e-6 * axis), T) / 1e-6
+        np.testing.assert_allclose(row, numeric, atol=1e-6)
+
+
+def test_two_crossing_axes_make_a_ball():
+    ball = GROUPS["ball, origin elsewhere"]
+    assert ball.round
+    assert len(ball.axes) == 3
+    np.testing.assert_allclose([point for point, _ in ball.axes], [[0.1, 0, 0.02]] * 3, atol=1e-12)
+
+
+def test_the_same_axis_twice_is_one():
+    assert len(Symmetries([((0, 0, 0), (0, 0, 1)), ((0, 0, 0.3), (0, 0, -2))]).axes) == 1
+
+
+@pytest.mark.parametrize(
+    ("axes", "rotations", "message"),
+    [
+        ([((0, 0, 0), (0, 0, 0))], None, r"axes\[0\].direction: expected a direction, got a zero vector"),
+        ([((0, 0, np.nan), (0, 0, 1))], None, r"axes\[0\].point: expected 3 finite numbers"),
+        ([((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 0, 1))], None, "axes that cross, got two that are parallel"),
+        ([((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 1, 0))], None, "axes that cross, got two that pass"),
+        ([], [about(np.zeros(3), np.array([0, 0, 1.0]))], "expected a finite group, got over 120 products"),
+        ([((0, 0, 0), (0, 0, 1))], [about(np.zeros(3), np.array([np.pi / 2, 0, 0]))], "keep the continuous axis"),
+        ([], [np.diag([1, 1, -1, 1])], "rotations: expected a rotation, got a reflection"),
+    ],
+)  # fmt: skip
+def test_motions_that_are_no_symmetry_group_are_refused(axes, rotations, message):
+    with pytest.raises((InvalidInput, InvalidTransform), match=message):
+        Symmetries(axes, rotations)
+
+
+def proposed(model, tolerance=None):
+    found = propose_symmetries(model, tolerance)
+    return len(found.rotations), len(found.axes)
+
+
+def moved_mesh(vertices, faces, seed=3):
+    T = se3.random(np.random.default_rng(seed), spread=0.03)
+    return ObjectModel.from_mesh(se3.apply(T, np.asarray(vertices)), faces)
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (lambda: ObjectModel.cylinder(0.033, 0.115), (2, 1)),
+        (lambda: ObjectModel.sphere(0.04), (1, 3)),
+        (lambda: ObjectModel.box((0.06, 0.09, 0.14)), (4, 0)),
+        (lambda: ObjectModel.box((0.06, 0.06, 0.06)), (24, 0)),
+        (lambda: ObjectModel.box((0.04, 0.04, 0.15)), (8, 0)),
+        (lambda: moved_mesh(*prism(3)), (6, 0)),
+        (lambda: moved_mesh(*prism(5)), (10, 0)),
+        (lambda: moved_mesh(*prism(8)), (16, 0)),
+        (lambda: moved_mesh(*prism(64)), (2, 1)),
+    ],
+    ids=["can", "ball", "box", "cube", "square bar", "triangle", "pentagon", "octagon", "facets of a can"],
+)
+def test_symmetries_are_found_in_the_shape(model, expected):
+    assert proposed(model()) == expected
+
+
+def test_proposed_symmetries_keep_the_samples_on_the_surface():
+    model = moved_mesh(*prism(3))
+    for S in propose_symmetries(model).rotations:
+        moved = model.evaluate(se3.apply(S, model.points_object)).distance
+        assert np.sqrt((moved**2).mean()) < 0.01 * model.diameter
+
+
+def test_a_shape_without_symmetry_gets_none_proposed():
+    vertices, faces = prism(3)
+    vertices[4] += (0.02, -0.01, 0.015)
+    assert proposed(ObjectModel.from_mesh(vertices, faces)) == (1, 0)
+
+
+def test_a_looser_tolerance_finds_more():
+    model = ObjectModel.box((0.06, 0.063, 0.10))
+    assert proposed(model, 0.001) == (4, 0)
+    assert proposed(model, 0.004) == (8, 0)
+    with pytest.raises(InvalidInput, match="tolerance: expected a number above 0"):
+        propose_symmetries(model, 0.0)
