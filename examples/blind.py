@@ -13,5 +13,7 @@ contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
 estimate = hs.correct_pose(model, contacts)
 for mode in estimate.hypotheses:
     axis = mode.T_palm_object[:3, 2]
-    print(f"weight {mode.weight:.2f}: middle at {np.round(1e3 * mode.T_palm_object[:3, 3])} mm, axis {np.round(axis, 2)}")
+    print(
+        f"weight {mode.weight:.2f}: middle at {np.round(1e3 * mode.T_palm_object[:3, 3])} mm, axis {np.round(axis, 2)}"
+    )
 print(f"{len(estimate.unobservable)} directions open: the can may slide and spin between the fingers")

@@ -9,10 +9,10 @@ contact is moved by 20 to 60 mm in a random direction, or its normal turned by 9
 """
 
 import numpy as np
-import report
-import scenes
 
 import handsight as hs
+import report
+import scenes
 
 OBJECTS = {
     "can": (lambda: hs.ObjectModel.cylinder(**scenes.CAN), scenes.on_can_side),
@@ -70,13 +70,29 @@ def main():
         model = make()
         for e, (label, error) in enumerate(ERRORS.items()):
             trials = report.progress(range(options.trials), f"{name}, {label}")
-            mine = [{"object": name, "error": label, **trial(model, draw, error, options.rng(o, e, k))} for k in trials]
+            mine = [
+                {"object": name, "error": label, **trial(model, draw, error, options.rng(o, e, k))}
+                for k in trials
+            ]
             rows += mine
             table.append(summarised(name, label, mine))
     report.print_table(
         f"Found, of {options.trials} (synthetic)",
-        ["object", "vision off by", "clean", "limit", "solver", "right one rejected", "one moved", "named",
-         "normal turned", "named", "steps", "ms med", "ms p99"],
+        [
+            "object",
+            "vision off by",
+            "clean",
+            "limit",
+            "solver",
+            "right one rejected",
+            "one moved",
+            "named",
+            "normal turned",
+            "named",
+            "steps",
+            "ms med",
+            "ms p99",
+        ],
         table,
         "limit / solver: misses that are information limits / failures of the solver. one moved, normal turned: "
         f"share found with one wrong contact. {report.machine()}",
@@ -106,7 +122,13 @@ def draw_figure(rows, path):
     figure, axes = plt.subplots(figsize=(8.4, 3.4), layout="constrained")
     cases = list(dict.fromkeys((row["object"], row["error"]) for row in rows))
     keys = ["clean", "moved", "turned", "moved named", "turned named"]
-    labels = ["clean", "one contact moved", "one normal turned", "the moved one named", "the turned one named"]
+    labels = [
+        "clean",
+        "one contact moved",
+        "one normal turned",
+        "the moved one named",
+        "the turned one named",
+    ]
     colours = ["#2e9e4f", "#e6b400", "#c26a00", "0.55", "0.75"]
     for k, (key, label, colour) in enumerate(zip(keys, labels, colours, strict=True)):
         shares = [np.mean([r[key] for r in rows if (r["object"], r["error"]) == case]) for case in cases]

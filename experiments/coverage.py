@@ -8,12 +8,12 @@ degrees of freedom as the information has directions. YCB meshes are used where 
 """
 
 import numpy as np
-import report
-import scenes
-import ycb
 from scipy.special import chdtri
 
 import handsight as hs
+import report
+import scenes
+import ycb
 from handsight import se3
 from handsight.objects.symmetry import nearest
 

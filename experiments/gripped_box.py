@@ -10,10 +10,10 @@ not fix it: the maximum of the density ends at the interval's end, its mean in t
 """
 
 import numpy as np
-import report
-import scenes
 
 import handsight as hs
+import report
+import scenes
 from handsight import se3
 from handsight.objects.symmetry import nearest
 
@@ -67,7 +67,12 @@ def main():
             estimate, seconds = report.timed(
                 lambda s=samples: hs.correct_pose(model, contacts, vision=vision, samples=s)  # noqa: B023
             )
-            row = {"trial": k, "answer": answer, **errors(model, estimate.T_palm_object, T), "ms": 1e3 * seconds}
+            row = {
+                "trial": k,
+                "answer": answer,
+                **errors(model, estimate.T_palm_object, T),
+                "ms": 1e3 * seconds,
+            }
             axis = T[:3, 0]
             row["sigma_slide"] = 1e3 * np.sqrt(axis @ estimate.covariance[:3, :3] @ axis)
             rows.append(row)

@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scenes import BOX, CAN, tilted
 
 from handsight import se3
+from scenes import BOX, CAN, tilted
 
 FOLDER = Path(__file__).parent.parent / "src/handsight/data"
 NOISE_POINT, NOISE_NORMAL_DEG = 0.001, 4.0
@@ -26,7 +26,7 @@ def can_grasp():
 
 def box_grasp():
     """Three fingers and the thumb on opposite faces, the little finger under the box."""
-    x, y, z = np.array(BOX) / 2
+    _, y, z = np.array(BOX) / 2
     points = [[-0.012, y, 0.02], [0.0, y, -0.01], [0.014, y, -0.035], [0.005, -y, -0.01], [0.01, 0.02, -z]]
     return np.array(points), np.array([[0, 1.0, 0], [0, 1, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]])
 

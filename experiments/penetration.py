@@ -2,17 +2,17 @@
 
 Two fingers and a thumb grip a box across its 90 mm side, or a can across its diameter; vision is off by 60 mm and
 15 degrees (root mean square). The hand is simple and synthetic: each finger a capsule of 8 mm radius and 50 mm
-length that touches at its contact and leans back to the palm, a plate 10 mm behind the object. Points that would
-lie inside the true object are not used. Contacts have 1 mm and 4 degrees of noise per axis, the hand's points 1 mm. Depth: of the deepest
+length that touches at its contact and leans back to the palm, a plate 10 mm behind the object. Points that
+would lie inside the true object are not used. Contacts have 1 mm and 4 degrees of noise per axis, the hand's points 1 mm. Depth: of the deepest
 hand point inside the object at the corrected pose, zero where none is inside (noise alone leaves 1 to 2 mm).
 Flagged: the answer says the evidence does not fit; without outside evidence it cannot know of the hand.
 """
 
 import numpy as np
-import report
-import scenes
 
 import handsight as hs
+import report
+import scenes
 from handsight import se3
 
 RADIUS, LENGTH, RINGS, AROUND = 0.008, 0.050, 7, 10
@@ -92,9 +92,22 @@ def main():
             rows += [{"object": name, "trial": k, **r} for r in trial(model, half, flat, options.rng(o, k))]
     report.print_table(
         f"Deepest hand point inside the object, {options.trials} grips each (synthetic)",
-        ["object", "evidence", "depth median mm", "p99 mm", f"> {1e3 * DEEP:.0f} mm", "of these flagged",
-         "shift mm", "turn °", "ms"],
-        [summarised(name, evidence, rows) for name in objects for evidence in ("contacts", "contacts + outside")],
+        [
+            "object",
+            "evidence",
+            "depth median mm",
+            "p99 mm",
+            f"> {1e3 * DEEP:.0f} mm",
+            "of these flagged",
+            "shift mm",
+            "turn °",
+            "ms",
+        ],
+        [
+            summarised(name, evidence, rows)
+            for name in objects
+            for evidence in ("contacts", "contacts + outside")
+        ],
         "shift and turn: mean error of the pose, ± one standard error.",
     )
     report.write_csv(options.output / "penetration.csv", rows)
@@ -119,8 +132,12 @@ def draw_figure(rows, path):
     figure, panels = plt.subplots(1, len(names), figsize=(8, 3.4), sharey=True, layout="constrained")
     for axes, name in zip(panels, names, strict=True):
         for evidence, colour in (("contacts", report.INITIAL), ("contacts + outside", report.TRUTH)):
-            depth = np.sort([r["depth_mm"] for r in rows if r["object"] == name and r["evidence"] == evidence])
-            axes.plot(depth, (np.arange(len(depth)) + 1) / len(depth), color=colour, label=evidence, linewidth=2)
+            depth = np.sort(
+                [r["depth_mm"] for r in rows if r["object"] == name and r["evidence"] == evidence]
+            )
+            axes.plot(
+                depth, (np.arange(len(depth)) + 1) / len(depth), color=colour, label=evidence, linewidth=2
+            )
         axes.set_title(name)
         axes.set_xlabel("deepest hand point inside the object [mm]")
     panels[0].set_ylabel("share of grips")

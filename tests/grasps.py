@@ -39,7 +39,7 @@ def can_contacts():
     return 0.033 * normals + height[:, None] * [0, 0, 1], normals
 
 
-def grasp(points_object, normals_object, seed, *, noise=1.0, error=(0.02, np.deg2rad(15))):
+def grasp(points_object, normals_object, seed, *, noise=1.0, error=(0.02, 0.2618)):
     """(contacts, vision, T_palm_object): noise in sigmas, vision wrong by a draw of its own covariance."""
     rng = np.random.default_rng(seed)
     T = se3.random(rng, spread=0.1)

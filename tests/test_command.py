@@ -110,7 +110,10 @@ NAN = float("nan")
             "contacts[0].point: expected 3 finite numbers, got [nan, 0, 0]",
         ),
         (changed("contacts[0].point", ["a", 0, 0]), "contacts[0].point: expected 3 finite numbers"),
-        (changed("contacts[0].point", [True, 0, 0]), "contacts[0].point: expected 3 finite numbers, got [True, 0, 0]"),
+        (
+            changed("contacts[0].point", [True, 0, 0]),
+            "contacts[0].point: expected 3 finite numbers, got [True, 0, 0]",
+        ),
         (changed("contacts[0].point", [10**400, 0, 0]), "contacts[0].point: expected 3 finite numbers"),
         (changed("contacts[1].point", [1e300, 0, 0]), "contacts[1].point: "),
         (
@@ -150,7 +153,10 @@ NAN = float("nan")
             "vision: expected sigma_position and sigma_rotation_deg or a covariance, got both",
         ),
         (changed("object", {}), "object: expected one of mesh, box, cylinder, got none"),
-        (changed("object", {"box": [0.1, 0.1, -0.1]}), "object.box: expected 3 numbers above 0, got [0.1, 0.1, -0.1]"),
+        (
+            changed("object", {"box": [0.1, 0.1, -0.1]}),
+            "object.box: expected 3 numbers above 0, got [0.1, 0.1, -0.1]",
+        ),
         (changed("object", {"mesh": "no-such-file.ply"}), "object.mesh: "),
         (changed("object", {"box": [0.1, 0.1, 0.1], "scale": 2}), "object.scale: expected beside mesh only"),
         (changed("method", "magic"), "method: expected one of handsight, paper-lm, paper-gd"),

@@ -108,21 +108,21 @@ def correct(
     reader = Reader(Path.cwd() if problems == "-" else Path(problems).parent)
     failed = done = 0
     drawn: list[tuple[Problem, dict[str, Any]]] = []
-    with _source(problems) as source, _sink(output, problems) as sink:
-        with _progress(problems, show=output is not None) as advance:
-            try:
-                for line in _lines(source, whole=problems.endswith(".json")):
-                    answered, problem = answer_line(reader, line)
-                    sink.write(json.dumps(answered, allow_nan=False) + "\n")
-                    sink.flush()
-                    done += 1
-                    failed += problem is None
-                    if plot is not None and problem is not None and len(drawn) < MOST_PANELS:
-                        drawn.append((problem, answered))
-                    advance(len(line))
-            except KeyboardInterrupt:
-                messages.print(f"handsight: stopped after {done} answers; they are written", markup=False)
-                raise typer.Exit(130) from None
+    progress = _progress(problems, show=output is not None)
+    with _source(problems) as source, _sink(output, problems) as sink, progress as advance:
+        try:
+            for line in _lines(source, whole=problems.endswith(".json")):
+                answered, problem = answer_line(reader, line)
+                sink.write(json.dumps(answered, allow_nan=False) + "\n")
+                sink.flush()
+                done += 1
+                failed += problem is None
+                if plot is not None and problem is not None and len(drawn) < MOST_PANELS:
+                    drawn.append((problem, answered))
+                advance(len(line))
+        except KeyboardInterrupt:
+            messages.print(f"handsight: stopped after {done} answers; they are written", markup=False)
+            raise typer.Exit(130) from None
     if plot is not None and drawn:
         from handsight.plot import draw_corrections
 

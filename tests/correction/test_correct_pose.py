@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+import handsight as hs
 from grasps import (
     BOX_NORMALS,
     BOX_POINTS,
@@ -15,8 +17,6 @@ from grasps import (
     grasp,
     off,
 )
-
-import handsight as hs
 from handsight import se3
 from handsight.correction.correct import METHODS
 from handsight.objects.symmetry import nearest

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
+from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 from handsight import se3
 from handsight.correction import evidence, two_phase
 from handsight.correction.two_phase import Problem
@@ -66,7 +66,7 @@ def test_the_whitening_is_the_root_of_the_residuals_covariance_under_measured_no
     points, normals = can_contacts()
     rng = np.random.default_rng(0)
     squares = []
-    for seed in range(400):
+    for _ in range(400):
         contacts, _, T = grasp(points, normals, rng.integers(1 << 30))
         q = Problem(can(), contacts, None, np.empty((0, 3)))
         residuals, _ = q.touch(q.model.fine, used).linearize(T[None])

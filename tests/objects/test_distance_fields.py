@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from objects.object_shapes import box_mesh, brute_distance, triangles
 from scipy.spatial import cKDTree
 
 from handsight.objects import FieldValues, ObjectModel
 from handsight.objects.exact import BoxField, CylinderField, SphereField
 from handsight.objects.field import GridField
+from objects.object_shapes import box_mesh, brute_distance, triangles
 
 HALF = np.array([0.03, 0.045, 0.07])
 CELL = 0.005
@@ -89,7 +89,11 @@ def test_gradients_are_unit_and_point_from_the_surface(field, rng):
 
 
 @pytest.mark.parametrize("field", EXACT, ids=names[:3])
-@given(st.tuples(*[st.sampled_from([0.0, -0.0, 1e-170, -1e-12, 0.03, -0.033, 0.0575, 0.07, 0.04, 1.0, 50.0])] * 3))
+@given(
+    st.tuples(
+        *[st.sampled_from([0.0, -0.0, 1e-170, -1e-12, 0.03, -0.033, 0.0575, 0.07, 0.04, 1.0, 50.0])] * 3
+    )
+)
 def test_no_point_is_answered_with_nan_or_unbounded_curvature(field, point):
     distance, gradient, hessian = field.evaluate(np.array([point]))
     assert np.isfinite(distance).all()

@@ -3,11 +3,11 @@ import warnings
 
 import numpy as np
 import pytest
-from objects.object_shapes import box_mesh, divided
 from scipy.spatial import cKDTree
 
 from handsight.errors import HandsightError, InvalidInput
 from handsight.objects import ObjectModel, ObjectWarning, Symmetries
+from objects.object_shapes import box_mesh, divided
 
 SIZE = np.array([0.06, 0.09, 0.14])
 
@@ -40,8 +40,8 @@ def test_sizes_are_those_of_the_shape(models, kind, diameter, area, extent):
     model = models[kind]
     assert model.diameter == pytest.approx(diameter, rel=1e-9)
     assert model.radius == pytest.approx(diameter / 2, rel=1e-9)
-    assert model.area == pytest.approx(area, rel=3e-3)
-    assert model.sample_spacing == pytest.approx(np.sqrt(area / 256), rel=3e-3)
+    assert model.area == pytest.approx(area, rel=1e-9)
+    assert model.sample_spacing == pytest.approx(np.sqrt(area / 256), rel=1e-9)
     np.testing.assert_allclose(np.ptp(model.bounds_object, axis=0), extent, rtol=1e-9)
     np.testing.assert_allclose(model.center_object, 0, atol=1e-12)
     assert model.closed
@@ -52,11 +52,11 @@ def test_samples_lie_on_the_surface_with_its_normals(models, kind):
     model = models[kind]
     for points, normals in ((model.points_object, model.normals_object), model.sample(500)):
         values = model.evaluate(points)
-        edge = 1.5e-3 if kind in ("mesh", "cloud") else 1e-12
+        edge = models["mesh"].fine.cell if kind in ("mesh", "cloud") else 1e-12
         assert np.abs(values.distance).max() < edge
         np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
         along = (values.gradient * normals).sum(axis=1)
-        assert (along > 0.95).mean() > 0.9
+        assert (along > 0.95).mean() > 0.85  # the others lie at edges
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -168,7 +168,7 @@ def test_symmetries_declared_replace_the_shapes_own():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ObjectModel.box((0.1, 0.1)), r"size: expected 3 finite numbers, got \[0.1, 0.1\]"),
+        (lambda: ObjectModel.box((0.1, 0.1)), r"size: expected 3 finite numbers, got \(0.1, 0.1\)"),
         (lambda: ObjectModel.box((0.1, 0, 0.1)), r"size: expected 3 numbers above 0, got \[0.1, 0.0, 0.1\]"),
         (lambda: ObjectModel.box((0.1, np.nan, 0.1)), r"size: expected 3 finite numbers"),
         (lambda: ObjectModel.box((0.1, 1e200, 0.1)), r"size: expected metres between 1e-06 and 1e\+06"),
@@ -179,7 +179,10 @@ def test_symmetries_declared_replace_the_shapes_own():
         (lambda: ObjectModel.sphere(1e-200), r"radius: expected metres between"),
         (lambda: ObjectModel.box(SIZE).sample(0), r"n: expected a whole number above 0, got 0"),
         (lambda: ObjectModel.box(SIZE).sample(2.5), r"n: expected a whole number above 0, got 2.5"),
-        (lambda: ObjectModel.box(SIZE).evaluate([[0, 0]]), r"points_object: expected finite numbers of shape"),
+        (
+            lambda: ObjectModel.box(SIZE).evaluate([[0, 0]]),
+            r"points_object: expected finite numbers of shape",
+        ),
     ],
 )
 def test_a_wrong_size_is_named(make, message):
@@ -194,8 +197,8 @@ def test_a_wrong_size_is_named(make, message):
         (140.0, r"largest extent 140 m: looks like millimetres; try scale=0.001"),
         (14.0, r"largest extent 14 m: looks like millimetres; try scale=0.001"),
         (3.0, r"largest extent 3 m: looks like centimetres; try scale=0.01"),
-        (1.4e-4, r"largest extent 0.00014 m: looks like kilometres; try scale=1000"),
-        (1e-5, r"largest extent 1e-05 m: not the size of an object in a hand"),
+        (1.4e-4, r"largest extent 0.00014 m: looks like metres, scaled down twice; try scale=1000"),
+        (3e-6, r"largest extent 3e-06 m: not the size of an object in a hand"),
     ],
 )
 def test_a_likely_wrong_unit_warns_with_the_likely_factor(extent, message):

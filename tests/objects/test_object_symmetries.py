@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from objects.object_shapes import prism
 from scipy.optimize import minimize
 
 from handsight import se3
 from handsight.errors import InvalidInput, InvalidTransform
 from handsight.objects import ObjectModel, Symmetries, propose_symmetries
 from handsight.objects.symmetry import about, nearest, tangents
+from objects.object_shapes import prism
 
 RADIUS = 0.07
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -93,7 +93,9 @@ def test_the_nearest_equivalent_is_one(symmetries, rng):
     best = nearest(symmetries, Ts, T_reference, RADIUS)
     assert best.shape == Ts.shape
     np.testing.assert_allclose(distance(nearest(symmetries, best, Ts, RADIUS), Ts), 0, atol=2e-8)
-    np.testing.assert_allclose(best[:, :3, :3] @ best[:, :3, :3].swapaxes(1, 2), np.broadcast_to(np.eye(3), (40, 3, 3)), atol=1e-12)
+    np.testing.assert_allclose(
+        best[:, :3, :3] @ best[:, :3, :3].swapaxes(1, 2), np.broadcast_to(np.eye(3), (40, 3, 3)), atol=1e-12
+    )
 
 
 @each_group

@@ -14,7 +14,6 @@ from handsight import se3
 from handsight.checks import Array, Mask
 from handsight.objects import Field, ObjectModel, Symmetries
 
-
 EYE_6 = np.eye(6)
 EDGE = 0.75
 """Radius of curvature [coarse cells] below which the surface counts as an edge."""
@@ -97,6 +96,8 @@ class Touch:
     """Whose roughness and edges count."""
     used: Mask
     """(K or 1, n) bool: the contacts that count, per pose."""
+    blur: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of a field coarser than the model: of its distance [m] and of its normal [rad]."""
     whitening: Array | None = None
     """(K or 1, n, 4, 4): frozen, so that the costs of one descent compare; None: at each pose its own."""
 
@@ -178,8 +179,8 @@ class Touch:
         by_point_normal[..., 1:, 3:] = -np.eye(3)
         S = by_point_normal @ self.covariance @ by_point_normal.swapaxes(-1, -2)
         by_place = variances(self.model, surface.points_object.reshape(-1, 3)).reshape(K, n, 2)
-        S[..., 0, 0] += by_place[..., 0]
-        S[..., 1:, 1:] += by_place[..., 1, None, None] * np.eye(3)
+        S[..., 0, 0] += by_place[..., 0] + self.blur[0] ** 2
+        S[..., 1:, 1:] += (by_place[..., 1, None, None] + self.blur[1] ** 2) * np.eye(3)
         tangential = (S[..., 1, 1] + S[..., 2, 2] + S[..., 3, 3]) / 2
         along = self.normals_palm[:, :, None] * self.normals_palm[:, None, :]
         S[..., 1:, 1:] += tangential[..., None, None] * along
@@ -293,4 +294,4 @@ def variances(model: ObjectModel, points_object: Array) -> Array:
     least = np.array([(LEAST_ROUGH[0] * model.diameter) ** 2, LEAST_ROUGH[1] ** 2])
     if model.roughness is None:
         return np.broadcast_to(least, (len(points_object), 2))
-    return model.roughness.variances(points_object) + least
+    return np.asarray(model.roughness.variances(points_object) + least)

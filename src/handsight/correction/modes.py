@@ -39,9 +39,7 @@ def unobservable(touch_information: Array, radius: float) -> Array:
     return np.ascontiguousarray(vectors[:, values < 1 / (OPEN * radius) ** 2].T)
 
 
-def secant(
-    information: Array, T_mode: Array, cost_at: Callable[[Array], Array], radius: float
-) -> Array:
+def secant(information: Array, T_mode: Array, cost_at: Callable[[Array], Array], radius: float) -> Array:
     """The information (6, 6) whose ellipsoid the posterior's own cost has, a deviation and a half from a mode.
 
     At an edge, on a bumpy scan or along a bounded slide the slope of the residuals at the mode tells little
@@ -59,7 +57,7 @@ def secant(
         poses = slid(T_mode, np.concatenate([np.zeros((1, 6)), steps, -steps]))
         costs = cost_at(poses)
         rise = (costs[1:] - costs[0]).reshape(2, -1) / (length**2 * values)
-        factor = rise.min(axis=0).clip(LEAST_FACTOR, 1.0)
+        factor = rise.clip(LEAST_FACTOR, 1.0).mean(axis=0)
         values = values * factor
         if (factor > 0.5).all():
             break

@@ -54,6 +54,10 @@ def solve_robustly(problem: Problem, options: TwoPhase) -> Candidates:
         decisive = _fits(problem, without, SUSPICION) or gain > 0.5 * found.cost
         if gain < DECISIVE or not decisive:
             break
+        # The pose without it may be the one that fits it too, and was only hard to reach.
+        again = _candidates(*two_phase.solve(problem, without.descent.Ts_palm_object, found.used))
+        if _fits(problem, again, alarm):
+            return again
         # One wrong contact is rare, a second one rarer.
         found, alarm = without, modes.ALARM
     return found

@@ -12,13 +12,24 @@ from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
 from handsight.correction.evidence import Evidence, Outside, Touch, Vision, surface_at, vision
-from handsight.correction.solve import Chart, Descent, Matches, Samples, descend, match, normal_equations, stacked
+from handsight.correction.solve import (
+    Chart,
+    Descent,
+    Matches,
+    Samples,
+    descend,
+    match,
+    normal_equations,
+    stacked,
+)
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
 
 COARSE_STEPS, FINE_STEPS = 3, 25
 COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
+COARSE_BLUR = (0.03, 0.03)
+"""How far the smooth field is off on faces: of its distance [cells] and of its normal [rad]."""
 KEPT, KEPT_BLIND = 24, 64
 """Candidates that go on from the coarse field to the fine one."""
 CANDIDATE_APART = (0.002, np.deg2rad(2.0))
@@ -62,15 +73,10 @@ class Problem:
 
     def touch(self, surface: Field, used: Mask) -> Touch:
         """The contacts as evidence; `used` (K or 1, n) says which count for which pose."""
-        c = self.contacts
+        c, coarse = self.contacts, self.model.coarse
+        blur = (COARSE_BLUR[0] * coarse.cell, COARSE_BLUR[1]) if surface is coarse else (0.0, 0.0)
         return Touch(
-            surface,
-            c.points_palm,
-            c.normals_palm,
-            c.has_normal,
-            c.covariance,
-            self.model,
-            used,
+            surface, c.points_palm, c.normals_palm, c.has_normal, c.covariance, self.model, used, blur
         )
 
     def held(self) -> list[Evidence]:

@@ -132,7 +132,7 @@ def unit_remarks(bounds: Array) -> tuple[str, ...]:
         ("millimetres", 0.001),
         ("centimetres", 0.01),
         ("inches", 0.0254),
-        ("kilometres", 1000.0),
+        ("metres, scaled down twice", 1000.0),
     ):
         if SMALL < extent * scale < LARGE / 4:
             return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)

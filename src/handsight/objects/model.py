@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -24,7 +24,7 @@ SAMPLES = 256
 """Surface points that phase 1 of the correction matches contacts with."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class ObjectModel:
     """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`."""
 
@@ -60,7 +60,14 @@ class ObjectModel:
     """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
     remarks: tuple[str, ...]
     """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
-    _surface: Surface = field(repr=False)
+    _surface: Surface
+
+    def __repr__(self) -> str:
+        """Name, size and kind in a line."""
+        size = " × ".join(f"{1000 * side:.3g}" for side in np.ptp(self.bounds_object, axis=0))
+        return (
+            f"<ObjectModel {self.name or 'without a name'}: {size} mm, {'closed' if self.closed else 'open'}>"
+        )
 
     @property
     def radius(self) -> float:
@@ -95,8 +102,8 @@ class ObjectModel:
         _check_range(radius, "radius")
         _check_range(height, "height")
         triangles = primitives.cylinder_triangles(radius, height / 2)
-        exact = CylinderField(radius, height / 2)
-        made = Made("cylinder", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
+        exact, area = CylinderField(radius, height / 2), 2 * np.pi * radius * (radius + height)
+        made = Made("cylinder", Rounded(triangles, exact, area), triangles.vertices, triangles.faces, exact)
         return cls._from(made, symmetries or primitives.cylinder_symmetries())
 
     @classmethod
@@ -105,7 +112,8 @@ class ObjectModel:
         radius = checks.positive(radius, "radius")
         _check_range(radius, "radius")
         triangles, exact = primitives.sphere_triangles(radius), SphereField(radius)
-        made = Made("sphere", Rounded(triangles, exact), triangles.vertices, triangles.faces, exact)
+        rounded = Rounded(triangles, exact, 4 * np.pi * radius**2)
+        made = Made("sphere", rounded, triangles.vertices, triangles.faces, exact)
         return cls._from(made, symmetries or primitives.sphere_symmetries())
 
     @classmethod

@@ -72,11 +72,8 @@ class Rounded:
 
     facets: Triangles
     field: Field
-
-    @property
-    def area(self) -> float:
-        """The facets' area [m²]."""
-        return self.facets.area
+    area: float
+    """Exact [m²]."""
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """n points (n, 3) [m] and normals (n, 3) on the exact surface."""

@@ -1,0 +1,241 @@
+import numpy as np
+import pytest
+
+from handsight.errors import InvalidObject
+from handsight.objects import ObjectModel, ObjectWarning
+from handsight.objects.nearest import NearestPoint
+from handsight.objects.topology import holes_of
+from handsight.objects.winding import Winding
+from objects.object_shapes import BOX_FACES, box_mesh, brute_distance, divided, holed_box, prism, triangles
+
+SIZE = np.array([0.06, 0.09, 0.14])
+
+
+def nearest_is_brute_force(mesh, rng):
+    low, high = mesh.vertices.min(axis=0) - 0.03, mesh.vertices.max(axis=0) + 0.03
+    points = rng.uniform(low, high, (400, 3))
+    feet, index = NearestPoint(mesh, 0.002).feet(points)
+    np.testing.assert_array_equal(index, np.arange(400))
+    brute = brute_distance(points, mesh)
+    np.testing.assert_allclose(feet.distance, brute, atol=2e-4)
+    assert (np.abs(feet.distance - brute) < 1e-12).mean() > 0.95
+    np.testing.assert_allclose(np.linalg.norm(points - feet.points, axis=1), feet.distance, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "shape", [box_mesh(SIZE), prism(7), divided(*prism(5), 2)], ids=["box", "prism", "divided"]
+)
+def test_nearest_points_are_those_of_brute_force(shape, rng):
+    nearest_is_brute_force(triangles(*shape), rng)
+
+
+def test_the_winding_number_is_1_inside_and_0_outside(rng):
+    mesh = triangles(*divided(*box_mesh(SIZE), 4))
+    assert len(mesh.faces) == 12 * 4**4
+    points = rng.uniform(-0.1, 0.1, (2000, 3))
+    inside = (np.abs(points) < SIZE / 2).all(axis=1)
+    np.testing.assert_allclose(Winding.of_mesh(mesh).at(points), inside, atol=0.03)
+
+
+def test_the_winding_number_of_a_square_is_its_solid_angle():
+    square = triangles([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+    # Each face of a cube takes a sixth of the view from its middle.
+    np.testing.assert_allclose(
+        Winding.of_mesh(square).at(np.array([[0, 0, -1.0], [0, 0, 1.0]])), [1 / 6, -1 / 6]
+    )
+
+
+def sign_is_right(model, size, rng, distance=None):
+    points = rng.uniform(-0.6, 0.6, (20_000, 3)) * size
+    outward = (np.abs(points) - size / 2).max(axis=1)
+    clear = np.abs(outward) > 1.2 * (model.fine.cell if distance is None else distance)
+    for fine in (True, False):
+        if not fine:
+            clear = np.abs(outward) > 1.2 * model.coarse.cell
+        np.testing.assert_array_equal(
+            model.evaluate(points, fine=fine).distance[clear] < 0, outward[clear] < 0
+        )
+
+
+def test_signs_are_right_around_edges_and_corners(rng):
+    sign_is_right(ObjectModel.from_mesh(*box_mesh(SIZE)), SIZE, rng)
+
+
+def test_signs_are_right_around_a_sharp_wedge(rng):
+    vertices, faces = prism(3, radius=0.03)
+    vertices[:, 0] *= 4
+    model = ObjectModel.from_mesh(vertices, faces)
+    outward = np.cross([0, 0, 1], np.roll(vertices[:3], -1, axis=0) - vertices[:3])
+    outward /= -np.linalg.norm(outward, axis=1, keepdims=True)
+    points = rng.uniform(-0.13, 0.13, (20_000, 3)) * [1, 0.5, 0.5]
+    height = np.max([(points - v) @ n for v, n in zip(vertices[:3], outward, strict=True)], axis=0)
+    height = np.maximum(height, np.abs(points[:, 2]) - 0.05)
+    clear = np.abs(height) > 1.5 * model.fine.cell
+    np.testing.assert_array_equal(model.evaluate(points).distance[clear] < 0, height[clear] < 0)
+
+
+def test_a_box_with_a_small_hole_is_closed_and_has_the_right_signs(rng):
+    vertices, faces = holed_box(SIZE)
+    holes = holes_of(triangles(vertices, faces))
+    assert len(holes.extents) == 1
+    model = ObjectModel.from_mesh(vertices, faces)
+    assert model.closed
+    points = rng.uniform(-0.6, 0.6, (20_000, 3)) * SIZE
+    outward = (np.abs(points) - SIZE / 2).max(axis=1)
+    clear = np.abs(outward) > 1.2 * model.fine.cell
+    # In the hole itself the sign is a guess to about half its width.
+    clear &= np.linalg.norm(points - holes.middles[0], axis=1) > 0.7 * holes.extents[0]
+    np.testing.assert_array_equal(model.evaluate(points).distance[clear] < 0, outward[clear] < 0)
+
+
+def open_can():
+    """A prism of 48 sides without its upper cap."""
+    vertices, faces = prism(48, 0.03, 0.08)
+    return vertices, faces[~(faces >= 48).all(axis=1)]
+
+
+def test_a_can_without_its_lid_is_open_and_negative_behind_its_wall(rng):
+    vertices, faces = open_can()
+    model = ObjectModel.from_mesh(vertices, faces)
+    assert not model.closed
+    angle = rng.uniform(0, 2 * np.pi, 300)
+    wall = np.stack([np.cos(angle), np.sin(angle), np.zeros(300)], axis=1)
+    for depth in (-0.008, -0.004, 0.004, 0.008):
+        points = (0.03 + depth) * wall + [0, 0, -0.005]
+        distance, gradient, _ = model.evaluate(points)
+        np.testing.assert_allclose(distance, depth, atol=4e-4)
+        along = (gradient * wall).sum(axis=1) / np.linalg.norm(gradient, axis=1)
+        assert (along > 0.98).all()
+    # Around the rim nothing jumps.
+    path = np.stack([np.linspace(0.02, 0.04, 2000), np.zeros(2000), np.full(2000, 0.041)], axis=1)
+    assert np.abs(np.diff(model.evaluate(path).distance)).max() < 5 * 1e-5
+
+
+def test_a_single_patch_is_an_open_object():
+    vertices = np.array([(-0.05, -0.03, 0), (0.05, -0.03, 0), (0.05, 0.03, 0), (-0.05, 0.03, 0)])
+    model = ObjectModel.from_mesh(vertices, [(0, 1, 2), (0, 2, 3)])
+    assert not model.closed
+    above, below = model.evaluate([[0.0, 0, 0.01], [0, 0, -0.01]]).distance
+    assert above == pytest.approx(0.01, abs=1e-4)
+    assert below == pytest.approx(-0.01, abs=1e-4)
+    assert model.normals_object[:, 2].min() > 0.999
+
+
+def test_a_hollow_object_is_solid_between_its_walls():
+    outer, faces = box_mesh((0.1, 0.1, 0.1))
+    inner, _ = box_mesh((0.05, 0.05, 0.05))
+    model = ObjectModel.from_mesh(np.vstack([outer, inner]), np.vstack([faces, faces[:, ::-1] + 8]))
+    assert model.closed
+    center, wall, outside = model.evaluate([[0.0, 0, 0], [0.029, 0, 0], [0.07, 0, 0]]).distance
+    assert center > 0.02
+    assert wall == pytest.approx(-0.004, abs=1e-4)
+    assert outside > 0.019
+
+
+def test_overlapping_pieces_are_one_solid():
+    vertices, faces = box_mesh((0.05, 0.05, 0.1))
+    both = np.vstack([vertices, vertices[:, [2, 1, 0]] * [1, 1, 1]])
+    model = ObjectModel.from_mesh(both, np.vstack([faces, faces[:, ::-1] + 8]))
+    assert model.closed
+    assert (model.evaluate([[0.0, 0, 0], [0.04, 0, 0], [0, 0, 0.04]]).distance < -0.005).all()
+    assert (model.evaluate([[0.04, 0, 0.04], [0, 0.04, 0]]).distance > 0.01).all()
+
+
+def like_the_box(model, rng):
+    points = rng.uniform(-0.07, 0.07, (500, 3))
+    box = ObjectModel.from_mesh(*box_mesh(SIZE))
+    # The nodes at the end of the exact band hang on how the surface was sampled.
+    found, expected = model.evaluate(points).distance, box.evaluate(points).distance
+    np.testing.assert_allclose(found, expected, atol=3e-4)
+    assert (np.abs(found - expected) < 1e-6).mean() > 0.9
+
+
+def test_an_inside_out_mesh_is_turned(rng):
+    vertices, faces = box_mesh(SIZE)
+    with pytest.warns(ObjectWarning, match="the surface was inside out and turned"):
+        like_the_box(ObjectModel.from_mesh(vertices, faces[:, ::-1]), rng)
+
+
+def test_triangles_that_disagree_are_turned(rng):
+    vertices, faces = box_mesh(SIZE)
+    mixed = faces.copy()
+    mixed[[2, 5, 9]] = mixed[[2, 5, 9], ::-1]
+    with pytest.warns(ObjectWarning, match="3 of 12 triangles were turned to agree with their neighbours"):
+        like_the_box(ObjectModel.from_mesh(vertices, mixed), rng)
+
+
+def test_repeated_and_flat_triangles_are_dropped(rng):
+    vertices, faces = box_mesh(SIZE)
+    more = np.vstack([faces, faces[:2], [(0, 0, 1), (3, 5, 3)]])
+    with pytest.warns(ObjectWarning) as caught:
+        like_the_box(ObjectModel.from_mesh(vertices, more), rng)
+    said = [str(w.message) for w in caught]
+    assert said == ["2 triangles without area were dropped", "2 repeated triangles were dropped"]
+
+
+def test_unused_vertices_that_are_not_finite_are_dropped(rng):
+    vertices, faces = box_mesh(SIZE)
+    more = np.vstack([[[np.nan, 0, 0]], vertices, [[np.inf, 0, 0]]])
+    with pytest.warns(ObjectWarning, match="2 unused vertices that are not finite were dropped"):
+        model = ObjectModel.from_mesh(more, faces + 1)
+    like_the_box(model, rng)
+    assert model.remarks == ("2 unused vertices that are not finite were dropped",)
+
+
+def test_vertices_repeated_for_each_triangle_are_one(rng):
+    vertices, faces = box_mesh(SIZE)
+    model = ObjectModel.from_mesh(vertices[faces].reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    assert len(model.vertices) == 8
+    assert model.remarks == ()
+    like_the_box(model, rng)
+
+
+def test_a_small_loose_piece_is_left_in_and_mentioned():
+    vertices, faces = box_mesh(SIZE)
+    crumb = vertices * 0.03 + [0.06, 0, 0]
+    with pytest.warns(ObjectWarning, match=r"1 small separate pieces \(0.09 % of the area\) were left in"):
+        model = ObjectModel.from_mesh(np.vstack([vertices, crumb]), np.vstack([faces, faces + 8]))
+    assert len(model.faces) == 24
+
+
+def test_a_one_sided_surface_is_said_to_be_one():
+    n = 60
+    turn = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    arm = np.cos(turn / 2)[:, None] * ring + np.sin(turn / 2)[:, None] * [0, 0, 1]
+    vertices = np.vstack([0.05 * ring + 0.012 * arm, 0.05 * ring - 0.012 * arm])
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    up, down = np.where(i + 1 < n, j, j + n), np.where(i + 1 < n, j + n, j)
+    faces = np.vstack([np.stack([i, i + n, up], axis=1), np.stack([i + n, down, up], axis=1)])
+    with pytest.warns(ObjectWarning, match="one side only somewhere"):
+        assert not ObjectModel.from_mesh(vertices, faces).closed
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (np.zeros((0, 3)), BOX_FACES, r"vertices: expected shape \(k, 3\) with k ≥ 3, got \(0, 3\)"),
+        (np.zeros((8, 2)), BOX_FACES, r"vertices: expected shape"),
+        (box_mesh()[0], [], r"faces: expected at least one triangle, got none"),
+        (
+            box_mesh()[0],
+            [(0, 1, 2, 3)],
+            r"faces: expected whole numbers of shape \(m, 3\), got int64 \(1, 4\)",
+        ),
+        (box_mesh()[0], [(0.0, 1.0, 2.0)], r"faces: expected whole numbers"),
+        (box_mesh()[0], [(0, 1, 8)], r"faces: expected indices 0 to 7, got 0 to 8"),
+        (box_mesh()[0], [(0, 1, -1)], r"faces: expected indices 0 to 7, got -1 to 1"),
+        (box_mesh()[0], [(0, 1, 1), (2, 2, 2)], r"faces: expected triangles with an area, got 2 without"),
+        (np.full((8, 3), 0.1), BOX_FACES, r"vertices: expected an object with a size"),
+        (
+            np.full((8, 3), np.nan),
+            BOX_FACES,
+            r"vertices\[0\]: expected 3 finite numbers, got \[nan, nan, nan\]",
+        ),
+        (1e200 * box_mesh()[0], BOX_FACES, r"vertices: expected a size of 1e-06 to 1e\+06 m"),
+        ("box", BOX_FACES, r"mesh: expected numbers"),
+    ],
+)
+def test_what_is_no_surface_is_refused(vertices, faces, message):
+    with pytest.raises(InvalidObject, match=message):
+        ObjectModel.from_mesh(vertices, faces)
