@@ -1,3 +1,4 @@
+import contextlib
 import struct
 
 import numpy as np
@@ -39,7 +40,7 @@ MESHES = {
 
 def pcd_header(
     kind,
-    n=len(CLOUD),
+    n=200,
     fields="x y z rgb normal_x normal_y normal_z",
     size="4 4 4 4 4 4 4",
     types="F F F U F F F",
@@ -222,13 +223,12 @@ def test_a_broken_file_is_refused_by_name(tmp_path, name):
 def test_a_file_cut_anywhere_is_refused_or_read_never_more(tmp_path, name, part):
     data = {**MESHES, **CLOUDS}[name]
     (tmp_path / name).write_bytes(data[: int(part * len(data))])
-    try:
-        shape = read_shape(tmp_path / name)
-    except InvalidFile as error:
-        assert str(error).startswith(f"{name}: ")
-    else:  # formats without counts cannot know
-        assert name.endswith((".xyz", ".obj"))
-        assert len(shape.vertices) <= len(CLOUD)
+    if name.endswith((".xyz", ".obj")):  # formats without counts cannot know
+        with contextlib.suppress(InvalidFile):
+            assert len(read_shape(tmp_path / name).vertices) <= len(CLOUD)
+        return
+    with pytest.raises(InvalidFile, match=f"^{name}: "):
+        read_shape(tmp_path / name)
 
 
 def test_a_file_that_is_none_is_refused_by_name(tmp_path):

@@ -71,7 +71,7 @@ def remembered(name: str, names: set[str], compute: Callable[[], Arrays]) -> Arr
 
 def _load(path: Path, names: set[str]) -> Arrays | None:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {k: file[k] for k in file.files}
     except (OSError, ValueError, TypeError, AttributeError, KeyError, EOFError, zipfile.BadZipFile):
         return None

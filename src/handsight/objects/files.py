@@ -64,19 +64,18 @@ def read_shape(path: str | os.PathLike[str]) -> Shape:
 
 
 def _bytes(file: Path) -> bytes:
+    """The content of a regular file of sensible size."""
     try:
-        size = file.stat().st_size
-        if file.is_dir():
-            raise InvalidFile(f"{file.name}: expected a file, got a folder")
-        if not file.is_file():
-            raise InvalidFile(f"{file.name}: expected a regular file")
-        if size > LARGEST_FILE:
-            raise InvalidFile(f"{file.name}: expected at most {LARGEST_FILE:.0e} bytes, got {size}")
-        data = file.read_bytes()
+        size, folder, regular = file.stat().st_size, file.is_dir(), file.is_file()
+        data = file.read_bytes() if regular and size <= LARGEST_FILE else b""
     except OSError as error:
         raise InvalidFile(f"{file.name}: cannot be read: {error.strerror or error}") from None
     except ValueError:  # a null byte in the path
         raise InvalidFile(f"{file.name!r}: not a path") from None
+    if not regular:
+        raise InvalidFile(f"{file.name}: expected a file, got {'a folder' if folder else 'something else'}")
+    if size > LARGEST_FILE:
+        raise InvalidFile(f"{file.name}: expected at most {LARGEST_FILE:.0e} bytes, got {size}")
     if not data:
         raise InvalidFile(f"{file.name}: the file is empty")
     return data

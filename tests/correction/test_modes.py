@@ -1,0 +1,156 @@
+"""What is said beside a pose: information, open directions, fit."""
+
+import numpy as np
+import pytest
+from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
+
+import handsight as hs
+from handsight import se3
+from handsight.correction import modes
+
+RADIUS = 0.09
+SCALE = np.array([1.0] * 3 + [1 / RADIUS] * 3)
+
+
+def covariance(deviations, seed=0):
+    """A (6, 6) covariance with these deviations [m] along random axes of (δp, radius δθ)."""
+    axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(6, 6)))[0]
+    return (axes * np.square(deviations)) @ axes.T * SCALE[:, None] * SCALE
+
+
+def test_a_slide_with_an_uncertain_turn_is_as_wide_along_the_palm_as_its_draws():
+    sigma = covariance([0.03, 0.01, 0.002, 0.001, 0.004, 0.002])
+    widened = np.linalg.inv(modes.along_palm_axes(np.linalg.inv(sigma), RADIUS))
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), sigma, 400_000)
+    # The second order: δp = s + δθ × s.
+    draws[:, :3] += np.cross(draws[:, 3:], draws[:, :3])
+    measured = np.cov(draws.T)
+    deviation = np.sqrt(np.diagonal(measured))
+    np.testing.assert_allclose(
+        widened / np.outer(deviation, deviation), measured / np.outer(deviation, deviation), atol=0.015
+    )
+    assert np.linalg.eigvalsh(widened - sigma).min() > -1e-12
+
+
+def test_an_unknown_direction_stays_unknown_along_the_palm():
+    information = np.linalg.inv(covariance([0.03, 0.01, 0.002, 0.001, 0.004, 0.002]))
+    axis = np.array([0, 0, 0, 0.6, 0, 0.8])
+    information -= np.outer(information @ axis, axis @ information) / (axis @ information @ axis)
+    carried = modes.along_palm_axes(information, RADIUS)
+    assert np.abs(carried @ axis).max() < 1e-9 * np.trace(carried)
+    assert modes.covariance(carried, RADIUS, blind=False) is None
+
+
+def test_more_information_stays_more_along_the_palm():
+    rng = np.random.default_rng(3)
+    less = np.linalg.inv(covariance([0.03, 0.01, 0.002, 0.001, 0.004, 0.002]))
+    row = rng.normal(size=6) * 100
+    more = modes.along_palm_axes(less + np.outer(row, row), RADIUS) - modes.along_palm_axes(less, RADIUS)
+    assert np.linalg.eigvalsh(modes.in_metres(more, RADIUS)).min() > -1e-6
+
+
+def quadratic(information, T_mode):
+    def cost_at(poses):
+        turn = se3.rotation_log(poses[:, :3, :3] @ T_mode[:3, :3].T)
+        slide = np.einsum("kji,kj->ki", se3.rotation_exp(turn), poses[:, :3, 3] - T_mode[:3, 3])
+        steps = np.hstack([slide, turn])
+        return np.einsum("ki,ij,kj->k", steps, information, steps)
+
+    return cost_at
+
+
+def test_a_gaussians_information_is_its_own_secant():
+    T = se3.random(np.random.default_rng(0), spread=0.1)
+    information = np.linalg.inv(covariance([0.005, 0.01, 0.002, 0.001, 0.004, 0.002]))
+    np.testing.assert_allclose(
+        modes.secant(information, T, quadratic(information, T), RADIUS), information, rtol=1e-6
+    )
+
+
+SHARP, OPEN = np.diag([1e8, 1e6, 1e6, 1e4, 1e4, 1e4]), np.diag([6.25e4, 1e6, 1e6, 1e4, 1e4, 1e4])
+"""Deviations along x of 0.1 mm and of 4 mm."""
+
+
+def test_a_bump_at_the_mode_does_not_pass_for_knowledge():
+    T = np.eye(4)
+    information = modes.secant(SHARP, T, quadratic(OPEN, T), RADIUS)
+    np.testing.assert_allclose(information, OPEN, rtol=1e-6)
+
+
+def test_a_wall_on_one_side_of_the_mode_counts_by_half():
+    T = np.eye(4)
+
+    def cost_at(poses):
+        return np.where(poses[:, 0, 3] < 0, quadratic(OPEN, T)(poses), quadratic(SHARP, T)(poses))
+
+    information = modes.secant(SHARP, T, cost_at, RADIUS)
+    # One side rises as the slope at the mode says, the other hardly: least factor, counted with it.
+    assert information[0, 0] == pytest.approx((1 + modes.LEAST_FACTOR) / 2 * 1e8)
+    assert information[1, 1] == pytest.approx(1e6)
+
+
+def test_blind_a_slide_has_no_covariance_and_a_weight_all_the_same():
+    contacts, _, _ = grasp(*can_contacts(), seed=3)
+    estimate = hs.correct_pose(can(), contacts)
+    assert estimate.covariance is None
+    assert all(h.covariance is None for h in estimate.hypotheses)
+    assert sum(h.weight for h in estimate.hypotheses) == pytest.approx(1)
+    assert np.abs(estimate.residuals.distance).max() < 0.003
+
+
+def regions(model, points_normals, count):
+    """Share of truths inside the 50 % and the 95 % region, over generated problems with true sigmas."""
+    from scipy.special import chdtri
+
+    from handsight.objects.symmetry import nearest
+
+    inside = []
+    for seed in range(count):
+        contacts, vision, T = grasp(*points_normals(seed), seed)
+        estimate = hs.correct_pose(model, contacts, vision=vision)
+        truth = nearest(model.symmetries, T, estimate.T_palm_object, model.radius)
+        delta = se3.difference(truth, estimate.T_palm_object)
+        squared = delta @ estimate.information @ delta
+        freedom = 6 - len(model.symmetries.axes)
+        inside.append([squared < chdtri(freedom, 0.5), squared < chdtri(freedom, 0.05)])
+    return np.mean(inside, axis=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("thing", ["can", "box"])
+def test_the_truth_is_in_the_regions_as_often_as_they_say(thing):
+    count = 200
+    if thing == "can":
+        half, most = regions(can(), lambda _: can_contacts(), count)
+    else:
+        half, most = regions(box(), lambda _: (BOX_POINTS, BOX_NORMALS), count)
+    # Four standard errors of a share of 200.
+    assert abs(half - 0.5) < 4 * np.sqrt(0.25 / count)
+    assert abs(most - 0.95) < 4 * np.sqrt(0.95 * 0.05 / count)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [(0.020, np.deg2rad(15)), (0.085, np.deg2rad(30))], ids=["near", "far"])
+def test_the_can_and_the_box_are_found_from_near_and_from_far(error):
+    found = []
+    for seed in range(60):
+        for model, points, normals in ((can(), *can_contacts()), (box(), BOX_POINTS, BOX_NORMALS)):
+            contacts, vision, T = grasp(points, normals, seed, error=error)
+            estimate = hs.correct_pose(model, contacts, vision=vision)
+            from handsight.objects.symmetry import nearest
+
+            truth = nearest(model.symmetries, T, estimate.T_palm_object, model.radius)
+            delta = se3.difference(estimate.T_palm_object, truth) * np.repeat([1.0, model.radius], 3)
+            delta -= estimate.unobservable.T @ (estimate.unobservable @ delta)
+            turn = np.linalg.norm(delta[3:]) / model.radius
+            found.append(np.linalg.norm(delta[:3]) < 0.005 and turn < np.deg2rad(8))
+    assert np.mean(found) >= 0.97
+
+
+def test_a_wrong_contact_is_named_whichever_it_is():
+    for wrong in range(5):
+        contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=20 + wrong)
+        normals = contacts.normals_palm.copy()
+        normals[wrong] = np.cross(normals[wrong], T[:3, 0] + 0.3 * T[:3, 1] + 0.2 * T[:3, 2])
+        spoiled = hs.Contacts(contacts.points_palm, normals, sigma_point=5e-4, sigma_normal=np.deg2rad(2))
+        assert hs.correct_pose(box(), spoiled, vision=vision).outliers == (wrong,)

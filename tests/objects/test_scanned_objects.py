@@ -1,0 +1,89 @@
+"""Objects as other people scanned and drew them."""
+
+import numpy as np
+import pytest
+from objects.object_shapes import data_file
+
+from handsight.objects import ObjectModel, ObjectWarning, propose_symmetries
+
+SCANS = ["004_sugar_box", "006_mustard_bottle", "007_tuna_fish_can", "011_banana", "019_pitcher_base"]
+
+
+def scan(name):
+    return ObjectModel.from_file(data_file(f"ycb_meshes/{name}.ply"))
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_a_scan_is_closed_and_its_field_is_at_its_surface(name):
+    model = scan(name)
+    assert model.closed
+    assert model.remarks == ()
+    points, normals = model.sample(3000, seed=8)
+    distance, gradient, _ = model.evaluate(points)
+    sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
+    assert np.sqrt((distance**2).mean()) < 0.11 * model.fine.cell
+    assert np.median(np.arctan2(sine, (gradient * normals).sum(axis=1))) < np.deg2rad(3)
+    assert model.sigma_point < 1e-4
+    assert model.sigma_normal < np.deg2rad(2.5)
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_points_just_off_a_scan_lie_on_the_right_side(name):
+    model = scan(name)
+    points, normals = model.sample(2000, seed=8)
+    step = model.fine.cell
+    front = model.evaluate(points + step * normals).distance
+    behind = model.evaluate(points - step * normals).distance
+    assert (front > 0).mean() > 0.98
+    assert (behind < 0).mean() > 0.95
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_points_others_drew_from_the_same_object_lie_on_its_field(name):
+    file = data_file(f"surface_samples/{name}_2000.off")
+    rows = np.loadtxt(file, skiprows=2)
+    model = scan(name)
+    distance, gradient, _ = model.evaluate(rows[:, :3])
+    assert np.median(np.abs(distance)) < 1.5e-4
+    cosine = (gradient * rows[:, 3:6]).sum(axis=1) / np.linalg.norm(gradient, axis=1)
+    assert np.median(cosine) > np.cos(np.deg2rad(6))
+
+
+@pytest.mark.parametrize("name", ["006_mustard_bottle", "036_wood_block"])
+def test_a_cloud_of_2000_points_is_the_object_to_half_a_millimetre(name):
+    cloud = ObjectModel.from_file(data_file(f"surface_samples/{name}_2000.off"))
+    assert cloud.closed
+    points, _ = scan(name).sample(3000)
+    assert np.sqrt((cloud.evaluate(points).distance ** 2).mean()) < 5e-4
+
+
+def test_a_marker_that_is_not_watertight_is_closed_all_the_same():
+    with pytest.warns(ObjectWarning, match="triangles without area were dropped"):
+        model = scan("040_large_marker")
+    assert model.closed
+    assert model.coarse.cell < 0.005
+    assert model.evaluate(model.center_object[None]).distance < -0.006
+
+
+def test_a_can_drawn_without_its_lids_is_open():
+    model = ObjectModel.from_file(data_file("soda_can/can.stl"))
+    assert not model.closed
+    assert model.sigma_point < 1e-4
+    points, normals = model.sample(1000)
+    distance = model.evaluate(points - 0.002 * normals).distance
+    assert np.median(distance) == pytest.approx(-0.002, abs=2e-4)
+
+
+def test_the_bunny_with_its_holes_is_closed():
+    with pytest.warns(ObjectWarning, match="83 repeated triangles were dropped"):
+        model = ObjectModel.from_file(data_file("registration_teaser/bun_zipper_res3.ply"))
+    assert model.closed
+    assert model.evaluate(model.center_object[None]).distance < -0.02
+
+
+def test_a_mustard_bottle_turns_over_and_a_banana_does_not():
+    assert len(propose_symmetries(scan("006_mustard_bottle")).rotations) == 2
+    assert propose_symmetries(scan("011_banana")).trivial
+    can = propose_symmetries(scan("002_master_chef_can"))
+    assert len(can.axes) == 1
+    assert abs(can.axes[0][1][2]) > 0.999
