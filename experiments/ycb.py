@@ -28,9 +28,8 @@ ESTIMATORS = {
     "PoseCNN+ICP": "posecnn_icp_rss2018",
 }
 """Label, folder of its poses."""
-QUERIES, SURFACE = 1000, 50_000
-"""Points of the object under one pose, and under the other: dense, so that their spacing (under a millimetre)
-does not pass for an error where a can is seen turned about its own axis."""
+QUERIES, SURFACE = 1000, 20_000
+"""Points of the object whose distance is taken, and samples of the surface that it is taken to."""
 
 
 def data_folder() -> Path | None:
@@ -60,11 +59,22 @@ class YcbObject:
     """(QUERIES, 3) [m]."""
     tree: cKDTree
     """Of SURFACE points."""
+    normals: np.ndarray
+    """(SURFACE, 3) of these points."""
+    gap: float
+    """How far apart these points may be [m]."""
 
     def closest_point_error(self, T_hat, T_true):
-        """ADD-S, or ADI [m]: mean distance from the points at one pose to the surface at the other."""
+        """ADD-S, or ADI [m]: mean distance from the points at one pose to the surface at the other.
+
+        To the plane of the nearest sample: between samples, which a turn of a can about its own axis reaches,
+        their spacing would else pass for an error of millimetres.
+        """
         moved = se3.apply(se3.inverse(T_true) @ T_hat, self.queries_object)
-        return float(self.tree.query(moved)[0].mean())
+        distance, nearest = self.tree.query(moved)
+        height = ((moved - self.tree.data[nearest]) * self.normals[nearest]).sum(axis=1)
+        aside = np.sqrt(np.maximum(distance**2 - height**2, 0.0))
+        return float(np.hypot(height, np.maximum(aside - self.gap, 0.0)).mean())
 
     def turn(self, T_hat, T_true):
         """Angle [rad] between two poses, modulo the object's symmetries."""
@@ -79,7 +89,9 @@ def load(folder: Path, name: str) -> YcbObject:
         warnings.simplefilter("ignore", ObjectWarning)  # the marker's mesh has triangles without area
         model = hs.ObjectModel.from_file(folder / "ycb_meshes" / f"{name}.ply")
     model = model.with_symmetries(propose_symmetries(model))
-    return YcbObject(model, model.sample(QUERIES, seed=1)[0], cKDTree(model.sample(SURFACE, seed=2)[0]))
+    points, normals = model.sample(SURFACE, seed=2)
+    gap = 2 * float(np.sqrt(model.area / SURFACE))
+    return YcbObject(model, model.sample(QUERIES, seed=1)[0], cKDTree(points), normals, gap)
 
 
 def area_under_curve(errors, limit):

@@ -57,7 +57,7 @@ class VisionFields(_Strict):
 
 
 class ProblemFields(_Strict):
-    """One line of a problem file; DESIGN of each key in docs/command.md."""
+    """One line of a problem file; `handsight correct --help` explains each key."""
 
     object: ObjectFields
     contacts: list[ContactFields]

@@ -132,6 +132,22 @@ def test_the_can_leaves_its_slide_and_its_spin_open():
     )
 
 
+def test_an_origin_far_from_the_object_opens_no_direction():
+    contacts, vision, _ = grasp(BOX_POINTS, BOX_NORMALS, seed=2)
+    away = np.array([1.0, 0.0, 0.0])
+    far = hs.ObjectModel.from_mesh(box().vertices + away, box().faces)
+    T_vision = vision.T_palm_object @ se3.compose(np.eye(3), -away)
+    # The same uncertainty of the box's middle, told of an origin a metre off.
+    arm = np.eye(6)
+    arm[:3, 3:] = se3.skew(vision.T_palm_object[:3, :3] @ away)
+    prior = hs.PosePrior(T_vision, arm @ vision.covariance @ arm.T)
+    estimate = hs.correct_pose(far, contacts, vision=prior)
+    near = hs.correct_pose(box(), contacts, vision=vision)
+    assert len(estimate.unobservable) == len(near.unobservable) == 0
+    middle = se3.apply(estimate.T_palm_object, away[None])[0]
+    assert np.linalg.norm(middle - near.T_palm_object[:3, 3]) < 1e-3
+
+
 def test_along_an_open_direction_the_answer_is_the_priors():
     contacts, vision, _ = grasp(BOX_POINTS[:2], BOX_NORMALS[:2], seed=4, noise=0.0)
     estimate = hs.correct_pose(box(), contacts, vision=vision)

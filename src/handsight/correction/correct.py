@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
+from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import modes, outliers, paper, two_phase
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior
@@ -91,12 +92,16 @@ def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEst
         converged=bool(found.descent.converged[k]),
         iterations=int(found.descent.iterations[k]),
         residuals=two_phase.residuals(problem, best.T_palm_object),
-        unobservable=modes.unobservable(by_touch[k], model.radius),
+        unobservable=_open_directions(model, by_touch[k], best.T_palm_object),
         consistent=modes.fits(float(chi2[k]), two_phase.freedom(problem, used)),
         outliers=tuple(int(i) for i in np.flatnonzero(~used[0])),
         hypotheses=ranked,
     )
     return mean_by_sampling(problem, estimate, used, samples) if samples else estimate
+
+
+def _open_directions(model: ObjectModel, by_touch: Array, T_palm_object: Array) -> Array:
+    return modes.unobservable(by_touch, model.radius, T_palm_object[:3, :3] @ model.center_object)
 
 
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
@@ -133,7 +138,7 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
         converged=answer.converged,
         iterations=answer.iterations,
         residuals=two_phase.residuals(problem, T),
-        unobservable=modes.unobservable(by_touch[0], model.radius),
+        unobservable=_open_directions(model, by_touch[0], T),
         consistent=modes.fits(float(chi2[0]), two_phase.freedom(problem, used)),
         outliers=(),
         hypotheses=(Hypothesis(T, information[0], sigma, 1.0, float(cost[0])),),

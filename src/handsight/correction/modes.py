@@ -33,10 +33,19 @@ def in_metres(information: Array, radius: float) -> Array:
     return np.asarray(information * scale[:, None] * scale)
 
 
-def unobservable(touch_information: Array, radius: float) -> Array:
-    """(k, 6) unit directions (δp, radius δθ) that the contacts leave open."""
-    values, vectors = np.linalg.eigh(in_metres(touch_information, radius))
-    return np.ascontiguousarray(vectors[:, values < 1 / (OPEN * radius) ** 2].T)
+def unobservable(touch_information: Array, radius: float, middle_lever: Array) -> Array:
+    """(k, 6) orthonormal directions (δp, radius δθ) that the contacts leave open.
+
+    Judged at the object's middle, `middle_lever` (3,) [m] from its origin along the palm's axes: an origin far
+    from the object swings by metres where the object itself hardly turns. Expressed at the origin.
+    """
+    to_origin = np.eye(6)
+    to_origin[:3, 3:] = se3.skew(middle_lever)  # δp = δp_middle - δθ × lever
+    values, vectors = np.linalg.eigh(in_metres(to_origin.T @ touch_information @ to_origin, radius))
+    open_there = vectors[:, values < 1 / (OPEN * radius) ** 2]
+    scale = np.array([1.0] * 3 + [radius] * 3)
+    at_origin = scale[:, None] * (to_origin @ (open_there / scale[:, None]))
+    return np.ascontiguousarray(np.linalg.qr(at_origin)[0].T)
 
 
 def secant(information: Array, T_mode: Array, cost_at: Callable[[Array], Array], radius: float) -> Array:
