@@ -8,7 +8,7 @@ model = hs.ObjectModel.box((0.06, 0.09, 0.14))
 
 # Where the fingertips touch, in the palm's frame [m], and the object's outward normals there.
 contacts = hs.Contacts(
-    points_palm=[[0.030, 0.01, 0.13], [0.030, -0.02, 0.06], [-0.01, 0.045, 0.12], [0.01, -0.045, 0.09], [0, 0.02, 0.17]],
+    points_palm=[[0.03, 0.01, 0.13], [0.03, -0.02, 0.06], [-0.01, 0.045, 0.12], [0.01, -0.045, 0.09], [0, 0.02, 0.17]],
     normals_palm=[[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]],
     sigma_point=1e-3,
     sigma_normal=np.deg2rad(5),

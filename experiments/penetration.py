@@ -3,8 +3,9 @@
 Two fingers and a thumb grip a box across its 90 mm side, or a can across its diameter; vision is off by 60 mm and
 15 degrees (root mean square). The hand is simple and synthetic: each finger a capsule of 8 mm radius and 50 mm
 length that touches at its contact and leans back to the palm, a plate 10 mm behind the object. Points that
-would lie inside the true object are not used. Contacts have 1 mm and 4 degrees of noise per axis, the hand's points 1 mm. Depth: of the deepest
-hand point inside the object at the corrected pose, zero where none is inside (noise alone leaves 1 to 2 mm).
+would lie inside the true object are not used. Contacts have 1 mm and 4 degrees of noise per axis, the hand's
+points 1 mm. Depth: of the deepest hand point inside the object at the corrected pose, zero where none is inside
+(noise alone leaves 1 to 2 mm).
 Flagged: the answer says the evidence does not fit; without outside evidence it cannot know of the hand.
 """
 
@@ -120,9 +121,10 @@ def summarised(name, evidence, rows):
     depth = [r["depth_mm"] for r in mine]
     deep = [r for r in mine if r["depth_mm"] > 1e3 * DEEP]
     flagged = f"{sum(r['flagged'] for r in deep)} of {len(deep)}"
-    return [name, evidence, f"{np.median(depth):.1f}", f"{np.quantile(depth, 0.99):.1f}", f"{len(deep)} of {len(mine)}",
-            flagged, report.plus_minus((r["shift_mm"] for r in mine), 1),
-            report.plus_minus((r["turn_deg"] for r in mine), 1), f"{np.median([r['ms'] for r in mine]):.0f}"]  # fmt: skip
+    return [name, evidence, f"{np.median(depth):.1f}", f"{np.quantile(depth, 0.99):.1f}",
+            f"{len(deep)} of {len(mine)}", flagged, report.plus_minus((r["shift_mm"] for r in mine), 1),
+            report.plus_minus((r["turn_deg"] for r in mine), 1),
+            f"{np.median([r['ms'] for r in mine]):.0f}"]  # fmt: skip
 
 
 def draw_figure(rows, path):

@@ -140,3 +140,13 @@ def test_a_swing_carries_one_axis_to_the_other(angle):
     turn, derivative = evidence.swing(start, end[None])
     np.testing.assert_allclose(se3.rotation_exp(turn[0]) @ start, end, atol=1e-9)
     np.testing.assert_allclose(derivative[0] @ end, 0, atol=1e-9)
+
+
+def test_the_cost_is_that_of_the_full_linearisation():
+    outside = np.array([[0.02, 0.0, 0.0], [0.0, 0.04, 0.06]])
+    p, T = problem(box(), BOX_POINTS, BOX_NORMALS, outside=outside)
+    rng = np.random.default_rng(0)
+    poses = se3.moved(np.repeat(T[None], 20, axis=0), 0.02 * rng.normal(size=(20, 6)))
+    for used in (np.ones((1, 5), dtype=bool), np.array([[True, False, True, True, True]])):
+        whole = two_phase.posterior(p, poses, used)[3]
+        np.testing.assert_allclose(two_phase.cost(p, poses, used), whole, rtol=1e-9)

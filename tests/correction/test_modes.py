@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 import handsight as hs
+from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 from handsight import se3
 from handsight.correction import modes
 

@@ -80,7 +80,7 @@ def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEst
         Ts,
         informations,
         costs,
-        lambda poses: two_phase.posterior(problem, poses, used)[3],
+        lambda poses: two_phase.cost(problem, poses, used),
         blind=problem.vision is None,
     )
     best = ranked[0]

@@ -114,14 +114,25 @@ class Touch:
         """
         surface = surface_at(self.field, self.points_palm, Ts_palm_object)
         S = self.scatter(surface)
-        full = np.linalg.slogdet(S)[1]
-        each = np.where(self.has_normal, full, np.log(S[..., 0, 0]))
         whitening = self.whiten(S)
         residuals, jacobian = self.whitened(surface, whitening)
         edge = self.edges(surface)
         if edge.any():
             _, jacobian = self.whitened(self.without(surface, edge), whitening)
-        return residuals, jacobian, (each * self.used).sum(axis=-1)
+        return residuals, jacobian, self.log_spread(S)
+
+    def cost(self, Ts_palm_object: Array) -> Array:
+        """Squared residuals plus log det (K,) of what whitened them: minus two log of the density."""
+        surface = surface_at(self.field, self.points_palm, Ts_palm_object)
+        S = self.scatter(surface)
+        error = np.concatenate([surface.distance[..., None], surface.normal - self.normals_palm], axis=-1)
+        residuals = (self.whiten(S) @ error[..., None])[..., 0]
+        return np.asarray((residuals * residuals).sum(axis=(-1, -2)) + self.log_spread(S))
+
+    def log_spread(self, scatter: Array) -> Array:
+        """log det (K,) of the residuals' covariance, over the contacts in use."""
+        each = np.where(self.has_normal, np.linalg.slogdet(scatter)[1], np.log(scatter[..., 0, 0]))
+        return np.asarray((each * self.used).sum(axis=-1))
 
     def edges(self, surface: Surface) -> Mask:
         """(K, n): where the surface bends as sharply as an edge, and the contact's normal tells the face."""

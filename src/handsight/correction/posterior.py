@@ -88,4 +88,4 @@ def _walk(problem: Problem, T_mode: Array, used: Mask, directions: Array, sample
 
 def _log_density(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
     """(K,) logarithm of the posterior density, up to a constant."""
-    return -two_phase.posterior(problem, Ts_palm_object, used)[3] / 2
+    return -two_phase.cost(problem, Ts_palm_object, used) / 2

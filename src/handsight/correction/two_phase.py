@@ -178,6 +178,13 @@ def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Ar
     return by_touch + by_other, by_touch, chi2, chi2 + log_spread + unlikely
 
 
+def cost(problem: Problem, Ts: Array, used: Mask) -> Array:
+    """Minus two log of the posterior density (K,) at poses (K, 4, 4), up to a constant."""
+    fine = problem.model.fine
+    others, _ = stacked([*problem.sight, *problem.hand(fine), *problem.held()], Ts)
+    return np.asarray(problem.touch(fine, used).cost(Ts) + (others * others).sum(axis=1))
+
+
 def freedom(problem: Problem, used: Mask) -> int:
     """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
     rows = int((used * (1 + 2 * problem.contacts.has_normal)).sum())
