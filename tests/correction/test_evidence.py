@@ -5,7 +5,7 @@ import pytest
 
 from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 from handsight import se3
-from handsight.correction import evidence, two_phase
+from handsight.correction import sight, two_phase
 from handsight.correction.two_phase import Problem
 
 STEP = 1e-6
@@ -114,7 +114,7 @@ def test_vision_of_an_axis_away_from_the_origin_does_not_fix_where_a_spin_carrie
 
     rng = np.random.default_rng(1)
     T_vision, T = se3.random(rng, spread=0.1), se3.random(rng, spread=0.1)
-    term = evidence.vision(T_vision, np.diag([50.0] * 3 + [5.0] * 3), Symmetries(axes=((point, direction),)))
+    term = sight.vision(T_vision, np.diag([50.0] * 3 + [5.0] * 3), Symmetries(axes=((point, direction),)))
     turn = se3.compose(se3.rotation_exp(0.8 * direction), np.zeros(3))
     about = se3.compose(np.eye(3), point) @ turn @ se3.compose(np.eye(3), -point)
     before, after = (term.linearize(pose[None])[0] for pose in (T, T @ about))
@@ -137,7 +137,7 @@ def test_a_swing_carries_one_axis_to_the_other(angle):
     start /= np.linalg.norm(start)
     across = np.cross(start, rng.normal(size=3))
     end = se3.rotation_exp(angle * across / np.linalg.norm(across)) @ start
-    turn, derivative = evidence.swing(start, end[None])
+    turn, derivative = sight.swing(start, end[None])
     np.testing.assert_allclose(se3.rotation_exp(turn[0]) @ start, end, atol=1e-9)
     np.testing.assert_allclose(derivative[0] @ end, 0, atol=1e-9)
 

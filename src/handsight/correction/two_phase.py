@@ -11,7 +11,8 @@ from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
-from handsight.correction.evidence import Evidence, Outside, Touch, Vision, surface_at, vision
+from handsight.correction.evidence import Evidence, Outside, Touch, surface_at
+from handsight.correction.sight import Vision, vision
 from handsight.correction.solve import (
     Chart,
     Descent,
