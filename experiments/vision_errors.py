@@ -236,9 +236,9 @@ def draw_figure(rows, path):
                     below.plot(np.quantile(of_object, [0.5, 0.9]), [height] * 2, color=color, linewidth=2)
                     below.plot(np.median(of_object), height, "o", color=color, markersize=5)
         above.set(title=label, xscale="log", xlim=(0.3, 400), ylim=(0, 1))
-        below.set(xlabel="ADD-S [mm]; dot: median, line: to the 90 % quantile")
     axes[0, 0].set_ylabel("share of poses below")
     axes[0, 0].legend(loc="lower right", fontsize=8)
+    figure.supxlabel("ADD-S [mm]; below by object, dot: median, line: up to the 90 % quantile")
     axes[1, 0].set_yticks(range(len(names)), [name[4:].replace("_", " ") for name in names])
     report.save_figure(figure, path)
 
