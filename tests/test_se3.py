@@ -313,3 +313,12 @@ def test_a_rigid_transform_passes_as_a_copy_of_its_own():
     rounded = T.astype(np.float32)  # float32's rounding is no reason to refuse
     assert se3.check(rounded, "T").dtype == np.float64
     assert se3.check(np.eye(4, dtype=int).tolist(), "T").dtype == np.float64
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 5e-3, 0.011, 0.5, 2.0, 3.0, np.pi - 1e-6, np.pi])
+def test_log_and_its_derivative_together_are_the_two_alone(angle):
+    axis = np.array([0.6, -0.48, 0.64])
+    R = se3.rotation_exp(angle * axis)
+    w, derivative = se3.log_with_derivative(R)
+    np.testing.assert_allclose(w, se3.rotation_log(R), atol=1e-12)
+    np.testing.assert_allclose(derivative, se3.left_jacobian_inverse(se3.rotation_log(R)), atol=1e-9)

@@ -150,6 +150,23 @@ def left_jacobian_inverse(w: Array) -> Array:
     return np.asarray(_EYE - 0.5 * S + factor * (S @ S))
 
 
+def log_with_derivative(R: Array) -> tuple[Array, Array]:
+    """`rotation_log` (..., 3) and its `left_jacobian_inverse` (..., 3, 3), sharing what both need."""
+    vector = R.reshape(*R.shape[:-2], 9) @ _UNSKEW  # sin(angle) axis
+    sine = np.sqrt((vector * vector).sum(axis=-1))
+    cosine = (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1) / 2
+    # Near 0 and near π each has its own care to take.
+    if np.any(cosine < -0.9) or np.any(sine < 1e-2):
+        w = rotation_log(R)
+        return w, left_jacobian_inverse(w)
+    angle = np.arctan2(sine, cosine)
+    w = (angle / sine)[..., None] * vector
+    # (1 - (x/2) cot(x/2)) / x², cot(x/2) = (1 + cos x) / sin x
+    factor = (1 - angle * (1 + cosine) / (2 * sine)) / (angle * angle)
+    S = skew(w)
+    return w, np.asarray(_EYE - 0.5 * S + factor[..., None, None] * (S @ S))
+
+
 def exp(twist: Array) -> Array:
     """Transforms (..., 4, 4) of twists (..., 6): translation part [m], rotation part [rad]."""
     w = twist[..., 3:]

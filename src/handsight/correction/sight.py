@@ -35,8 +35,7 @@ class Vision:
         R = Ts_palm_object[:, :3, :3]
         arm = R @ self.pivot_object
         if self.axis_object is None:
-            turn = se3.rotation_log(R @ self.R_palm_object.T)
-            by_turn = se3.left_jacobian_inverse(turn)
+            turn, by_turn = se3.log_with_derivative(R @ self.R_palm_object.T)
         else:
             turn, by_turn = swing(self.R_palm_object @ self.axis_object, R @ self.axis_object)
         jacobian = np.empty((len(R), 6, 6))

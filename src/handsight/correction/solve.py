@@ -19,7 +19,7 @@ MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
 """Most steps of phase 1, and the step [radii] that ends it."""
 SHORT_STEP = 2e-5
 """A step is short when it moves no part of the object by more than this many radii."""
-SMALL_STEP = 1e-2
+SMALL_STEP = 0.03
 """A step is small when it is shorter than this many standard deviations of the answer."""
 
 
