@@ -26,7 +26,7 @@ from handsight.correction.solve import (
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
 
-COARSE_STEPS, FINE_STEPS = 2, 25
+COARSE_STEPS, FINE_STEPS = 2, 50
 COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
 COARSE_BLUR = (0.03, 0.03)
