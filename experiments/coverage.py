@@ -29,8 +29,9 @@ def objects():
         "can": (hs.ObjectModel.cylinder(**scenes.CAN), scenes.on_can_side),
         "box": (hs.ObjectModel.box(scenes.BOX), scenes.on_box_faces),
     }
-    for name in MESHES if ycb.data_folder() else ():
-        model = hs.ObjectModel.from_file(ycb.data_folder() / "ycb_meshes" / f"{name}.ply")
+    folder = ycb.data_folder()
+    for name in MESHES if folder else ():
+        model = hs.ObjectModel.from_file(folder / "ycb_meshes" / f"{name}.ply")
         found[name] = (model, scenes.anywhere_on(model))
     return found
 
@@ -43,7 +44,7 @@ def trial(model, draw, rng):
     delta = se3.difference(truth, estimate.T_palm_object)
     squared = float(delta @ estimate.information @ delta)
     scale = np.repeat([1.0, 1 / model.radius], 3)
-    freedom = np.linalg.matrix_rank(estimate.information * scale[:, None] * scale, hermitian=True, tol=None)
+    freedom = np.linalg.matrix_rank(estimate.information * scale[:, None] * scale, hermitian=True)
     row = {"squared": squared, "freedom": int(freedom), "outliers": len(estimate.outliers)}
     return row | {f"in {level:.0%}": squared < chdtri(freedom, 1 - level) for level in LEVELS}
 

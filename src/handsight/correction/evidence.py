@@ -95,6 +95,8 @@ class Touch:
     """Whose roughness and edges count."""
     used: Mask
     """(K or 1, n) bool: the contacts that count, per pose."""
+    seen: tuple[Array, Surface] | None = None
+    """The poses at which it was frozen, and the surface there: where a descent looks first."""
     blur: tuple[float, float] = (0.0, 0.0)
     """Standard deviations of a field coarser than the model: of its distance [m] and of its normal [rad]."""
     whitening: Array | None = None
@@ -102,7 +104,10 @@ class Touch:
 
     def linearize(self, Ts_palm_object: Array) -> tuple[Array, Array]:
         """Residuals (K, 4 n): distance and normal of each contact, whitened together."""
-        surface = surface_at(self.field, self.points_palm, Ts_palm_object)
+        if self.seen is not None and self.seen[0] is Ts_palm_object:
+            surface = self.seen[1]
+        else:
+            surface = surface_at(self.field, self.points_palm, Ts_palm_object)
         whitening = self.whiten(self.scatter(surface)) if self.whitening is None else self.whitening
         return self.whitened(surface, whitening)
 
@@ -165,7 +170,7 @@ class Touch:
     def frozen(self, Ts_palm_object: Array) -> "Touch":
         """The same evidence, whitened from now on as it is at these poses."""
         surface = surface_at(self.field, self.points_palm, Ts_palm_object)
-        return replace(self, whitening=self.whiten(self.scatter(surface)))
+        return replace(self, whitening=self.whiten(self.scatter(surface)), seen=(Ts_palm_object, surface))
 
     def whiten(self, scatter: Array) -> Array:
         """(K, n, 4, 4): the inverse Cholesky factor of `scatter`; zero rows for what does not count."""

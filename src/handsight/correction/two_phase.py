@@ -11,7 +11,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PosePrior, Residuals
-from handsight.correction.evidence import Evidence, Outside, Touch, surface_at
+from handsight.correction.evidence import Evidence, Outside, Touch, cross, surface_at
 from handsight.correction.sight import Vision, vision
 from handsight.correction.solve import (
     Chart,
@@ -77,7 +77,7 @@ class Problem:
         c, coarse = self.contacts, self.model.coarse
         blur = (COARSE_BLUR[0] * coarse.cell, COARSE_BLUR[1]) if surface is coarse else (0.0, 0.0)
         return Touch(
-            surface, c.points_palm, c.normals_palm, c.has_normal, c.covariance, self.model, used, blur
+            surface, c.points_palm, c.normals_palm, c.has_normal, c.covariance, self.model, used, blur=blur
         )
 
     def held(self) -> list[Evidence]:
@@ -197,6 +197,7 @@ def residuals(problem: Problem, T_palm_object: Array) -> Residuals:
     contacts = problem.contacts
     surface = surface_at(problem.model.fine, contacts.points_palm, T_palm_object[None])
     cosine = (surface.normal[0] * contacts.normals_palm).sum(axis=-1)
-    sine = np.linalg.norm(np.cross(surface.normal[0], contacts.normals_palm), axis=-1)
+    across = cross(surface.normal[0], contacts.normals_palm)
+    sine = np.sqrt((across * across).sum(axis=-1))
     angle = np.where(contacts.has_normal, np.arctan2(sine, cosine), np.nan)
     return Residuals(surface.distance[0], angle)
