@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import sys
 import warnings
 from collections.abc import Iterator
@@ -202,7 +203,7 @@ def demo(
         table.add_row(
             row.name,
             *(f"{1e3 * a:.1f} → {1e3 * b:.1f} mm" for a, b in (row.shift, row.shift_seen)),
-            "{:.1f} → {:.1f}°".format(*(57.29578 * angle for angle in row.turn)),
+            "{:.1f} → {:.1f}°".format(*map(math.degrees, row.turn)),
             f"{1e3 * row.gap[0]:.1f} → {1e3 * row.gap[1]:.2f} mm",
             f"{len(row.answered['unobservable'])} of 6",
         )

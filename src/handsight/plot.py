@@ -78,7 +78,7 @@ def _panel(axes: Any, problem: "Problem", answered: dict[str, Any]) -> None:
 
 
 def draw_object(axes: Any, model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
-    """Draws creases and a thin cloud of the object in millimetre-labelled metres; the points drawn, (n, 3)."""
+    """The points drawn (n, 3) [m], palm frame, after drawing the object's creases and a thin cloud of it."""
     cloud, _ = model.sample(CLOUD)
     cloud = se3.apply(T_palm_object, cloud)
     axes.scatter(*cloud.T, s=1.6, color=color, alpha=0.45, depthshade=False)
