@@ -59,5 +59,5 @@ $(STAMP): pyproject.toml
 	{ echo '$(CURDIR)'; cat pyproject.toml; } > $@
 
 clean:
-	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .kernel_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from handsight.cache_folder import cache_folder
 from handsight.objects import ObjectModel, ObjectWarning, cache
 from objects.object_shapes import box_mesh
 
@@ -114,12 +115,12 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
 def test_where_the_files_go(monkeypatch, tmp_path):
     monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "a"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "b"))
-    assert cache.folder() == tmp_path / "a"
+    assert cache_folder() == tmp_path / "a"
     monkeypatch.delenv("HANDSIGHT_CACHE")
-    assert cache.folder() == tmp_path / "b" / "handsight"
+    assert cache_folder() == tmp_path / "b" / "handsight"
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / ".cache" / "handsight"
+    assert cache_folder() == tmp_path / ".cache" / "handsight"
 
 
 def build_in(folder, gate, answers):

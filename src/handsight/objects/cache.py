@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight.cache_folder import cache_folder
 from handsight.objects.build import ObjectWarning
 
 VERSION = 1
@@ -25,15 +26,6 @@ KEPT = 200
 """Files; the oldest go first."""
 Arrays = dict[str, NDArray[Any]]
 _warned: set[str] = set()
-
-
-def folder() -> Path:
-    """Where the files are; it may not exist yet."""
-    if named := os.environ.get("HANDSIGHT_CACHE"):
-        return Path(named)
-    if base := os.environ.get("XDG_CACHE_HOME"):
-        return Path(base) / "handsight"
-    return Path(os.path.expanduser("~")) / ".cache" / "handsight"
 
 
 def key(kind: str, parameters: str, *arrays: NDArray[Any]) -> str:
@@ -51,7 +43,7 @@ def remembered(name: str, names: set[str], compute: Callable[[], Arrays]) -> Arr
     A file that is cut short, or lacks one of `names`, is computed again. Safe under several processes: a file
     appears whole or not at all. Where the folder cannot be written, one ObjectWarning, and no error.
     """
-    path = folder() / f"field-{name}.npz"
+    path = cache_folder() / f"field-{name}.npz"
     found = _load(path, names)
     if found is not None:
         return found

@@ -1,0 +1,151 @@
+"""How a kernel is compiled, and where its machine code is kept.
+
+Numba's own cache looks at the file of the function alone and would go on using a kernel whose callee in another
+file has changed. Here one stamp over all kernels decides, and the folder is handsight's.
+"""
+
+import contextlib
+import hashlib
+import os
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import caching
+
+from handsight.cache_folder import cache_folder
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+FAST = {"contract", "nsz", "reassoc"}
+"""What the compiler may do to floating point: sums in another order, no fear of -0; NaN and infinity stay."""
+KEPT = 4
+"""Folders of compiled kernels, of this version and earlier ones."""
+_warned: set[str] = set()
+
+
+class KernelWarning(UserWarning):
+    """Something about compiling that costs time and nothing else."""
+
+
+def inner(function: F) -> F:
+    """A function for other kernels: compiled into each of them."""
+    return numba.njit(error_model="numpy", fastmath=FAST)(function)  # type: ignore[no-any-return]
+
+
+def exact(function: F) -> F:
+    """As `inner`, every operation rounded as it stands: for code that counts on it."""
+    return numba.njit(error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+def entry(function: F) -> F:
+    """A kernel that Python calls; its machine code is kept on disk, and the interpreter is released."""
+    return _kept(numba.njit(error_model="numpy", fastmath=FAST, nogil=True)(function))  # type: ignore[no-any-return]
+
+
+def parallel(function: F) -> F:
+    """As `entry`, its `prange` loops on all cores."""
+    jit = numba.njit(error_model="numpy", fastmath=FAST, nogil=True, parallel=True)
+    return _kept(jit(function))  # type: ignore[no-any-return]
+
+
+def _stamp() -> str:
+    """One for all kernels: they are compiled into each other."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+STAMP = _stamp()
+
+
+def folder() -> Path:
+    """Where the machine code of this version is: in `$NUMBA_CACHE_DIR` where that is set, else handsight's cache."""
+    return Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()) / f"kernels-{STAMP}"
+
+
+class _Locator(caching._CacheLocator):  # type: ignore[misc]
+    """Numba's question where to keep a function, answered."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._line = function.__code__.co_firstlineno
+
+    def get_cache_path(self) -> str:
+        return str(folder())
+
+    def get_source_stamp(self) -> str:
+        return STAMP
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], _: str) -> "_Locator":
+        return cls(function)
+
+
+class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = [_Locator]  # noqa: RUF012 - numba's name and type
+
+
+class _Cache(caching.FunctionCache):  # type: ignore[misc]
+    """Numba's cache, where a folder that cannot be read or written costs a warning."""
+
+    _impl_class = _Impl
+
+    def load_overload(self, *args: Any) -> Any:
+        try:
+            return super().load_overload(*args)
+        except Exception:  # a file cut short, or of another build: compiled again
+            return None
+
+    def save_overload(self, *args: Any) -> None:
+        try:
+            self._impl.locator.ensure_cache_path()
+            super().save_overload(*args)
+        except OSError as error:
+            _warn(error)
+        else:
+            _forget_oldest()
+
+
+def _kept(dispatcher: Any) -> Any:
+    dispatcher._cache = _Cache(dispatcher.py_func)
+    return dispatcher
+
+
+def _warn(error: OSError) -> None:
+    if "folder" not in _warned:
+        _warned.add("folder")
+        message = (
+            f"{folder().parent}: compiled kernels cannot be kept there ({error.strerror or error}); each process "
+            "compiles them again (name another folder in HANDSIGHT_CACHE or NUMBA_CACHE_DIR)"
+        )
+        warnings.warn(message, KernelWarning, stacklevel=2)
+
+
+def _forget_oldest() -> None:
+    """Other processes may do the same at the same time."""
+    with contextlib.suppress(OSError):
+        ages = sorted((path.stat().st_mtime, path) for path in folder().parent.glob("kernels-*"))
+        for _, path in ages[:-KEPT]:
+            if path != folder():
+                shutil.rmtree(path, ignore_errors=True)
+
+
+class _Forked:
+    """Whether this process was forked: its thread pool is its parent's, and dead."""
+
+    child = False
+
+
+def _after_fork() -> None:
+    _Forked.child = True
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
