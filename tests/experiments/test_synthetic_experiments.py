@@ -55,7 +55,7 @@ def test_outside_evidence_takes_the_hand_out_of_the_box(tmp_path):
 def test_can_and_box_converge_and_the_regions_hold_without_the_scans(tmp_path):
     rows = rows_of("convergence", tmp_path, "--trials", "8")
     assert np.mean([r["clean"] == "True" for r in rows]) > 0.9
-    rows = rows_of("coverage", tmp_path, "--trials", "30")
+    rows = rows_of("regions", tmp_path, "--trials", "30")
     assert {r["object"] for r in rows} == {"can", "box"}
     # 60 truths: 95 % less four standard errors.
     assert np.mean([r["in 95%"] == "True" for r in rows]) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / 60)

@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 FAST = {"contract", "nsz", "reassoc"}
 """What the compiler may do to floating point: sums in another order, no fear of -0; NaN and infinity stay."""
+MANY = 256
+"""Descents that are worth waking other cores for."""
 KEPT = 4
 """Folders of compiled kernels, of this version and earlier ones."""
 _warned: set[str] = set()
@@ -33,23 +36,53 @@ class KernelWarning(UserWarning):
 
 def inner(function: F) -> F:
     """A function for other kernels: compiled into each of them."""
-    return numba.njit(error_model="numpy", fastmath=FAST)(function)  # type: ignore[no-any-return]
+    return numba.njit(error_model="numpy", fastmath=FAST)(function)
 
 
 def exact(function: F) -> F:
     """As `inner`, every operation rounded as it stands: for code that counts on it."""
-    return numba.njit(error_model="numpy")(function)  # type: ignore[no-any-return]
+    return numba.njit(error_model="numpy")(function)
 
 
 def entry(function: F) -> F:
     """A kernel that Python calls; its machine code is kept on disk, and the interpreter is released."""
-    return _kept(numba.njit(error_model="numpy", fastmath=FAST, nogil=True)(function))  # type: ignore[no-any-return]
+    return _kept(numba.njit(error_model="numpy", fastmath=FAST, nogil=True)(function))
 
 
-def parallel(function: F) -> F:
-    """As `entry`, its `prange` loops on all cores."""
-    jit = numba.njit(error_model="numpy", fastmath=FAST, nogil=True, parallel=True)
-    return _kept(jit(function))  # type: ignore[no-any-return]
+class Parallel:
+    """A kernel whose `prange` loops run on all cores; on one where the thread pool cannot serve.
+
+    It cannot after a fork, where its threads are the parent's, nor, in one of its kinds, two callers at a time.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        jit = numba.njit(error_model="numpy", fastmath=FAST, nogil=True, parallel=True)
+        self._on_all = _kept(jit(function))
+        self.on_one = entry(function)
+        self.__doc__ = function.__doc__
+
+    def __call__(self, *arguments: Any) -> Any:
+        """As the function does."""
+        if _Forked.child or not _pool.acquire(blocking=False):
+            return self.on_one(*arguments)
+        try:
+            return self._on_all(*arguments)
+        finally:
+            _pool.release()
+
+    def over(self, count: int) -> Callable[..., Any]:
+        """On all cores where there are enough items; waking them up takes longer than a few do, or milliseconds
+        where they have other work."""
+        return self if count >= MANY else self.on_one
+
+
+def parallel(function: Callable[..., Any]) -> Parallel:
+    """A kernel whose `prange` loops run on all cores."""
+    return Parallel(function)
+
+
+_pool = threading.Lock()
+"""Held while a kernel uses numba's thread pool."""
 
 
 def _stamp() -> str:

@@ -1,22 +1,26 @@
 """The public door of correction: one function for every method."""
 
+from functools import cache
+from types import ModuleType
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import modes, outliers, paper, two_phase
+from handsight.correction import modes, outliers, paper, plain, two_phase
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior
+from handsight.correction.outliers import Solver
 from handsight.correction.paper import PaperMethod
 from handsight.correction.posterior import mean_by_sampling
 from handsight.correction.two_phase import Problem, TwoPhase
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.objects.symmetry import nearest
 
+USUAL = TwoPhase()
+NO_POINTS = np.empty((0, 3))
 METHODS: dict[str, TwoPhase | PaperMethod] = {
-    "handsight": TwoPhase(),
+    "handsight": USUAL,
     "paper-lm": PaperMethod(optimizer="lm"),
     "paper-gd": PaperMethod(optimizer="gd"),
     "paper-lm-distance": PaperMethod(optimizer="lm", normals=False),
@@ -50,10 +54,15 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    points = np.empty((0, 3)) if outside is None or np.size(outside) == 0 else outside
-    hand = checks.finite(points, "outside", (None, 3))
+    hand = NO_POINTS
+    if outside is not None and np.size(outside):
+        hand = checks.finite(outside, "outside", (None, 3))
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
         raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
+    if options is USUAL and vision is not None and hand is NO_POINTS and not samples:
+        estimate: PoseEstimate | None = _compiled().near(model, contacts, vision)
+        if estimate is not None:
+            return estimate
     problem = Problem(model, contacts, vision, hand)
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
@@ -68,40 +77,21 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
     return METHODS[method]
 
 
+@cache
+def _compiled() -> ModuleType:
+    """The compiled solver, once it is asked for: numba takes half a second to import."""
+    from handsight.correction import compiled
+
+    return compiled
+
+
 def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEstimate:
-    found = outliers.solve_robustly(problem, options)
-    model, used = problem.model, found.used
-    Ts = found.descent.Ts_palm_object
-    if problem.vision is not None:
-        Ts = nearest(model.symmetries, Ts, problem.vision.T_palm_object, model.radius)
-    informations, by_touch, chi2, costs = two_phase.posterior(problem, Ts, used)
-    ranked = modes.hypotheses(
-        model,
-        Ts,
-        informations,
-        costs,
-        lambda poses: two_phase.cost(problem, poses, used),
-        blind=problem.vision is None,
-    )
-    best = ranked[0]
-    k = int(np.flatnonzero((Ts == best.T_palm_object).all(axis=(1, 2)))[0])
-    estimate = PoseEstimate(
-        T_palm_object=best.T_palm_object,
-        covariance=best.covariance,
-        information=best.information,
-        converged=bool(found.descent.converged[k]),
-        iterations=int(found.descent.iterations[k]),
-        residuals=two_phase.residuals(problem, best.T_palm_object),
-        unobservable=_open_directions(model, by_touch[k], best.T_palm_object),
-        consistent=modes.fits(float(chi2[k]), two_phase.freedom(problem, used)),
-        outliers=tuple(int(i) for i in np.flatnonzero(~used[0])),
-        hypotheses=ranked,
-    )
-    return mean_by_sampling(problem, estimate, used, samples) if samples else estimate
-
-
-def _open_directions(model: ObjectModel, by_touch: Array, T_palm_object: Array) -> Array:
-    return modes.unobservable(by_touch, model.radius, T_palm_object[:3, :3] @ model.center_object)
+    solver: Solver = _compiled() if options.compiled else plain
+    found = outliers.solve_robustly(problem, options, solver)
+    estimate = solver.explained(problem, found.descent, found.used)
+    if not samples:
+        return estimate
+    return mean_by_sampling(problem, estimate, found.used, samples, solver.cost)
 
 
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
@@ -130,7 +120,8 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
     T = T_palm_middle @ answer.T_new_old @ se3.inverse(T_palm_middle) @ T
     used = np.ones((1, len(contacts)), dtype=bool)
     information, by_touch, chi2, cost = two_phase.posterior(problem, T[None], used)
-    sigma = modes.covariance(information[0], model.radius, blind=False)
+    known = modes.complete(information[0], model.radius, blind=False)
+    sigma = modes.covariance(information[0], model.radius) if known else None
     return PoseEstimate(
         T_palm_object=T,
         covariance=sigma,
@@ -138,7 +129,7 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
         converged=answer.converged,
         iterations=answer.iterations,
         residuals=two_phase.residuals(problem, T),
-        unobservable=_open_directions(model, by_touch[0], T),
+        unobservable=two_phase.open_directions(model, by_touch[0], T),
         consistent=modes.fits(float(chi2[0]), two_phase.freedom(problem, used)),
         outliers=(),
         hypotheses=(Hypothesis(T, information[0], sigma, 1.0, float(cost[0])),),

@@ -4,11 +4,12 @@ Information is judged in metres: coordinates (δp, radius δθ), so that a turn 
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
-from scipy.special import chdtri
 
 from handsight import se3
+from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
 from handsight.checks import Array, Indices
 from handsight.correction.estimate import Hypothesis
 from handsight.objects import ObjectModel
@@ -17,12 +18,6 @@ from handsight.objects.symmetry import nearest
 APART = (0.015, np.deg2rad(20.0))
 """Two modes are distinct when further apart than this [m] or turned by more than this [rad]."""
 MOST_MODES = 8
-OPEN = 1 / 3
-"""A direction is unobservable when touch alone leaves it a standard deviation above this part of the radius."""
-STRIDE, SECANT_PASSES = 1.5, 3
-"""How many deviations from a mode its cost is read, and how often at most, each time with the last deviations."""
-LEAST_FACTOR = 0.05
-"""The most that one pass lowers an information."""
 ALARM = 1e-3
 """Probability that evidence which fits is called inconsistent."""
 
@@ -53,22 +48,24 @@ def secant(information: Array, T_mode: Array, cost_at: Callable[[Array], Array],
 
     At an edge, on a bumpy scan or along a bounded slide the slope of the residuals at the mode tells little
     about a standard deviation away. Along each eigenvector of the information the cost is read on both sides
-    at STRIDE deviations, where a Gaussian's has risen by STRIDE²; the eigenvalue is scaled by what it did.
+    at STRIDE deviations, where a Gaussian's has risen by STRIDE²; the eigenvalue is scaled by what it did, again
+    where that was more than halving it.
     """
-    metres = in_metres(information, radius)
-    values, vectors = np.linalg.eigh(metres)
-    known = values > 1e-13 * values[-1]
+    values, vectors = np.linalg.eigh(in_metres(information, radius))
+    known = values > KNOWN * values[-1]
     values, vectors = values[known], vectors[:, known]
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
+    here = cost_at(T_mode[None])[0]
+    going = np.arange(len(values))
     for _ in range(SECANT_PASSES):
-        length = STRIDE * np.minimum(1 / np.sqrt(values), radius / 2)
-        steps = (vectors * length).T * scale
-        poses = slid(T_mode, np.concatenate([np.zeros((1, 6)), steps, -steps]))
-        costs = cost_at(poses)
-        rise = (costs[1:] - costs[0]).reshape(2, -1) / (length**2 * values)
+        length = STRIDE * np.minimum(1 / np.sqrt(values[going]), radius / 2)
+        steps = (vectors[:, going] * length).T * scale
+        costs = cost_at(slid(T_mode, np.concatenate([steps, -steps])))
+        rise = (costs - here).reshape(2, -1) / (length**2 * values[going])
         factor = rise.clip(LEAST_FACTOR, 1.0).mean(axis=0)
-        values = values * factor
-        if (factor > 0.5).all():
+        values[going] *= factor
+        going = going[factor <= 0.5]
+        if not len(going):
             break
     return np.asarray((vectors * values) @ vectors.T / scale[:, None] / scale)
 
@@ -89,7 +86,7 @@ def along_palm_axes(information: Array, radius: float) -> Array:
     """
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
     values, vectors = np.linalg.eigh(in_metres(information, radius))
-    known = values > 1e-13 * values[-1]
+    known = values > KNOWN * values[-1]
     basis = vectors[:, known]
     variance = 1 / values[known]
     bounded = (basis * np.minimum(variance, radius**2)) @ basis.T * scale[:, None] * scale
@@ -112,14 +109,16 @@ def _cross_forms() -> Array:
 CROSS = _cross_forms()
 
 
-def covariance(information: Array, radius: float, *, blind: bool) -> Array | None:
-    """The inverse (6, 6), or None where a direction is not known: at all, or, blind, to the object's size."""
+def complete(information: Array, radius: float, *, blind: bool) -> bool:
+    """Whether every direction is known: at all, or, blind, to the object's size."""
+    values = np.linalg.eigvalsh(in_metres(information, radius))
+    least = 1 / (OPEN * radius) ** 2 if blind else 0.0
+    return bool(values[0] > max(KNOWN * values[-1], least))
+
+
+def covariance(information: Array, radius: float) -> Array:
+    """The inverse (6, 6) of an information in which every direction is known."""
     values, vectors = np.linalg.eigh(in_metres(information, radius))
-    least = 1e-12 * values[-1]
-    if blind:
-        least = max(least, 1 / (OPEN * radius) ** 2)
-    if values[0] <= least:
-        return None
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
     root = scale[:, None] * vectors / np.sqrt(values)
     return np.asarray(root @ root.T)
@@ -175,11 +174,20 @@ def hypotheses(
     for k, share in zip(chosen, weight, strict=True):
         straight = secant(informations[k], Ts[k], cost_at, model.radius)
         information = along_palm_axes(straight, model.radius)
-        sigma = covariance(information, model.radius, blind=blind)
+        known = complete(straight, model.radius, blind=blind)
+        sigma = covariance(information, model.radius) if known else None
         found.append(Hypothesis(Ts[k], information, sigma, float(share), float(costs[k])))
     return tuple(found)
 
 
 def fits(chi2: float, freedom: int, alarm: float = ALARM) -> bool:
     """Whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
-    return bool(chi2 <= chdtri(max(freedom, 1), alarm))
+    return chi2 <= _limit(max(freedom, 1), alarm)
+
+
+@lru_cache(maxsize=1024)
+def _limit(freedom: int, alarm: float) -> float:
+    """The 1 - alarm quantile of χ²."""
+    from scipy.special import chdtri
+
+    return float(chdtri(freedom, alarm))

@@ -4,6 +4,7 @@ Two fingers and a thumb on opposite faces leave a slide that edges bound but do 
 density then sits at the interval's end, its mean in the middle.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from handsight.correction.estimate import PoseEstimate
 from handsight.correction.two_phase import Problem
 from handsight.objects.symmetry import tangents
 
+Cost = Callable[[Problem, Array, Mask], Array]
+
 CHAINS = 64
 """Walkers that move at once; one evaluation serves them all."""
 BURN_IN = 100
@@ -23,16 +26,18 @@ TARGET = 0.35
 """Share of accepted steps that explores a line fastest, about."""
 
 
-def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
+def mean_by_sampling(
+    problem: Problem, estimate: PoseEstimate, used: Mask, samples: int, cost: Cost
+) -> PoseEstimate:
     """The estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
 
     Metropolis walks from the mode along the eigenvectors of the information there. A declared symmetry axis
-    is not walked along (it has no mean), and the covariance is None where there is one.
+    is not walked along (it has no mean), and the covariance is None where there is one. `cost` is the solver's.
     """
     T_mode, radius = estimate.T_palm_object, problem.model.radius
     axes = tangents(problem.model.symmetries, T_mode)
     directions = _directions(estimate.information, axes, radius)
-    draws = _walk(problem, T_mode, used, directions, samples)
+    draws = _walk(lambda poses: -cost(problem, poses, used) / 2, T_mode, directions, samples)
     T = se3.moved(T_mode, draws.mean(axis=0))
     spread = np.cov(draws.T)
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
@@ -63,19 +68,19 @@ def _directions(information: Array, axes: Array, radius: float) -> Array:
     return np.asarray((vectors.T @ basis) * length[:, None] * np.array([1.0] * 3 + [1 / radius] * 3))
 
 
-def _walk(problem: Problem, T_mode: Array, used: Mask, directions: Array, samples: int) -> Array:
-    """(samples, 6) perturbations of the mode, drawn from the posterior."""
+def _walk(log_density: Callable[[Array], Array], T_mode: Array, directions: Array, samples: int) -> Array:
+    """(samples, 6) perturbations of the mode, drawn from the posterior, whose logarithm is given up to a constant."""
     rng = np.random.default_rng(0)
     chains = min(CHAINS, samples)
     kept = -(-samples // chains)
     burn = max(kept, BURN_IN)
     at = np.repeat(T_mode[None], chains, axis=0)
-    density = _log_density(problem, at, used)
+    density = log_density(at)
     stride, draws = np.ones(len(directions)), []
     for step in range(burn + kept):
         j = step % len(directions)
         proposal = se3.moved(at, rng.normal(size=(chains, 1)) * stride[j] * directions[j])
-        proposed = _log_density(problem, proposal, used)
+        proposed = log_density(proposal)
         accepted = np.log(rng.random(chains)) < proposed - density
         at = np.where(accepted[:, None, None], proposal, at)
         density = np.where(accepted, proposed, density)
@@ -84,8 +89,3 @@ def _walk(problem: Problem, T_mode: Array, used: Mask, directions: Array, sample
         else:
             draws.append(se3.difference(at, T_mode))
     return np.concatenate(draws)[:samples]
-
-
-def _log_density(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
-    """(K,) logarithm of the posterior density, up to a constant."""
-    return -two_phase.cost(problem, Ts_palm_object, used) / 2

@@ -9,18 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import se3
+from handsight._kernels.settings import MATCH_STEPS, MATCH_TOLERANCE, MAX_TURN, SHORT_STEP, SMALL_STEP
 from handsight.checks import Array, Indices, Mask
 from handsight.correction.evidence import Evidence, cross
 
 EYE_3, EYE_6 = np.eye(3), np.eye(6)
-MAX_TURN = 0.7
-"""Longest turn of one step [rad]: beyond it the linearisation says nothing."""
-MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
-"""Most steps of phase 1, and the step [radii] that ends it."""
-SHORT_STEP = 2e-5
-"""A step is short when it moves no part of the object by more than this many radii."""
-SMALL_STEP = 0.03
-"""A step is small when it is shorter than this many standard deviations of the answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +119,10 @@ class Samples:
     """Tangential distance to the matched sample that costs nothing [m]."""
     sigma_tangential: float
     """Standard deviation of the tangential distance beyond the band [m]."""
+    variance_point: float
+    """How far the patch that a sample stands for is from the sample's plane [m²]."""
+    variance_normal: float
+    """Of its normal, per axis [rad²]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,14 +178,18 @@ class Matches:
 
 def match(
     matches: Matches, others: Sequence[Evidence], Ts_palm_object: Array, chart: Chart
-) -> tuple[Array, int]:
-    """Phase 1: poses (K, 4, 4) after Gauss-Newton steps on nearest samples, and the steps taken."""
-    T, undamped = Ts_palm_object, np.full(len(Ts_palm_object), 1e-9)
-    for taken in range(1, MATCH_STEPS + 1):  # noqa: B007
+) -> tuple[Array, Indices]:
+    """Phase 1: poses (K, 4, 4) after Gauss-Newton steps on nearest samples, and the steps (K,) each took."""
+    T, K = Ts_palm_object, len(Ts_palm_object)
+    undamped, taken = np.full(K, 1e-9), np.zeros(K, dtype=np.int64)
+    going = np.ones(K, dtype=bool)
+    for _ in range(MATCH_STEPS):
         H, g, _ = chart.normal_equations([matches, *others], T)
         steps = chart.damped_step(H, g, undamped)
-        T = chart.stepped(T, steps)
-        if np.abs(steps).max() < MATCH_TOLERANCE * chart.radius:
+        T = np.where(going[:, None, None], chart.stepped(T, steps), T)
+        taken += going
+        going = going & ~(np.abs(steps).max(axis=1) < MATCH_TOLERANCE * chart.radius)
+        if not going.any():
             break
     return T, taken
 

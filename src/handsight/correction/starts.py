@@ -13,6 +13,8 @@ from handsight.correction.evidence import Touch, surface_at
 from handsight.objects import ObjectModel
 
 MOST_STARTS = 32
+WIDEST_OF_ONE = 0.225
+"""A prior narrower than this part of the diameter needs one start."""
 BLIND_SPINS = 18
 BLIND_KEPT = 384
 
@@ -30,7 +32,7 @@ def width(model: ObjectModel, vision: PosePrior) -> float:
 def count(model: ObjectModel, vision: PosePrior) -> int:
     """How many starts a prior of that width needs: one up to a fifth of the diameter, more beyond."""
     w = width(model, vision)
-    return int(np.clip(round(60 * (w - 0.2)), 1, MOST_STARTS))
+    return 1 if w < WIDEST_OF_ONE else int(np.clip(round(60 * (w - 0.2)), 1, MOST_STARTS))
 
 
 def from_prior(vision: PosePrior, number: int) -> Array:

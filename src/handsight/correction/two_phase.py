@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from handsight._kernels.settings import CANDIDATE_APART, COARSE_STEP, COARSE_STEPS, FINE_STEPS
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
@@ -26,14 +27,11 @@ from handsight.correction.solve import (
 from handsight.errors import InvalidInput
 from handsight.objects import Field, ObjectModel
 
-COARSE_STEPS, FINE_STEPS = 2, 50
-COARSE_STEP = 0.3
-"""Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
 COARSE_BLUR = (0.03, 0.03)
 """How far the smooth field is off on faces: of its distance [cells] and of its normal [rad]."""
+MOST_STARTS = 1_000_000
 KEPT, KEPT_BLIND = 24, 64
 """Candidates that go on from the coarse field to the fine one."""
-CANDIDATE_APART = (0.002, np.deg2rad(2.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +42,14 @@ class TwoPhase:
     """Descents begun from draws of the prior; None: from the prior's width, and more if none fits."""
     reject_outliers: bool = True
     """Look for a contact that is wrong when the contacts do not fit together."""
+    compiled: bool = True
+    """Run the kernels; False: their twins in plain NumPy, which say what they mean and take a hundred times as long."""
 
     def __post_init__(self) -> None:
-        if self.starts is not None and not (isinstance(self.starts, int) and 1 <= self.starts <= 100_000):
-            raise InvalidInput(f"starts: expected a whole number from 1 to 100000, got {self.starts!r}")
+        if self.starts is not None and not (isinstance(self.starts, int) and 1 <= self.starts <= MOST_STARTS):
+            raise InvalidInput(
+                f"starts: expected a whole number from 1 to {MOST_STARTS}, got {self.starts!r}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ class Problem:
         root[:3, :3] = np.eye(3) / self.model.radius
         return [Vision(self.model.center_object, None, self.center_palm, np.eye(3), root)]
 
-    def hand(self, surface: Field) -> list[Evidence]:
+    def hand(self, surface: Field) -> list[Outside]:
         """The hand's points as evidence; nothing where there are none or the object has no inside.
 
         Their place is as uncertain as the contacts', through the same kinematics.
@@ -105,19 +107,28 @@ class Problem:
 
     def matches(self, used: Mask) -> Matches:
         """The contacts as phase 1 sees them."""
-        model, c = self.model, self.contacts
-        spacing = model.sample_spacing
-        # A sample stands for a patch: on a curved one its plane and normal are off by what the patch bends.
-        point = np.trace(c.covariance[:, :3, :3], axis1=1, axis2=2) / 3 + (0.02 * spacing) ** 2
-        normal = np.trace(c.covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + model.sigma_normal**2
-        samples = Samples(
-            model.points_object, model.normals_object, 1.3 * model.diameter, 1.6 * spacing, 0.32 * spacing
-        )
+        c, samples = self.contacts, patches(self.model)
+        point = np.trace(c.covariance[:, :3, :3], axis1=1, axis2=2) / 3 + samples.variance_point
+        normal = np.trace(c.covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + samples.variance_normal
         weight_normal = np.where(c.has_normal, 1 / np.sqrt(np.maximum(normal, 1e-12)), 0.0)
         weight_point = np.where(used, 1 / np.sqrt(point), 0.0)
         return Matches(
             c.points_palm, c.normals_palm, weight_point, np.where(used, weight_normal, 0.0), samples
         )
+
+
+def patches(model: ObjectModel) -> Samples:
+    """The object's samples, each for the patch around it: on a curved one plane and normal are off by its bend."""
+    spacing = model.sample_spacing
+    return Samples(
+        model.points_object,
+        model.normals_object,
+        normal_weight=1.3 * model.diameter,
+        band=1.6 * spacing,
+        sigma_tangential=0.32 * spacing,
+        variance_point=(0.02 * spacing) ** 2,
+        variance_normal=model.sigma_normal**2,
+    )
 
 
 def prior_root(vision: PosePrior, radius: float) -> Array:
@@ -142,7 +153,7 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]
     used_kept = used[keep] if len(used) > 1 else used
     terms = [problem.touch(model.fine, used_kept).frozen(T), *sight, *problem.hand(model.fine)]
     fine = descend(terms, T, chart, max_iterations=FINE_STEPS)
-    fine = replace(fine, iterations=steps + coarse.iterations[keep] + fine.iterations)
+    fine = replace(fine, iterations=steps[keep] + coarse.iterations[keep] + fine.iterations)
     used_all = np.broadcast_to(used_kept, (len(keep), used.shape[1]))
     if problem.vision is None:
         # Along a slide any place is a minimum: beside where each descent ended, the most likely one.
@@ -158,14 +169,40 @@ def survivors(model: ObjectModel, coarse: Descent, used: Mask, most: int) -> Ind
     order = np.argsort(coarse.cost, kind="stable")
     if len(order) == 1:
         return order
-    if len(used) == 1:
-        groups = [order]
-    else:
-        _, group = np.unique(used, axis=0, return_inverse=True)
-        groups = [order[group[order] == k] for k in range(group.max() + 1)]
+    groups = groups_of(used, order)
     each = max(2, most // len(groups))
     kept = [modes.distinct(model, coarse.Ts_palm_object, g, each, CANDIDATE_APART) for g in groups]
     return np.concatenate([np.asarray(k, dtype=np.int64) for k in kept])
+
+
+def groups_of(used: Mask, order: Indices) -> list[Indices]:
+    """The order split by which contacts count."""
+    if len(used) == 1:
+        return [order]
+    _, group = np.unique(used, axis=0, return_inverse=True)
+    return [order[group[order] == k] for k in range(group.max() + 1)]
+
+
+def gains(problem: Problem, T_palm_object: Array, used: Mask) -> Array:
+    """(n,) how much χ² falls, to first order, at a mode when a contact is left out and the pose gives way.
+
+    With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g.
+    What a contact at an edge pulls at is beyond the edge: there only its own residuals count.
+    """
+    fine, T = problem.model.fine, T_palm_object[None]
+    information = posterior(problem, T, used)[0][0]
+    information = information + 1e-12 * np.trace(information[:3, :3]) * np.eye(6)
+    touch = problem.touch(fine, used)
+    edge = touch.edges(surface_at(fine, touch.points_palm, T))[0]
+    total = np.zeros(len(problem.contacts))
+    for i in np.flatnonzero(used[0]):
+        alone = np.zeros_like(used)
+        alone[0, i] = True
+        H, g, square = normal_equations(*problem.touch(fine, alone).density(T)[:2])
+        total[i] = square[0]
+        if not edge[i]:
+            total[i] += g[0] @ np.linalg.solve(information - H[0], g[0])
+    return total
 
 
 def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Array, Array]:
@@ -190,6 +227,11 @@ def freedom(problem: Problem, used: Mask) -> int:
     """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
     rows = int((used * (1 + 2 * problem.contacts.has_normal)).sum())
     return rows if problem.vision is not None else max(rows - 6, 1)
+
+
+def open_directions(model: ObjectModel, by_touch: Array, T_palm_object: Array) -> Array:
+    """(k, 6) directions that touch, whose information this is, leaves open at a pose."""
+    return modes.unobservable(by_touch, model.radius, T_palm_object[:3, :3] @ model.center_object)
 
 
 def residuals(problem: Problem, T_palm_object: Array) -> Residuals:

@@ -66,8 +66,8 @@ def main():
         table,
         "± one standard error. Vision off by 20 mm / 15° rms, contacts by 0.5 mm / 2° per axis, all stated truthfully.",
     )
-    report.write_csv(options.output / "coverage.csv", rows)
-    draw_figure(rows, options.output / "coverage.png")
+    report.write_csv(options.output / "regions.csv", rows)
+    draw_figure(rows, options.output / "regions.png")
 
 
 def draw_figure(rows, path):

@@ -1,0 +1,25 @@
+"""What kernels and their twins must agree on: when the two phases end, and how the posterior is read."""
+
+import numpy as np
+
+MAX_TURN = 0.7
+"""Longest turn of one step [rad]: beyond it the linearisation says nothing."""
+MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
+"""Most steps of phase 1, and the step [radii] that ends it."""
+COARSE_STEPS, FINE_STEPS = 2, 50
+COARSE_STEP = 0.3
+"""Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
+SHORT_STEP = 2e-5
+"""A step is short when it moves no part of the object by more than this many radii."""
+SMALL_STEP = 0.03
+"""A step is small when it is shorter than this many standard deviations of the answer."""
+OPEN = 1 / 3
+"""A direction is unobservable when touch alone leaves it a standard deviation above this part of the radius."""
+KNOWN = 1e-12
+"""An information this much smaller than the largest [1/m²] is none."""
+STRIDE, SECANT_PASSES = 1.5, 3
+"""How many deviations from a mode its cost is read, and how often at most, each time with the last deviations."""
+LEAST_FACTOR = 0.05
+"""The most that one pass lowers an information."""
+CANDIDATE_APART = (0.002, float(np.deg2rad(2.0)))
+"""Two descents are worth finishing both when further apart than this [m] or turned by more than this [rad]."""

@@ -1,0 +1,203 @@
+"""Three inner loops in the compiler's own vectors: numba's loops over so few elements stay scalar.
+
+`spline`: a grid's value and derivatives. `accumulate`: rows of evidence to normal equations. `scan`: the nearest
+of many samples. Elements beyond a machine's vector width are the compiler's business.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+_FAST = ("contract", "nsz", "reassoc")
+_DOUBLE, _SINGLE, _INT32, _INT64 = ir.DoubleType(), ir.FloatType(), ir.IntType(32), ir.IntType(64)
+_DOUBLES, _FOUR = ir.VectorType(_DOUBLE, 4), ir.VectorType(_SINGLE, 4)
+_EIGHT, _EIGHT_INTS = ir.VectorType(_SINGLE, 8), ir.VectorType(_INT32, 8)
+
+# Rows: powers 1, f, f², f³; columns: the four nodes. Then the derivatives by f.
+_VALUE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+_SLOPE = _VALUE[1:] * [[1], [2], [3]]
+_BEND = _SLOPE[1:] * [[1], [2]]
+
+# Orders of derivative along x, y and z of what comes out: value, gradient, Hessian's upper triangle.
+_ORDERS = (
+    (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1),
+    (2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2),
+)  # fmt: skip
+
+
+@intrinsic
+def spline(_: Any, values: Any, first: Any, step_x: Any, step_y: Any, fx: Any, fy: Any, fz: Any) -> Any:
+    """Ten numbers: value, gradient (x, y, z) and Hessian (xx, xy, xz, yy, yz, zz) by grid coordinates.
+
+    `values`: nodes, float32, z fastest. `first`: place of the first of the 4 x 4 x 4 nodes. `step_x`, `step_y`:
+    between neighbours along x and y. `fx`, `fy`, `fz`: how far past the second node, 0 to 1. 16 rows of 4 nodes
+    are contracted along x and y, then along z. Twin: `handsight.objects.field.GridField`.
+    """
+    f8, i8 = types.float64, types.int64
+    return types.UniTuple(f8, 10)(values, i8, i8, i8, f8, f8, f8), _spline
+
+
+def _spline(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    values, first, step_x, step_y = arguments[:4]
+    nodes = _data(context, builder, signature.args[0], values)
+    along_x, along_y, along_z = (_basis(builder, f) for f in arguments[4:])
+    total: dict[tuple[int, int], Any] = {}
+    for j in range(4):
+        rows: list[Any] = [None] * 3
+        for i in range(4):
+            shift = builder.add(_times(builder, i, step_x), _times(builder, j, step_y))
+            four = builder.fpext(_load(builder, nodes, builder.add(first, shift), _FOUR), _DOUBLES)
+            rows = [_add(builder, _splat(builder, along_x[o], i), four, rows[o]) for o in range(3)]
+        for o in range(3):
+            for m in range(3 - o):
+                total[o, m] = _add(builder, _splat(builder, along_y[m], j), rows[o], total.get((o, m)))
+    sums = [_sum(builder, builder.fmul(total[o, m], along_z[n], flags=_FAST)) for o, m, n in _ORDERS]
+    return context.make_tuple(builder, signature.return_type, sums)
+
+
+def _basis(builder: Any, f: Any) -> list[Any]:
+    """Weights of four nodes, their slopes and their bends, as vectors."""
+    four = _filled(builder, f, _DOUBLES)
+    return [_polynomial(builder, rows, four) for rows in (_VALUE, _SLOPE, _BEND)]
+
+
+def _polynomial(builder: Any, rows: Any, f: Any) -> Any:
+    total = ir.Constant(_DOUBLES, rows[-1].tolist())
+    for row in rows[-2::-1]:
+        total = _add(builder, total, f, ir.Constant(_DOUBLES, row.tolist()))
+    return total
+
+
+@intrinsic
+def accumulate(_: Any, weight: Any, at: Any, rows: Any, equations: Any) -> Any:
+    """Adds `JᵀWJ` to `equations` (7, 8): Hessian, gradient in row and column 6, cost where these meet.
+
+    `rows`: J, 7 numbers a row: six derivatives and the residual. `weight`: from `at` on W, symmetric, row by row.
+    """
+    return types.void(weight, types.int64, rows, equations), _accumulate
+
+
+def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    weight = _data(context, builder, signature.args[0], arguments[0])
+    equations = _data(context, builder, signature.args[3], arguments[3])
+    numbers = cgutils.unpack_tuple(builder, arguments[2], signature.args[2].count)
+    n = len(numbers) // 7
+    zero = ir.Constant(_DOUBLE, 0.0)
+    rows = [
+        [
+            _packed(builder, numbers[7 * r : 7 * r + 4]),
+            _packed(builder, [*numbers[7 * r + 4 : 7 * r + 7], zero]),
+        ]
+        for r in range(n)
+    ]
+    weighted: list[list[Any]] = []
+    for r in range(n):
+        sums: list[Any] = [None, None]
+        for c in range(n):
+            place = builder.add(arguments[1], ir.Constant(_INT64, n * r + c))
+            w = _filled(builder, builder.load(builder.gep(weight, [place])), _DOUBLES)
+            sums = [_add(builder, w, rows[c][half], sums[half]) for half in range(2)]
+        weighted.append(sums)
+    for i in range(7):
+        for half in range(2):
+            place = ir.Constant(_INT64, 8 * i + 4 * half)
+            total = _load(builder, equations, place, _DOUBLES)
+            for r in range(n):
+                left = _filled(builder, numbers[7 * r + i], _DOUBLES)
+                total = _add(builder, left, weighted[r][half], total)
+            address = builder.bitcast(builder.gep(equations, [place]), _DOUBLES.as_pointer())
+            builder.store(total, address, align=8)
+    return context.get_dummy_value()
+
+
+@intrinsic
+def scan(_: Any, table: Any, at: Any, count: Any, query: Any) -> Any:
+    """The column of a table with the least product with the query; of equals the first.
+
+    `table`: float32, from `at` on 7 rows of `count` numbers each, a multiple of 8. `query`: 7 float32.
+    """
+    i8 = types.int64
+    return i8(table, i8, i8, types.UniTuple(types.float32, 7)), _scan
+
+
+def _scan(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    table = _data(context, builder, signature.args[0], arguments[0])
+    at, count = arguments[1:3]
+    query = [_filled(builder, q, _EIGHT) for q in cgutils.unpack_tuple(builder, arguments[3], 7)]
+    least = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT, [np.inf] * 8))
+    place = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT_INTS, [0] * 8))
+    with cgutils.for_range(builder, builder.sdiv(count, ir.Constant(_INT64, 8))) as loop:
+        begin = builder.mul(loop.index, ir.Constant(_INT64, 8))
+        total = None
+        for k in range(7):
+            row = builder.add(builder.add(at, begin), _times(builder, k, count))
+            total = _add(builder, query[k], _load(builder, table, row, _EIGHT), total)
+        less = builder.fcmp_ordered("<", total, builder.load(least))
+        here = _filled(builder, builder.trunc(begin, _INT32), _EIGHT_INTS)
+        builder.store(builder.select(less, total, builder.load(least)), least)
+        builder.store(builder.select(less, here, builder.load(place)), place)
+    values, places = builder.load(least), builder.load(place)
+    best, index = None, None
+    for k in range(8):
+        lane = ir.Constant(_INT32, k)
+        value = builder.extract_element(values, lane)
+        column = builder.add(builder.extract_element(places, lane), lane)
+        if best is None:
+            best, index = value, column
+            continue
+        tie = builder.and_(builder.fcmp_ordered("==", value, best), builder.icmp_signed("<", column, index))
+        better = builder.or_(builder.fcmp_ordered("<", value, best), tie)
+        best, index = builder.select(better, value, best), builder.select(better, column, index)
+    return builder.sext(index, _INT64)
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _load(builder: Any, pointer: Any, place: Any, kind: Any) -> Any:
+    """A vector that begins at `place`, wherever that is."""
+    address = builder.bitcast(builder.gep(pointer, [place]), kind.as_pointer())
+    return builder.load(address, align=4 if kind.element == _SINGLE else 8)
+
+
+def _add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c; c may be nothing yet."""
+    product = builder.fmul(a, b, flags=_FAST)
+    return product if c is None else builder.fadd(product, c, flags=_FAST)
+
+
+def _packed(builder: Any, numbers: Any) -> Any:
+    vector = ir.Constant(_DOUBLES, ir.Undefined)
+    for k, number in enumerate(numbers):
+        vector = builder.insert_element(vector, number, ir.Constant(_INT32, k))
+    return vector
+
+
+def _filled(builder: Any, number: Any, kind: Any) -> Any:
+    """A vector of the same number."""
+    first = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(_INT32, 0))
+    return _splat(builder, first, 0)
+
+
+def _splat(builder: Any, vector: Any, k: int) -> Any:
+    """Its k-th element in every place."""
+    same = ir.Constant(ir.VectorType(_INT32, vector.type.count), [k] * vector.type.count)
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), same)
+
+
+def _times(builder: Any, k: int, step: Any) -> Any:
+    return builder.mul(ir.Constant(_INT64, k), step)
+
+
+def _sum(builder: Any, vector: Any) -> Any:
+    pair, unused = ir.VectorType(_INT32, 2), ir.Constant(vector.type, ir.Undefined)
+    low = builder.shuffle_vector(vector, unused, ir.Constant(pair, [0, 1]))
+    high = builder.shuffle_vector(vector, unused, ir.Constant(pair, [2, 3]))
+    two = builder.fadd(low, high, flags=_FAST)
+    left, right = (builder.extract_element(two, ir.Constant(_INT32, k)) for k in (0, 1))
+    return builder.fadd(left, right, flags=_FAST)

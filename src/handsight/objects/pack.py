@@ -1,0 +1,31 @@
+"""A distance field as the flat numbers that kernels take (`handsight._kernels.layout`)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight._kernels import layout as at
+from handsight.checks import Array
+from handsight.objects.exact import BoxField, CylinderField, SphereField
+from handsight.objects.field import Field, GridField
+
+
+def packed_field(field: Field, nodes: int) -> tuple[Array, NDArray[np.float32]]:
+    """The field's numbers (FIELD,) and its nodes, none where it is exact; they will begin at `nodes`."""
+    numbers = np.zeros(at.FIELD)
+    if isinstance(field, GridField):
+        numbers[at.KIND] = at.GRID
+        numbers[at.ORIGIN : at.ORIGIN + 3] = field.origin
+        numbers[at.CELL], numbers[at.INVERSE_CELL] = field.cell, 1 / field.cell
+        numbers[at.SHAPE : at.SHAPE + 3] = field.values.shape
+        numbers[at.NODES] = nodes
+        return numbers, field.values.reshape(-1)
+    if isinstance(field, BoxField):
+        numbers[at.KIND], numbers[at.ORIGIN : at.ORIGIN + 3] = at.BOX, field.half
+    elif isinstance(field, CylinderField):
+        numbers[at.KIND], numbers[at.ORIGIN : at.ORIGIN + 2] = at.CYLINDER, (field.radius, field.half_height)
+    elif isinstance(field, SphereField):
+        numbers[at.KIND], numbers[at.ORIGIN] = at.SPHERE, field.radius
+    else:
+        raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
+    numbers[at.LEAST] = field.least
+    return numbers, np.empty(0, dtype=np.float32)
