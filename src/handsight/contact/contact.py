@@ -1,6 +1,6 @@
 """What a fingertip feels: one contact, none and why, or a batch of both."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal, overload
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.contact.fingertip import Fingertip
 
 ReasonName = Literal["free", "off_cap", "beyond_friction", "invalid"]
 
@@ -75,6 +76,28 @@ class Contact:
         )
 
 
+_new = object.__new__
+_set_point = vars(Contact)["point"].__set__
+_set_normal = vars(Contact)["normal"].__set__
+_set_force = vars(Contact)["force"].__set__
+_set_force_normal = vars(Contact)["force_normal"].__set__
+_set_torque = vars(Contact)["torque"].__set__
+_set_covariance = vars(Contact)["covariance"].__set__
+
+
+def made(vectors: Array, force_normal: float, torque: float, covariance: Array) -> Contact:
+    """A `Contact`; `vectors` (3, 3) are its point, normal and force. In half the time that its own `__init__` takes."""
+    contact = _new(Contact)
+    # Each by its index: unpacking an array takes three times as long.
+    _set_point(contact, vectors[0])
+    _set_normal(contact, vectors[1])
+    _set_force(contact, vectors[2])
+    _set_force_normal(contact, force_normal)
+    _set_torque(contact, torque)
+    _set_covariance(contact, covariance)
+    return contact
+
+
 @dataclass(frozen=True, slots=True)
 class NoContact:
     """No contact, and why; falsy."""
@@ -108,8 +131,24 @@ class ContactBatch:
     """(k,) [N], above zero."""
     torques: Array
     """(k,) local torque about the normal [N m]."""
-    covariances: Array
-    """(k, 6, 6) of (point [m], normal), from the sensor's noise alone."""
+    fingertip: Fingertip
+    """The tip that felt them."""
+    sigmas: Array
+    """(6,) one standard deviation per axis of a reading's force [N] and torque [N m]."""
+    _covariances: Array | None = field(default=None, init=False, repr=False)
+
+    @property
+    def covariances(self) -> Array:
+        """(k, 6, 6) of (point [m], normal), from the sensor's noise alone; computed when first asked for."""
+        if self._covariances is None:
+            from handsight._kernels import sensing
+
+            out = np.empty((len(self.rows), 6, 6))
+            points, sizes = self.points.reshape(-1), (self.forces_normal, self.torques)
+            sensing.covariances(points, *sizes, self.fingertip._numbers, self.sigmas, out.reshape(-1))
+            object.__setattr__(self, "_covariances", out)
+            return out
+        return self._covariances
 
     def __len__(self) -> int:
         return len(self.reasons)

@@ -5,7 +5,7 @@ and the tip points along +z. A pull at one point of a closed surface is a push a
 shape carries what tells them apart: a `cap` (least z that is sensed) and a `max_friction`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +34,8 @@ class Ellipsoid:
     """Forces weaker than this are no contact [N]."""
     T_surface_sensor: Array | None
     """(4, 4) pose of the sensor's frame in the surface's; None: wrenches come in the surface's frame."""
+    _numbers: Array = field(init=False, repr=False)
+    """As `_packed`."""
 
     def __init__(
         self,
@@ -66,6 +68,8 @@ class Sphere:
     """Forces weaker than this are no contact [N]."""
     T_surface_sensor: Array | None
     """(4, 4) pose of the sensor's frame in the surface's; None: wrenches come in the surface's frame."""
+    _numbers: Array = field(init=False, repr=False)
+    """As `_packed`."""
 
     def __init__(
         self,
@@ -140,3 +144,16 @@ def _set_sensed(
         ("T_surface_sensor", T),
     ):
         object.__setattr__(tip, name, value)
+    object.__setattr__(tip, "_numbers", _packed(tip))
+
+
+def _packed(tip: Fingertip) -> Array:
+    """The tip as contact sensing's kernels take it; where is what says `handsight._kernels.sensing_steps`."""
+    axes, W = tip.semi_axes, 1 / tip.semi_axes
+    cap = -np.inf if tip.cap is None else tip.cap
+    friction = np.inf if tip.max_friction is None else tip.max_friction
+    # A power of two: forces are compared squared, and their squares must not under- or overflow.
+    unit = np.ldexp(1.0, 1 - np.frexp(tip.min_force)[1])
+    T = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
+    judged = [1 / W.prod(), cap, friction * friction, unit, (tip.min_force * unit) ** 2]
+    return np.concatenate([W, axes, W.prod() / W, judged, T[:3, :3].ravel(), T[:3, 3]])

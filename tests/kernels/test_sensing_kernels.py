@@ -1,0 +1,282 @@
+"""Contact sensing's kernels against their twin in plain NumPy."""
+
+import copy
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from contact.contact_cases import PAPER_TIP, any_tip, touches
+from handsight import se3
+from handsight._kernels import sensing as kernels
+from handsight.contact import (
+    Contact,
+    Ellipsoid,
+    NoContact,
+    Reason,
+    Sphere,
+    _sensing_plain,
+    contact_from_wrench,
+    contacts_from_wrenches,
+)
+
+SIGMAS = np.array([0.01, 0.02, 0.03, 5e-5, 1e-4, 2e-4])
+OPTIONS = {"sigma_force": SIGMAS[:3], "sigma_torque": SIGMAS[3:]}
+TIP = Ellipsoid(PAPER_TIP, cap=-0.002, max_friction=1.2)
+FIELDS = ("points", "normals", "forces", "forces_normal", "torques")
+
+
+def tips(rng):
+    """Every shape, with and without each option."""
+    T = se3.random(rng, spread=0.02)
+    return [
+        any_tip(rng),
+        any_tip(rng, cap=0.001, max_friction=0.5, T_surface_sensor=T),
+        Ellipsoid((1e-5, 0.2, 1e-3), min_force=1e-9),
+        Sphere(0.009, max_friction=0.8, min_force=3.7),
+        Sphere(0.011, cap=-0.003, T_surface_sensor=T),
+    ]
+
+
+def any_wrenches(rng, tip, n):
+    """Pushes, pulls and what is neither, on and off the tip, of all sizes a hand knows."""
+    truth = touches(rng, Ellipsoid(tip.semi_axes), n // 2)
+    turn = np.where(rng.random(n // 2) < 0.3, -1.0, 1.0)[:, None]
+    size = 10 ** rng.uniform(-2, 2, (n - n // 2, 1))
+    loose = size * rng.normal(size=(n - n // 2, 3))
+    twist = size * max(tip.semi_axes) * 10 ** rng.uniform(-3, 1) * rng.normal(size=(n - n // 2, 3))
+    return np.concatenate([turn * truth.forces, loose]), np.concatenate([turn * truth.torques, twist])
+
+
+def assert_alike(batch, plain, tolerance=1e-9):
+    """Reasons alike; each number to `tolerance` of the size of what it is a part of."""
+    np.testing.assert_array_equal(batch.reasons, plain.reasons)
+    np.testing.assert_array_equal(batch.rows, plain.rows)
+    assert (batch.reasons.dtype, batch.rows.dtype) == (np.int8, np.intp)
+    size = np.abs(plain.forces).max(axis=1, initial=0.0)
+    axes = batch.fingertip.semi_axes
+    sizes = {"points": axes, "normals": 1.0, "forces": size[:, None], "forces_normal": size}
+    # A torque is as uncertain as the wrench's largest part of it.
+    sizes["torques"] = size * axes.max() + np.abs(plain.torques)
+    for name in FIELDS:
+        assert np.isfinite(getattr(batch, name)).all()
+        error = np.abs(getattr(batch, name) / sizes[name] - getattr(plain, name) / sizes[name])
+        assert error.max(initial=0.0) < tolerance, name
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_kernel_agrees_with_its_meaning(seed):
+    rng = np.random.default_rng(seed)
+    for tip in tips(rng):
+        F, M = any_wrenches(rng, tip, 1000)
+        plain = _sensing_plain.sense(F, M, tip, SIGMAS)
+        assert_alike(contacts_from_wrenches(F, M, tip), plain)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_covariance_kernel_agrees_with_its_meaning(seed):
+    rng = np.random.default_rng(100 + seed)
+    T = se3.random(rng, spread=0.02)
+    for tip in (
+        any_tip(rng),
+        any_tip(rng, T_surface_sensor=T),
+        Sphere(0.009, T_surface_sensor=T),
+        Ellipsoid((1e-4, 0.1, 1e-3)),
+    ):
+        for twist in (0.0, 1e-9, 2e-3, 1.0):
+            truth = touches(rng, Ellipsoid(tip.semi_axes), 200, twist=twist)
+            F, M = truth.forces @ T[:3, :3], (truth.torques - np.cross(T[:3, 3], truth.forces)) @ T[:3, :3]
+            batch = contacts_from_wrenches(F, M, tip, **OPTIONS)
+            expected = _sensing_plain.sense(F, M, tip, SIGMAS).covariances
+            deviation = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
+            scale = deviation[:, :, None] * deviation[:, None, :]
+            np.testing.assert_allclose(batch.covariances / scale, expected / scale, rtol=0, atol=1e-9)
+            np.testing.assert_array_equal(batch.covariances, batch.covariances.swapaxes(1, 2))
+            assert batch.covariances is batch.covariances
+
+
+def test_one_wrench_has_the_answer_it_has_among_many_to_the_bit():
+    rng = np.random.default_rng(1)
+    for tip in tips(rng):
+        F, M = any_wrenches(rng, tip, 131)
+        batch = contacts_from_wrenches(F, M, tip, **OPTIONS)
+        for force, torque, among in zip(F, M, batch, strict=True):
+            one = contact_from_wrench(force, torque, tip, **OPTIONS)
+            if isinstance(among, NoContact):
+                assert one == among
+                continue
+            for name in Contact.__slots__:
+                np.testing.assert_array_equal(getattr(one, name), getattr(among, name))
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 31, 32, 33, 64, 95, 1000])
+def test_any_number_of_wrenches_is_answered(n):
+    F, M = any_wrenches(np.random.default_rng(n), TIP, n)
+    batch = contacts_from_wrenches(F, M, TIP, **OPTIONS)
+    plain = _sensing_plain.sense(F, M, TIP, SIGMAS)
+    assert_alike(batch, plain)
+    assert batch.covariances.shape == plain.covariances.shape
+
+
+def test_no_torque_about_the_normal_is_no_special_case():
+    rng = np.random.default_rng(2)
+    for tip in tips(rng)[:2]:
+        bare = Ellipsoid(tip.semi_axes)
+        truth = touches(rng, bare, 300, twist=0.0)
+        straight = truth.forces_normal[:, None] * truth.normals
+        for F in (truth.forces, straight):
+            M = np.cross(truth.points, F)
+            assert_alike(contacts_from_wrenches(F, M, bare), _sensing_plain.sense(F, M, bare, SIGMAS))
+    axis = contacts_from_wrenches([[0.0, 0, -1]], [[0.0, 0, 0]], TIP)
+    np.testing.assert_array_equal(axis.points, [[0, 0, 0.012]])
+    np.testing.assert_array_equal(axis.torques, [0])
+
+
+def test_a_grazing_wrench_is_off_the_cap_where_its_meaning_says_so():
+    ball = Sphere(0.01, min_force=1e-3)
+    past = 10.0 ** np.arange(-16, 0)
+    offset = 0.01 * np.concatenate([1 - past, [1.0], 1 + past])
+    F = np.tile([0.0, 0, -1], (len(offset), 1))
+    M = np.cross(np.column_stack([offset, 0 * offset, 0 * offset]), F)
+    # 1 - x is x only to rounding: there the last places decide, by the root of which the point moves.
+    decided = np.abs(offset / 0.01 - 1) > 1e-11
+    batch, plain = contacts_from_wrenches(F, M, ball), _sensing_plain.sense(F, M, ball, SIGMAS)
+    np.testing.assert_array_equal(batch.reasons[decided], plain.reasons[decided])
+    assert (batch.reasons[offset > 0.01 * (1 + 1e-11)] == Reason.OFF_CAP).all()
+    near = contacts_from_wrenches(F[decided], M[decided], ball)
+    assert_alike(near, _sensing_plain.sense(F[decided], M[decided], ball, SIGMAS))
+
+
+SIZES = st.floats(-1.7976931348623157e308, 1.7976931348623157e308, allow_subnormal=True)
+SPECIAL = st.sampled_from([0.0, -0.0, 1.0, 1e-300, 5e-324, 1e-160, 1e160, 1e300, np.nan, np.inf, -np.inf])
+WRENCHES = hnp.arrays(np.float64, (5, 6), elements=SIZES | SPECIAL)
+
+
+@given(WRENCHES, st.integers(0, 4))
+@example(np.full((5, 6), -1.7976931348623157e308), 0)
+@example(
+    np.array(
+        [[0, 0, -1, 1e300, 1e300, 1e308], [1e300, 0, -1e300, 0, 0, 0], [1e-300] * 6, [0] * 6, [0.1] * 6]
+    ),
+    2,
+)
+@settings(max_examples=300, deadline=None)
+def test_the_reason_is_the_meaning_s_whatever_comes(wrenches, which):
+    tip = tips(np.random.default_rng(3))[which]
+    F, M = wrenches[:, :3], wrenches[:, 3:]
+    batch = contacts_from_wrenches(F, M, tip, **OPTIONS)
+    plain = _sensing_plain.sense(F, M, tip, SIGMAS)
+    np.testing.assert_array_equal(batch.reasons, plain.reasons)
+    largest = np.abs(plain.forces).max(axis=1, initial=0.0)[:, None]
+    for ours, theirs in (
+        (batch.points / tip.semi_axes, plain.points / tip.semi_axes),
+        (batch.forces / largest, plain.forces / largest),
+        (batch.forces_normal / largest[:, 0], plain.forces_normal / largest[:, 0]),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+    assert np.isfinite(batch.torques).all()
+    assert np.isfinite(batch.covariances).all()
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [{"min_force": 1e200}, {"min_force": 1.7e308}, {"max_friction": 1e200}, {"max_friction": 1e-200}],
+    ids=str,
+)
+def test_limits_of_any_size_are_kept(limit):
+    tip = Ellipsoid(PAPER_TIP, **limit)
+    rng = np.random.default_rng(4)
+    truth = touches(rng, TIP, 50)
+    for size in (1.0, 1e150, 1e199, 1e201, 1e306):
+        F, M = truth.forces * size, truth.torques * size
+        np.testing.assert_array_equal(
+            contacts_from_wrenches(F, M, tip).reasons, _sensing_plain.sense(F, M, tip, SIGMAS).reasons
+        )
+
+
+def test_any_array_of_numbers_is_read_and_none_compiles_the_kernels_again():
+    truth = touches(np.random.default_rng(5), TIP, 40)
+    F, M = truth.forces.astype(np.float32).astype(np.float64), truth.torques
+    expected = contacts_from_wrenches(F, M, TIP)
+    frozen = F.copy()
+    frozen.flags.writeable = False
+    unaligned = np.frombuffer(b"\0" + F.tobytes(), dtype=np.uint8)[1:].view(np.float64).reshape(-1, 3)
+    for same in (
+        np.asfortranarray(F),
+        np.repeat(F, 2, axis=0)[::2],
+        F.astype(np.float32),
+        F.astype(">f8"),
+        F.tolist(),
+        frozen,
+        unaligned,
+    ):
+        np.testing.assert_array_equal(contacts_from_wrenches(same, M, TIP).points, expected.points)
+        one = contact_from_wrench(same[3], M[3], TIP)
+        np.testing.assert_array_equal(one.point, expected.points[3])
+    whole = contacts_from_wrenches([[0, 0, -1]], np.zeros((1, 3), dtype=np.int8), TIP)
+    np.testing.assert_array_equal(whole.points, [[0, 0, 0.012]])
+    _ = expected.covariances, pickle.loads(pickle.dumps(whole)).covariances
+    for kernel in (kernels.sense, kernels.sense_one, kernels.covariances):
+        assert len(kernel.signatures) == 1
+
+
+def test_what_comes_in_is_neither_changed_nor_kept():
+    truth = touches(np.random.default_rng(6), TIP, 40)
+    F, M = truth.forces.copy(), truth.torques.copy()
+    batch = contacts_from_wrenches(F, M, TIP)
+    np.testing.assert_array_equal(F, truth.forces)
+    np.testing.assert_array_equal(M, truth.torques)
+    assert not any(np.shares_memory(getattr(batch, name), F) for name in FIELDS)
+    batch.sigmas[:] = 1.0  # of this batch alone
+    assert contacts_from_wrenches(F, M, TIP).sigmas[0] == 0.01
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda tip: pickle.loads(pickle.dumps(tip))])
+@pytest.mark.parametrize("tip", [TIP, Sphere(0.01, T_surface_sensor=np.eye(4))], ids=["ellipsoid", "sphere"])
+def test_a_copied_fingertip_feels_the_same(tip, again):
+    one, other = (contact_from_wrench([0, 0, -1], [0, 0, 1e-4], t) for t in (tip, again(tip)))
+    for name in Contact.__slots__:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert "_numbers" not in repr(tip)
+
+
+def test_a_copied_contact_and_batch_say_the_same():
+    batch = contacts_from_wrenches([[0, 0, -1], [0, 0, 1]], np.zeros((2, 3)), TIP)
+    contact = contact_from_wrench([0, 0, -1], [0, 0, 0], TIP)
+    again, batch_again = pickle.loads(pickle.dumps((contact, batch)))
+    np.testing.assert_array_equal(again.covariance, contact.covariance)
+    np.testing.assert_array_equal(batch_again.covariances, batch.covariances)
+    assert batch_again[1] == batch[1]
+
+
+def test_few_contacts_among_many_wrenches_keep_little_memory():
+    F = np.zeros((10_000, 3))
+    F[::1000, 2] = -1
+    batch = contacts_from_wrenches(F, np.zeros_like(F), TIP)
+    assert batch.rows.tolist() == list(range(0, 10_000, 1000))
+    assert batch.points.base is None
+
+
+def test_the_kernels_are_imported_with_the_first_contact():
+    code = (
+        "import sys; from handsight.contact import Sphere, contact_from_wrench as find; tip = Sphere(0.01)\n"
+        "assert 'numba' not in sys.modules; find([0, 0, -1], [0, 0, 0], tip); assert 'numba' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_warming_compiles_every_kernel():
+    code = (
+        "from handsight._kernels import sensing as k; k.warm()\n"
+        "assert all(len(f.signatures) == 1 for f in (k.sense, k.sense_one, k.covariances))\n"
+        "import numpy as np; from handsight.contact import Sphere, contact_from_wrench, contacts_from_wrenches\n"
+        "contact_from_wrench([0, 0, -1], [0, 0, 0], Sphere(0.01))\n"
+        "contacts_from_wrenches([[0, 0, -1]], [[0, 0, 0]], Sphere(0.01)).covariances\n"
+        "assert all(len(f.signatures) == 1 for f in (k.sense, k.sense_one, k.covariances))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
