@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import os
 import shutil
-import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +22,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 FAST = {"contract", "nsz", "reassoc"}
 """What the compiler may do to floating point: sums in another order, no fear of -0; NaN and infinity stay."""
-MANY = 256
-"""Descents that are worth waking other cores for."""
 KEPT = 4
 """Folders of compiled kernels, of this version and earlier ones."""
 _warned: set[str] = set()
@@ -35,54 +32,20 @@ class KernelWarning(UserWarning):
 
 
 def inner(function: F) -> F:
-    """A function for other kernels: compiled into each of them."""
-    return numba.njit(error_model="numpy", fastmath=FAST)(function)
+    """A function for other kernels: compiled into each of them, and not callable from Python."""
+    return numba.njit(error_model="numpy", fastmath=FAST, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+        function
+    )
 
 
 def exact(function: F) -> F:
     """As `inner`, every operation rounded as it stands: for code that counts on it."""
-    return numba.njit(error_model="numpy")(function)
+    return numba.njit(error_model="numpy", fastmath=False)(function)
 
 
 def entry(function: F) -> F:
     """A kernel that Python calls; its machine code is kept on disk, and the interpreter is released."""
     return _kept(numba.njit(error_model="numpy", fastmath=FAST, nogil=True)(function))
-
-
-class Parallel:
-    """A kernel whose `prange` loops run on all cores; on one where the thread pool cannot serve.
-
-    It cannot after a fork, where its threads are the parent's, nor, in one of its kinds, two callers at a time.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        jit = numba.njit(error_model="numpy", fastmath=FAST, nogil=True, parallel=True)
-        self._on_all = _kept(jit(function))
-        self.on_one = entry(function)
-        self.__doc__ = function.__doc__
-
-    def __call__(self, *arguments: Any) -> Any:
-        """As the function does."""
-        if _Forked.child or not _pool.acquire(blocking=False):
-            return self.on_one(*arguments)
-        try:
-            return self._on_all(*arguments)
-        finally:
-            _pool.release()
-
-    def over(self, count: int) -> Callable[..., Any]:
-        """On all cores where there are enough items; waking them up takes longer than a few do, or milliseconds
-        where they have other work."""
-        return self if count >= MANY else self.on_one
-
-
-def parallel(function: Callable[..., Any]) -> Parallel:
-    """A kernel whose `prange` loops run on all cores."""
-    return Parallel(function)
-
-
-_pool = threading.Lock()
-"""Held while a kernel uses numba's thread pool."""
 
 
 def _stamp() -> str:
@@ -168,17 +131,3 @@ def _forget_oldest() -> None:
         for _, path in ages[:-KEPT]:
             if path != folder():
                 shutil.rmtree(path, ignore_errors=True)
-
-
-class _Forked:
-    """Whether this process was forked: its thread pool is its parent's, and dead."""
-
-    child = False
-
-
-def _after_fork() -> None:
-    _Forked.child = True
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)

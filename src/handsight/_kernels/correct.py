@@ -82,7 +82,9 @@ def approach(
 ) -> tuple[float, int]:  # fmt: skip
     """Phase 1, with the evidence `first` beside the samples, then the coarse field; cost and steps."""
     steps = match(model, singles, contacts, used, first, center, pose, work)
-    freeze(model, singles, COARSE, contacts, used, pose, weight, work)
+    freeze(
+        model, singles, COARSE, contacts, used, weight, sight, hand, center, pose, work[:EQUATIONS], work[EQUATIONS:]
+    )  # fmt: skip
     cost, more, _ = descend(
         model, singles, COARSE, contacts, weight, sight, hand, center, pose, COARSE_STEPS, COARSE_STEP, work
     )
@@ -95,7 +97,9 @@ def finish(
     work: Any,
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Phase 2 on the fine field; cost, steps, whether it converged."""
-    freeze(model, singles, FINE, contacts, used, pose, weight, work)
+    freeze(
+        model, singles, FINE, contacts, used, weight, sight, hand, center, pose, work[:EQUATIONS], work[EQUATIONS:]
+    )  # fmt: skip
     return descend(
         model, singles, FINE, contacts, weight, sight, hand, center, pose, FINE_STEPS, SMALL_STEP, work
     )
@@ -201,13 +205,6 @@ def answer_near(
     nearest(model, pose, prior, out[:12], work)
     out[DESCENT_COST], out[STEPS], out[CONVERGED] = cost, steps + more, converged
     explain(model, singles, contacts, used, sight, anchor, hand, 0.0, out, work, each)
-
-
-@entry
-def near(model: Any, singles: Any, contacts: Any, prior: Any, hand: Any, widest: float, out: Any) -> None:
-    """`out`: the answer of one correction from the prior's own pose, without another start."""
-    n = len(contacts) // CONTACT
-    answer_near(model, singles, contacts, prior, hand, widest, out, np.empty(space(n)))
 
 
 @entry

@@ -7,9 +7,8 @@ function answers ten numbers: distance, gradient (x, y, z), Hessian (xx, xy, xz,
 from typing import Any
 
 import numpy as np
-from numba import prange
 
-from handsight._kernels.compiled import inner, parallel
+from handsight._kernels.compiled import entry, inner
 from handsight._kernels.layout import (
     BOX,
     CELL,
@@ -159,7 +158,7 @@ def _cylinder(model: Any, at: int, x: float, y: float, z: float) -> Ten:
 
 
 @inner
-def _one(model: Any, singles: Any, at: int, points: Any, k: Any, values: Any) -> None:
+def _one(model: Any, singles: Any, at: int, points: Any, k: int, values: Any) -> None:
     d, gx, gy, gz, xx, xy, xz, yy, yz, zz = look(model, singles, at, points[k, 0], points[k, 1], points[k, 2])
     row = values[k]
     row[0], row[1], row[2], row[3] = d, gx, gy, gz
@@ -168,8 +167,8 @@ def _one(model: Any, singles: Any, at: int, points: Any, k: Any, values: Any) ->
     row[10], row[11], row[12] = xz, yz, zz
 
 
-@parallel
-def evaluate(model: Any, singles: Any, at: int, points: Any, values: Any) -> None:
-    """`values` (n, 13): distance, gradient and full Hessian at points (n, 3)."""
-    for k in prange(len(points)):
-        _one(model, singles, at, points, np.int64(k), values)
+@entry
+def evaluate(model: Any, singles: Any, at: int, points: Any, values: Any, start: int, stop: int) -> None:
+    """`values` (n, 13): distance, gradient and full Hessian at some of the points (n, 3)."""
+    for k in range(start, stop):
+        _one(model, singles, at, points, k, values)

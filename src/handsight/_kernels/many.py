@@ -1,4 +1,4 @@
-"""Many descents, minima or corrections at once, on all cores.
+"""Many descents, minima or corrections at once; those that take a range of them run on several threads.
 
 Twins: `handsight.correction.two_phase.solve` and `survivors`, `handsight.correction.modes.hypotheses`.
 """
@@ -6,10 +6,9 @@ Twins: `handsight.correction.two_phase.solve` and `survivors`, `handsight.correc
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from handsight._kernels.algebra import eigen
-from handsight._kernels.compiled import entry, parallel
+from handsight._kernels.compiled import entry
 from handsight._kernels.correct import answer_near, approach, explain, finish, space
 from handsight._kernels.layout import BLIND, CONTACT, COST, EQUATIONS, FINE, PRIOR, RADIUS
 from handsight._kernels.modes import cost, in_metres, information
@@ -20,46 +19,36 @@ from handsight._kernels.symmetry import are_apart, nearest
 from handsight._kernels.touch import WHITE
 
 
-@parallel
+@entry
 def approach_all(
     model: Any, singles: Any, contacts: Any, used: Any, first: Any, sight: Any, hand: Any, center: Any, poses: Any,
-    found: Any,
+    found: Any, start: int, stop: int,
 ) -> None:  # fmt: skip
     """Moves poses (K, 12) by phase 1 and on the coarse field; `found` (K, 3): cost, steps, converged."""
     n = used.shape[1]
-    for k in prange(len(poses)):
-        work = np.empty(space(n))
-        row = used[np.int64(k) % len(used)]
+    work = np.empty(space(n))
+    for k in range(start, stop):
+        row = used[min(k, len(used) - 1)]
         found[k, 0], found[k, 1] = approach(
-            model,
-            singles,
-            contacts,
-            row,
-            first,
-            sight,
-            hand,
-            center,
-            poses[k],
-            work[: WHITE * n],
-            work[WHITE * n :],
-        )
+            model, singles, contacts, row, first, sight, hand, center, poses[k], work[: WHITE * n], work[WHITE * n :]
+        )  # fmt: skip
         found[k, 2] = 0.0
 
 
-@parallel
+@entry
 def finish_all(
     model: Any, singles: Any, contacts: Any, used: Any, sight: Any, anchor: Any, hand: Any, center: Any, poses: Any,
-    likely: Any, found: Any,
+    likely: Any, found: Any, start: int, stop: int,
 ) -> None:  # fmt: skip
     """Moves poses (K, 12) on the fine field; `found` (K, 3), or (2 K, 3) with `likely` (K, 12) for the blind.
 
     Along a slide any place is a minimum: `likely` is, beside where a descent ended, the most likely one.
     """
     n, count = used.shape[1], len(poses)
-    for k in prange(count):
-        work = np.empty(space(n))
+    work = np.empty(space(n))
+    for k in range(start, stop):
         weight, rest = work[: WHITE * n], work[WHITE * n :]
-        row = used[np.int64(k) % len(used)]
+        row = used[min(k, len(used) - 1)]
         value, steps, converged = finish(
             model, singles, contacts, row, sight, hand, center, poses[k], weight, rest
         )
@@ -67,33 +56,14 @@ def finish_all(
         if len(likely):
             pose = likely[k]
             pose[:] = poses[k]
+            equations, scratch = rest[:EQUATIONS], rest[EQUATIONS:]
+            evaluate(model, singles, FINE, contacts, weight, anchor, hand, center, pose, equations, scratch)
             _, _, converged = descend(
-                model,
-                singles,
-                FINE,
-                contacts,
-                weight,
-                anchor,
-                hand,
-                center,
-                pose,
-                FINE_STEPS,
-                SMALL_STEP,
-                rest,
-            )
+                model, singles, FINE, contacts, weight, anchor, hand, center, pose, FINE_STEPS, SMALL_STEP, rest
+            )  # fmt: skip
             evaluate(
-                model,
-                singles,
-                FINE,
-                contacts,
-                weight,
-                sight,
-                hand,
-                center,
-                pose,
-                rest[:EQUATIONS],
-                rest[EQUATIONS:],
-            )
+                model, singles, FINE, contacts, weight, sight, hand, center, pose, rest[:EQUATIONS], rest[EQUATIONS:]
+            )  # fmt: skip
             found[count + k, 0], found[count + k, 1], found[count + k, 2] = rest[COST], steps, converged
 
 
@@ -184,16 +154,22 @@ def distinct(model: Any, poses: Any, order: Any, most: int, shift: float, turn: 
     return count
 
 
-@parallel
+@entry
 def correct_all(
-    model: Any, singles: Any, contacts: Any, begins: Any, priors: Any, hands: Any, hand_begins: Any, widest: float,
+    model: Any,
+    singles: Any,
+    contacts: Any,
+    begins: Any,
+    priors: Any,
+    hand: Any,
+    widest: float,
     answers: Any,
-) -> None:  # fmt: skip
-    """Answers (P, m) of corrections from each prior's own pose; contacts and hands begin where it says."""
-    for k in prange(len(priors) // PRIOR):
+    start: int,
+    stop: int,
+) -> None:
+    """Answers (P, m) of corrections from each prior's own pose; `begins` (P + 1): where each one's contacts do."""
+    for k in range(start, stop):
         mine = contacts[begins[k] : begins[k + 1]]
-        hand = hands[hand_begins[k] : hand_begins[k + 1]]
         prior = priors[PRIOR * k : PRIOR * (k + 1)]
-        answer_near(
-            model, singles, mine, prior, hand, widest, answers[k], np.empty(space(len(mine) // CONTACT))
-        )
+        work = np.empty(space(len(mine) // CONTACT))
+        answer_near(model, singles, mine, prior, hand, widest, answers[k], work)

@@ -50,10 +50,8 @@ def _nearest(model: Any, singles: Any, contacts: Any, c: int, pose: Any) -> int:
 
 
 @inner
-def _add(
-    model: Any, contacts: Any, i: int, best: int, pose: Any, center: Any, equations: Any, weight: Any
-) -> None:
-    """Adds contact i against the sample's plane, normal and place beyond its band; `weight` (25), zeros."""
+def _add(model: Any, contacts: Any, i: int, best: int, pose: Any, center: Any, equations: Any) -> None:
+    """Adds contact i against the sample's plane, normal and place beyond its band."""
     c, at, r, R = CONTACT * i, int(model[SAMPLES]) + 6 * best, 1 / model[RADIUS], pose
     mx, my, mz = model[at + 3], model[at + 4], model[at + 5]
     nx, ny, nz = (
@@ -77,10 +75,9 @@ def _add(
     ax, ay, az = ax * s, ay * s, az * s
     beyond = reach > model[BAND]
     has = contacts[c + HAS_NORMAL] > 0
-    weight[0] = 1 / (contacts[c + VARIANCE] + model[SAMPLE_VARIANCE])
-    weight[6] = model[WEIGHT_TANGENTIAL] * model[WEIGHT_TANGENTIAL] if beyond else 0.0
+    sideways = model[WEIGHT_TANGENTIAL] * model[WEIGHT_TANGENTIAL] if beyond else 0.0
     facing = 1 / max(contacts[c + VARIANCE + 1] + model[SAMPLE_VARIANCE + 1], 1e-12) if has else 0.0
-    weight[12] = weight[18] = weight[24] = facing
+    weights = (1 / (contacts[c + VARIANCE] + model[SAMPLE_VARIANCE]), sideways, facing, facing, facing)
     rows = (
         -nx, -ny, -nz, z * ny - y * nz, x * nz - z * nx, y * nx - x * ny,
         distance,
@@ -90,7 +87,7 @@ def _add(
         0.0, 0.0, 0.0, -nz * r, 0.0, nx * r, ny - contacts[c + NORMAL + 1],
         0.0, 0.0, 0.0, ny * r, -nx * r, 0.0, nz - contacts[c + NORMAL + 2],
     )  # fmt: skip
-    accumulate(weight, 0, rows, equations)
+    accumulate(weights, 0, rows, equations)
 
 
 @inner
@@ -100,14 +97,13 @@ def match(
     """Moves `pose` by Gauss-Newton steps on nearest samples; how many."""
     radius = model[RADIUS]
     equations, rest = work[:EQUATIONS], work[EQUATIONS:]
-    step, before, weight, scratch = rest[:6], rest[6:18], rest[18:43], rest[43:]
-    weight[:] = 0.0
+    step, before, scratch = rest[:6], rest[6:18], rest[18:]
     for taken in range(1, MATCH_STEPS + 1):
         equations[:] = 0.0
         for i in range(len(used)):
             if used[i]:
                 best = _nearest(model, singles, contacts, CONTACT * i, pose)
-                _add(model, contacts, i, best, pose, center, equations, weight)
+                _add(model, contacts, i, best, pose, center, equations)
         if sight[0] != BLIND:
             add_sight(sight, pose, center, radius, equations, scratch)
         damped(equations, radius, 1e-9, step, scratch)

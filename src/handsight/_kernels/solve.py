@@ -9,7 +9,17 @@ import numpy as np
 
 from handsight._kernels.algebra import factor, solved
 from handsight._kernels.compiled import inner
-from handsight._kernels.layout import BLIND, CONTACT, COST, EQUATIONS, GRADIENT, HAND, HAS_NORMAL, RADIUS
+from handsight._kernels.layout import (
+    BLIND,
+    COARSE,
+    CONTACT,
+    COST,
+    EQUATIONS,
+    GRADIENT,
+    HAND,
+    HAS_NORMAL,
+    RADIUS,
+)
 from handsight._kernels.settings import MAX_TURN, SHORT_STEP
 from handsight._kernels.sight import add_sight
 from handsight._kernels.touch import (
@@ -27,22 +37,6 @@ from handsight._kernels.vectors import accumulate
 
 WORK = 400
 """Numbers of workspace that serve every function of the correction, its weights apart."""
-
-
-@inner
-def freeze(
-    model: Any, singles: Any, field: int, contacts: Any, used: Any, pose: Any, weight: Any, work: Any
-) -> None:
-    """Writes the weights (n, 4, 4) of the contacts as they are at a pose; zeros for those not in use."""
-    s, S, rest = work[:SURFACE], work[SURFACE : SURFACE + 16], work[SURFACE + 16 :]
-    for i in range(len(used)):
-        at = WHITE * i
-        if used[i]:
-            surface(model, singles, field, contacts, point_of(i), pose, s)
-            scatter(model, contacts, i, s, field == 0, S, rest)
-            weigh(S, contacts[CONTACT * i + HAS_NORMAL] > 0, weight, at)
-        else:
-            weight[at : at + WHITE] = 0.0
 
 
 @inner
@@ -82,7 +76,44 @@ def evaluate(
         if weight[WHITE * i] != 0.0:
             surface(model, singles, field, contacts, point_of(i), pose, s)
             add_touch(contacts, i, s, weight, WHITE * i, center, model[RADIUS], equations)
-    add_outside(model, singles, field, hand, pose, center, model[RADIUS], equations, work)
+    _add_others(model, singles, field, sight, hand, center, pose, equations, work)
+
+
+@inner
+def freeze(
+    model: Any, singles: Any, field: int, contacts: Any, used: Any, weight: Any, sight: Any, hand: Any, center: Any,
+    pose: Any, equations: Any, work: Any,
+) -> None:  # fmt: skip
+    """As `evaluate`, after writing the weights (n, 4, 4) of the contacts as they are there; zeros for the unused."""
+    equations[:] = 0.0
+    s, S, rest = work[:SURFACE], work[SURFACE : SURFACE + 16], work[SURFACE + 16 :]
+    for i in range(len(used)):
+        at = WHITE * i
+        if used[i]:
+            surface(model, singles, field, contacts, point_of(i), pose, s)
+            scatter(model, contacts, i, s, field == COARSE, S, rest)
+            weigh(S, contacts[CONTACT * i + HAS_NORMAL] > 0, weight, at)
+            add_touch(contacts, i, s, weight, at, center, model[RADIUS], equations)
+        else:
+            weight[at : at + WHITE] = 0.0
+    _add_others(model, singles, field, sight, hand, center, pose, equations, work)
+
+
+@inner
+def _add_others(
+    model: Any,
+    singles: Any,
+    field: int,
+    sight: Any,
+    hand: Any,
+    center: Any,
+    pose: Any,
+    equations: Any,
+    work: Any,
+) -> None:
+    """Adds what is no contact."""
+    if len(hand) > HAND:
+        add_outside(model, singles, field, hand, pose, center, model[RADIUS], equations, work)
     if sight[0] != BLIND:
         add_sight(sight, pose, center, model[RADIUS], equations, work)
 
@@ -125,11 +156,10 @@ def descend(
     model: Any, singles: Any, field: int, contacts: Any, weight: Any, sight: Any, hand: Any, center: Any, pose: Any,
     most: int, small: float, work: Any,
 ) -> tuple[float, int, bool]:  # fmt: skip
-    """Moves `pose` to a minimum of the squared residuals; cost, steps tried, whether the last one taken was small."""
+    """Moves `pose`, whose equations `work` begins with, to a minimum; cost, steps tried, whether the last was small."""
     radius = model[RADIUS]
     now, new, rest = work[:EQUATIONS], work[EQUATIONS : 2 * EQUATIONS], work[2 * EQUATIONS :]
     step, candidate, scratch = rest[:6], rest[6:18], rest[18:]
-    evaluate(model, singles, field, contacts, weight, sight, hand, center, pose, now, scratch)
     damping, tried, converged = 1e-6, 0, False
     while tried < most and not converged:
         damped(now, radius, damping, step, scratch)

@@ -76,17 +76,16 @@ def _polynomial(builder: Any, rows: Any, f: Any) -> Any:
 def accumulate(_: Any, weight: Any, at: Any, rows: Any, equations: Any) -> Any:
     """Adds `JᵀWJ` to `equations` (7, 8): Hessian, gradient in row and column 6, cost where these meet.
 
-    `rows`: J, 7 numbers a row: six derivatives and the residual. `weight`: from `at` on W, symmetric, row by row.
+    `rows`: J, 7 numbers a row: six derivatives and the residual. `weight`: from `at` on W, symmetric, row by row; or
+    a tuple, its diagonal.
     """
     return types.void(weight, types.int64, rows, equations), _accumulate
 
 
 def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    weight = _data(context, builder, signature.args[0], arguments[0])
     equations = _data(context, builder, signature.args[3], arguments[3])
     numbers = cgutils.unpack_tuple(builder, arguments[2], signature.args[2].count)
-    n = len(numbers) // 7
-    zero = ir.Constant(_DOUBLE, 0.0)
+    n, zero = len(numbers) // 7, ir.Constant(_DOUBLE, 0.0)
     rows = [
         [
             _packed(builder, numbers[7 * r : 7 * r + 4]),
@@ -94,14 +93,7 @@ def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> A
         ]
         for r in range(n)
     ]
-    weighted: list[list[Any]] = []
-    for r in range(n):
-        sums: list[Any] = [None, None]
-        for c in range(n):
-            place = builder.add(arguments[1], ir.Constant(_INT64, n * r + c))
-            w = _filled(builder, builder.load(builder.gep(weight, [place])), _DOUBLES)
-            sums = [_add(builder, w, rows[c][half], sums[half]) for half in range(2)]
-        weighted.append(sums)
+    weighted = _weighted(context, builder, signature.args[0], arguments, rows)
     for i in range(7):
         for half in range(2):
             place = ir.Constant(_INT64, 8 * i + 4 * half)
@@ -112,6 +104,24 @@ def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> A
             address = builder.bitcast(builder.gep(equations, [place]), _DOUBLES.as_pointer())
             builder.store(total, address, align=8)
     return context.get_dummy_value()
+
+
+def _weighted(context: Any, builder: Any, kind: Any, arguments: Any, rows: Any) -> list[list[Any]]:
+    """The rows of W J."""
+    n = len(rows)
+    if isinstance(kind, types.UniTuple):
+        diagonal = [_filled(builder, w, _DOUBLES) for w in cgutils.unpack_tuple(builder, arguments[0], n)]
+        return [[_add(builder, w, half, None) for half in row] for w, row in zip(diagonal, rows, strict=True)]
+    weight = _data(context, builder, kind, arguments[0])
+    weighted: list[list[Any]] = []
+    for r in range(n):
+        sums: list[Any] = [None, None]
+        for c in range(n):
+            place = builder.add(arguments[1], ir.Constant(_INT64, n * r + c))
+            w = _filled(builder, builder.load(builder.gep(weight, [place])), _DOUBLES)
+            sums = [_add(builder, w, rows[c][half], sums[half]) for half in range(2)]
+        weighted.append(sums)
+    return weighted
 
 
 @intrinsic

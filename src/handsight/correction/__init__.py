@@ -1,5 +1,6 @@
 """Correction: contacts and vision to a pose with its uncertainty."""
 
+from handsight.correction.batch import correct_poses
 from handsight.correction.correct import METHODS, correct_pose
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
 from handsight.correction.paper import PaperMethod
@@ -14,4 +15,5 @@ __all__ = [
     "Residuals",
     "TwoPhase",
     "correct_pose",
+    "correct_poses",
 ]

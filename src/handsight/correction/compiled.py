@@ -1,5 +1,7 @@
 """The solver in compiled kernels: as `plain`, a hundred times as fast. Importing it costs numba's import."""
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ from handsight._kernels import correct as kernel
 from handsight._kernels import layout as at
 from handsight._kernels import many
 from handsight._kernels.settings import CANDIDATE_APART, OPEN
+from handsight._kernels.threads import in_parts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes, outliers, two_phase
@@ -19,6 +22,8 @@ from handsight.correction.two_phase import KEPT, KEPT_BLIND, Problem
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
+FEW = 128
+"""Descents that are not worth another thread."""
 NO_HAND = np.array([0.0, 1.0])
 
 
@@ -28,11 +33,27 @@ def near(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> PoseEstim
     if numbers[at.SYMMETRY] == at.OTHER:
         return None
     n = len(contacts.points_palm)
-    out = np.empty(at.RESIDUALS + 2 * n)
-    kernel.near(
-        numbers, singles, packed_contacts(contacts), packed_prior(vision), NO_HAND, WIDEST_OF_ONE, out
-    )
-    return answer_of_one(contacts, out)
+    out, rows, prior = np.empty((1, at.RESIDUALS + 2 * n)), packed_contacts(contacts), packed_prior(vision)
+    begins = np.array((0, len(rows)))
+    many.correct_all(numbers, singles, rows, begins, prior, NO_HAND, WIDEST_OF_ONE, out, 0, 1)
+    return answer_of_one(contacts, out[0])
+
+
+def near_all(model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]]) -> list[PoseEstimate | None]:
+    """As `near`, of many problems at once."""
+    numbers, singles = packed(model)
+    if numbers[at.SYMMETRY] == at.OTHER:
+        return [None] * len(problems)
+    counts = np.array([len(contacts) for contacts, _ in problems])
+    begins = np.concatenate([[0], np.cumsum(counts * at.CONTACT)])
+    rows = np.concatenate([packed_contacts(contacts) for contacts, _ in problems])
+    priors = np.concatenate([packed_prior(vision) for _, vision in problems])
+    answers = np.empty((len(problems), at.RESIDUALS + 2 * counts.max()))
+    given = (numbers, singles, rows, begins, priors, NO_HAND, WIDEST_OF_ONE, answers)
+    in_parts(partial(many.correct_all, *given), len(problems), FEW // 4)
+    # Each estimate keeps its own numbers alive, not those of all.
+    found = zip(problems, counts, answers, strict=True)
+    return [answer_of_one(problem[0], out[: at.RESIDUALS + 2 * n].copy()) for problem, n, out in found]
 
 
 def answer_of_one(contacts: Contacts, out: Array) -> PoseEstimate | None:
@@ -85,17 +106,16 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]
     p, blind = _Packed(problem), problem.vision is None
     poses, found = packed_poses(Ts_start), np.empty((len(Ts_start), 3))
     used = np.ascontiguousarray(used)
-    many.approach_all.over(len(poses))(
-        p.model, p.singles, p.contacts, used, p.first, p.sight, p.hand, p.center, poses, found
-    )
+    shared = (p.model, p.singles, p.contacts)
+    given = (*shared, used, p.first, p.sight, p.hand, p.center, poses, found)
+    in_parts(partial(many.approach_all, *given), len(poses), FEW)
     keep = _survivors(problem, poses, found[:, 0], used, KEPT_BLIND if blind else KEPT)
     poses, steps = poses[keep], found[keep, 1]
     used_kept = np.ascontiguousarray(used[keep]) if len(used) > 1 else used
     likely = np.empty((len(keep) if blind else 0, 12))
     found = np.empty((len(keep) + len(likely), 3))
-    many.finish_all.over(len(poses))(
-        p.model, p.singles, p.contacts, used_kept, *p.evidence, p.center, poses, likely, found
-    )
+    rest = (*shared, used_kept, *p.evidence, p.center, poses, likely, found)
+    in_parts(partial(many.finish_all, *rest), len(poses), FEW)
     used_all = np.broadcast_to(used_kept, (len(keep), used.shape[1]))
     if blind:
         # The most likely places first: of equals they win.

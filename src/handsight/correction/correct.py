@@ -60,7 +60,7 @@ def correct_pose(
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
         raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
     if options is USUAL and vision is not None and hand is NO_POINTS and not samples:
-        estimate: PoseEstimate | None = _compiled().near(model, contacts, vision)
+        estimate: PoseEstimate | None = compiled_solver().near(model, contacts, vision)
         if estimate is not None:
             return estimate
     problem = Problem(model, contacts, vision, hand)
@@ -78,7 +78,7 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
 
 
 @cache
-def _compiled() -> ModuleType:
+def compiled_solver() -> ModuleType:
     """The compiled solver, once it is asked for: numba takes half a second to import."""
     from handsight.correction import compiled
 
@@ -86,7 +86,7 @@ def _compiled() -> ModuleType:
 
 
 def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEstimate:
-    solver: Solver = _compiled() if options.compiled else plain
+    solver: Solver = compiled_solver() if options.compiled else plain
     found = outliers.solve_robustly(problem, options, solver)
     estimate = solver.explained(problem, found.descent, found.used)
     if not samples:
