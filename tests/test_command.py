@@ -2,8 +2,11 @@
 
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -279,6 +282,8 @@ def test_help_teaches():
     out, _ = run("correct", "--help")
     assert "quaternion_xyzw" in out
     assert "outside" in out
+    assert "--workers 0" in out
+    assert "--cluster tcp://" in out
     out, _ = run("contact", "--help")
     assert "fx" in out
     assert "ellipsoid:8,8,12mm" in out
@@ -289,3 +294,203 @@ def test_version_is_the_packages():
 
     out, _ = run("--version")
     assert out.strip() == f"handsight {version('handsight')}"
+
+
+def timeless(text):
+    """Answers without how long they took."""
+    return re.sub(r'"seconds": [^,]+', "", text)
+
+
+def test_more_workers_answer_the_same(tmp_path):
+    lines = [json.dumps(changed("contacts[0].point", [0.03, 0.001 * i, 0.03])) for i in range(30)]
+    lines[7], lines[20] = "{not json", json.dumps(changed("contacts[0].point", [0, 0]))
+    (tmp_path / "p.jsonl").write_text("\n".join(lines))  # the last line has no end
+    alone, _ = run("correct", tmp_path / "p.jsonl", expect=1)
+    _, said = run("correct", tmp_path / "p.jsonl", "--output", tmp_path / "a.jsonl", "--workers", 2, expect=1)
+    assert timeless((tmp_path / "a.jsonl").read_text()) == timeless(alone)
+    assert "30 answers, 2 of them errors" in said
+    out, _ = run("correct", "-", "--workers", 0, stdin="\n".join(lines), expect=1)
+    assert timeless(out) == timeless(alone)
+
+
+def test_workers_find_meshes_draw_and_warn_once(tmp_path):
+    import trimesh
+
+    folder = tmp_path / "problems"
+    folder.mkdir()
+    trimesh.creation.box((60, 90, 140)).export(folder / "huge.stl")  # millimetres, and no scale
+    line = json.dumps({**BOX, "object": {"mesh": "huge.stl"}})
+    missing = json.dumps({**BOX, "object": {"mesh": "none.stl"}})
+    (folder / "all.jsonl").write_text(f"{line}\n{missing}\n{line}\n{line}\n")
+    out, said = run(
+        "correct", "problems/all.jsonl", "--plot", "a.png", "--workers", 2, cwd=tmp_path, expect=1
+    )
+    assert ["error" in json.loads(a) for a in out.splitlines()] == [False, True, False, False]
+    assert said.count("scale") == 1, said
+    assert (tmp_path / "a.png").stat().st_size > 20_000
+
+
+def begun(arguments, **streams):
+    """The command, running; SIGINT works in it as in a shell's foreground, whatever the tests' own runner ignores."""
+    return subprocess.Popen(
+        [sys.executable, "-c", "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+         "from handsight.cli import main; main()", *map(str, arguments)],
+        stderr=subprocess.PIPE,
+        **streams,
+    )  # fmt: skip
+
+
+def several(path, n, **more):
+    path.write_text((json.dumps({**BOX, **more}) + "\n") * n)
+    return path
+
+
+def waited_for(condition, seconds=100):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_keeps_what_was_answered_and_leaves_nobody_behind(tmp_path, workers):
+    import psutil
+
+    problems, output = several(tmp_path / "p.jsonl", 100_000), tmp_path / "a.jsonl"
+    command = begun(["correct", problems, "--output", output, "--workers", workers])
+    waited_for(lambda: output.exists() and output.stat().st_size > 10_000)
+    children = psutil.Process(command.pid).children(recursive=True)
+    assert len(children) == (0 if workers == 1 else workers)
+    command.send_signal(signal.SIGINT)
+    _, said = command.communicate(timeout=60)
+    assert command.returncode == 130
+    assert b"Traceback" not in said
+    answers = output.read_text().splitlines()
+    stopped = int(re.search(rb"stopped after (\d+) answers; they are written", said)[1])
+    assert 0 < stopped <= len(answers) < 100_000
+    assert all(list(json.loads(answer)) == KEYS for answer in answers)
+    assert not psutil.wait_procs(children, timeout=30)[1]
+
+
+def test_ctrl_c_while_it_waits_for_stdin():
+    command = begun(["correct", "-", "--workers", 2], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    command.stdin.write(json.dumps(BOX).encode() + b"\n")
+    command.stdin.flush()
+    # The answer comes though more lines may follow.
+    assert list(json.loads(command.stdout.readline())) == KEYS
+    command.send_signal(signal.SIGINT)
+    assert command.wait(timeout=60) == 130
+    said = command.communicate()[1]
+    # An answer is counted once it is written, so one may be out that is not counted yet.
+    assert re.fullmatch(r"handsight: stopped after [01] answers; they are written\n", said.decode())
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_reader_that_leaves_ends_it_quietly(tmp_path, workers):
+    problems = several(tmp_path / "p.jsonl", 100_000)
+    command = begun(["correct", problems, "--workers", workers], stdout=subprocess.PIPE)
+    assert list(json.loads(command.stdout.readline())) == KEYS
+    command.stdout.close()
+    assert command.stderr.read() == b""
+    assert command.wait(timeout=60) == 141
+    command.stderr.close()
+
+
+def test_a_worker_that_is_killed_costs_no_line(tmp_path):
+    import psutil
+
+    problems, output = several(tmp_path / "p.jsonl", 400), tmp_path / "a.jsonl"
+    command = begun(["correct", problems, "--output", output, "--workers", 2])
+    waited_for(lambda: output.exists() and output.stat().st_size > 10_000)
+    for child in psutil.Process(command.pid).children(recursive=True):
+        child.kill()
+    _, said = command.communicate(timeout=120)
+    assert command.returncode == 0, said
+    answers = output.read_text().splitlines()
+    assert len(answers) == 400
+    assert all(list(json.loads(answer)) == KEYS for answer in answers)
+
+
+def test_a_fault_of_ours_costs_its_line_only(monkeypatch):
+    from handsight import problems
+
+    def faulty(problem):
+        raise ZeroDivisionError("no")
+
+    monkeypatch.setattr(problems, "answer", faulty)
+    text = problems.answer_text(problems.Reader(Path()), json.dumps(BOX).encode())
+    assert "line: expected an answer, got ZeroDivisionError: no" in json.loads(text)["error"]
+
+
+def test_workers_and_cluster_exclude_each_other():
+    _, said = run("correct", "-", "--workers", 2, "--cluster", "tcp://127.0.0.1:1", expect=2)
+    assert "--workers: expected without --cluster" in said
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["correct", "--help"], ["warmup", "--help"]]
+)
+def test_help_and_version_load_nothing_heavy(arguments):
+    program = (
+        "import sys\n"
+        f"sys.argv = ['handsight', *{arguments}]\n"
+        "from handsight.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'trimesh', 'dask', 'distributed', 'matplotlib', 'msgspec', 'rich.progress'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+
+
+def test_every_public_name_is_there_when_asked_for():
+    import pickle
+    import typing
+
+    import handsight as hs
+
+    assert set(hs.__all__) <= set(dir(hs))
+    for name in hs.__all__:
+        value = getattr(hs, name)
+        assert pickle.loads(pickle.dumps(value)) is value or typing.get_args(value)
+    everything = {}
+    exec("from handsight import *", everything)
+    assert set(hs.__all__) <= set(everything)
+    assert hs.se3.compose
+    with pytest.raises(AttributeError, match="'handsight' has no attribute 'nothing'"):
+        _ = hs.nothing
+
+
+def test_editors_and_users_see_the_same_names():
+    """What type checkers read in `__init__` is what is loaded."""
+    import ast
+
+    import handsight as hs
+
+    tree = ast.parse(Path(hs.__file__).read_text())
+    promised = {
+        alias.name: node.module
+        for block in tree.body if isinstance(block, ast.If)
+        for node in block.body if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }  # fmt: skip
+    assert sorted(promised) == sorted(hs.__all__)
+    for name, module in promised.items():
+        assert getattr(hs, name) is getattr(sys.modules[module], name)
+
+
+def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
+    import types
+
+    from handsight import cli
+    from handsight._kernels import compiled
+
+    warm = types.ModuleType("handsight._kernels.warm")
+    warm.warm = lambda report: (report("fields", 1.25), report("solver", 20.0))
+    monkeypatch.setitem(sys.modules, "handsight._kernels.warm", warm)
+    cli.warmup()
+    out, said = capsys.readouterr()
+    assert said.splitlines() == ["   1.2 s  fields", "  20.0 s  solver"]
+    assert out.startswith("compiled in 0.0 s; kept in ")
+    assert str(compiled.folder()) in out

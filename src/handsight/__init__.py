@@ -9,20 +9,31 @@ The five lines most users need:
     estimate = hs.correct_pose(model, contacts, vision=vision)
 """
 
-from handsight.contact import (
-    Contact,
-    Contacts,
-    Ellipsoid,
-    NoContact,
-    Sphere,
-    calibrate_wrench,
-    compensate,
-    contact_from_wrench,
-    contacts_from_wrenches,
-)
-from handsight.correction import PaperMethod, PoseEstimate, PosePrior, TwoPhase, correct_pose
-from handsight.errors import HandsightError
-from handsight.objects import ObjectModel
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from handsight.contact import (
+        Contact,
+        Contacts,
+        Ellipsoid,
+        NoContact,
+        Sphere,
+        calibrate_wrench,
+        compensate,
+        contact_from_wrench,
+        contacts_from_wrenches,
+    )
+    from handsight.correction import (
+        PaperMethod,
+        PoseEstimate,
+        PosePrior,
+        TwoPhase,
+        correct_pose,
+        correct_poses,
+    )
+    from handsight.errors import HandsightError
+    from handsight.objects import ObjectModel
 
 __all__ = [
     "Contact",
@@ -41,4 +52,32 @@ __all__ = [
     "contact_from_wrench",
     "contacts_from_wrenches",
     "correct_pose",
+    "correct_poses",
 ]
+
+# A name is loaded when it is first asked for: the command's help needs no NumPy.
+_ROOMS = {
+    "PaperMethod": "correction",
+    "PoseEstimate": "correction",
+    "PosePrior": "correction",
+    "TwoPhase": "correction",
+    "correct_pose": "correction",
+    "correct_poses": "correction",
+    "HandsightError": "errors",
+    "ObjectModel": "objects",
+}
+_MODULES = ("checks", "contact", "correction", "errors", "objects", "se3")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"handsight.{name}")
+    if name not in __all__:
+        raise AttributeError(f"module 'handsight' has no attribute {name!r}")
+    value = getattr(import_module(f"handsight.{_ROOMS.get(name, 'contact')}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_MODULES})

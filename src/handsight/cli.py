@@ -1,23 +1,21 @@
 """The command `handsight`: parse, call, print."""
 
-import contextlib
 import json
 import math
+import os
 import sys
+import time
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from typer.core import TyperCommand
 
-from handsight.errors import HandsightError, MissingExtra
-
-if TYPE_CHECKING:
-    from handsight.problems import Problem
+# Help and version are to be there at once: what computes is imported by the command that needs it.
+from handsight.errors import HandsightError, InvalidInput, MissingExtra
+from handsight.job import MOST_PANELS, Tally, answered
+from handsight.terminal import one_line_warning, opened_output, progress, say
 
 app = typer.Typer(
     help="Know where the object is in the robot's hand, by touch and sight.",
@@ -26,26 +24,18 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-messages = Console(stderr=True, soft_wrap=True, highlight=False)
-MOST_PANELS = 6
+INTERRUPTED, NOBODY_READS = 130, 141
+"""Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
 
 
 def main() -> None:
     """Runs the command; wrong input is one sentence on stderr and exit code 2, never a traceback."""
-    warnings.showwarning = _one_line_warning
+    warnings.showwarning = one_line_warning
     try:
         app()
     except HandsightError as error:
-        messages.print(f"handsight: {error}", markup=False)
+        say(f"handsight: {error}")
         sys.exit(2)
-    except BrokenPipeError:
-        # Whoever read the answers has gone; there is nobody to tell.
-        sys.stderr.close()
-        sys.exit(141)
-
-
-def _one_line_warning(message: Any, *_: Any, **__: Any) -> None:
-    messages.print(f"handsight: {message}", markup=False)
 
 
 def _version(wanted: bool) -> None:
@@ -75,6 +65,18 @@ def correct(
     plot: Annotated[
         Path | None, typer.Option(help=f"Draw the first {MOST_PANELS} problems: PNG, PDF or SVG by its name.")
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, show_default="1", help="Worker processes on this machine; 0: one for each core."),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They look for meshes in the "
+            "problem file's folder under its absolute path, so share it. One thread per worker is best.",
+        ),
+    ] = None,
 ) -> None:
     """Correct an object's pose by what the fingertips touch.
 
@@ -98,41 +100,52 @@ def correct(
 
     Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves
     open, wrong contacts, other hypotheses. A line that cannot be read is answered `{"error": ...}`; the exit
-    code is then 1.
+    code is then 1. Any number of lines fits: they are read as they are answered.
+
+    ```
+    handsight correct grasps.jsonl --output answers.jsonl --plot first.png
+    handsight correct grasps.jsonl --output answers.jsonl --workers 0
+    handsight correct grasps.jsonl --output answers.jsonl --cluster tcp://10.0.0.5:8786
+    producer | handsight correct - | consumer
+    ```
     """
-    from handsight.problems import Reader, answer_line
+    if workers is not None and cluster is not None:
+        raise InvalidInput("--workers: expected without --cluster, whose workers are its own, got both")
+    tally = Tally()
+    try:
+        if plot is not None:
+            from handsight.plot import require_matplotlib
 
-    if plot is not None:
-        from handsight.plot import require_matplotlib
-
-        require_matplotlib()
-    reader = Reader(Path.cwd() if problems == "-" else Path(problems).parent)
-    failed = done = 0
-    drawn: list[tuple[Problem, dict[str, Any]]] = []
-    progress = _progress(problems, show=output is not None)
-    with _source(problems) as source, _sink(output, problems) as sink, progress as advance:
-        try:
-            for line in _lines(source, whole=problems.endswith(".json")):
-                answered, problem = answer_line(reader, line)
-                sink.write(json.dumps(answered, allow_nan=False) + "\n")
-                sink.flush()
-                done += 1
-                failed += problem is None
-                if plot is not None and problem is not None and len(drawn) < MOST_PANELS:
-                    drawn.append((problem, answered))
-                advance(len(line))
-        except KeyboardInterrupt:
-            messages.print(f"handsight: stopped after {done} answers; they are written", markup=False)
-            raise typer.Exit(130) from None
-    if plot is not None and drawn:
-        from handsight.plot import draw_corrections
-
-        draw_corrections(drawn, plot)
-        messages.print(f"wrote {plot}", markup=False)
+            require_matplotlib()
+        folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
+        with (
+            answered(problems, str(folder), 1 if workers is None else workers, cluster) as answers,
+            opened_output(output, problems) as sink,
+            progress(problems, show=output is not None) as advance,
+        ):
+            tally.write(answers, sink, advance)
+        if plot is not None and tally.first:
+            _draw(tally.first, folder, plot)
+    except KeyboardInterrupt:
+        say(f"handsight: stopped after {tally.done} answers; they are written")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:
+        # Whoever read the answers has gone; there is nobody to tell, nor to flush to at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(NOBODY_READS) from None
     if output is not None:
-        messages.print(f"wrote {output}: {done} answers, {failed} of them errors", markup=False)
-    if failed:
+        say(f"wrote {output}: {tally.done} answers, {tally.failed} of them errors")
+    if tally.failed:
         raise typer.Exit(1)
+
+
+def _draw(pairs: list[tuple[bytes, str]], folder: Path, plot: Path) -> None:
+    from handsight.plot import draw_corrections
+    from handsight.problems import Reader
+
+    reader = Reader(folder)
+    draw_corrections([(reader.read(line), json.loads(text)) for line, text in pairs], plot)
+    say(f"wrote {plot}")
 
 
 class _WithColumns(TyperCommand):
@@ -174,7 +187,7 @@ def contact(
         sigma_torque=sigma_torque,
     )
     said = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count) or "no rows"
-    messages.print(f"{'' if output is None else f'wrote {output}: '}{said}", markup=False)
+    say(f"{'' if output is None else f'wrote {output}: '}{said}")
 
 
 @app.command()
@@ -184,6 +197,7 @@ def demo(
     ),
 ) -> None:
     """Correct the built-in example: a can and a box held by five fingers, vision 8 cm off (synthetic)."""
+    from rich.console import Console
     from rich.table import Table
 
     from handsight.demo import examples
@@ -224,57 +238,18 @@ def demo(
     out.print(f"wrote {plot}", highlight=False, markup=False)
 
 
-@contextlib.contextmanager
-def _source(name: str) -> Iterator[IO[bytes]]:
-    if name == "-":
-        yield sys.stdin.buffer
-        return
-    try:
-        handle = open(name, "rb")  # noqa: SIM115
-    except OSError as error:
-        raise HandsightError(f"{name}: {error.strerror}") from None
-    with handle:
-        yield handle
+@app.command()
+def warmup() -> None:
+    """Compile what computes, ahead of the first problem; done once for each version and machine.
 
+    Without it the first command that computes does so. `HANDSIGHT_CACHE` names another folder.
+    """
+    from handsight._kernels.compiled import folder
+    from handsight._kernels.warm import warm
 
-@contextlib.contextmanager
-def _sink(output: Path | None, source: str) -> Iterator[IO[str]]:
-    if output is None or str(output) == "-":
-        yield sys.stdout
-        return
-    if source != "-" and output.exists() and output.samefile(source):
-        raise HandsightError(f"{output}: the answers would overwrite the problems")
-    try:
-        handle = open(output, "w", encoding="utf-8")  # noqa: SIM115
-    except OSError as error:
-        raise HandsightError(f"{output}: {error.strerror}") from None
-    with handle:
-        yield handle
-
-
-def _lines(source: IO[bytes], *, whole: bool) -> Iterator[bytes]:
-    if whole:
-        yield source.read()
-        return
-    for line in source:
-        if line.strip():
-            yield line
-
-
-@contextlib.contextmanager
-def _progress(name: str, *, show: bool) -> Iterator[Any]:
-    """A call that advances a bar on the terminal by bytes read; silent where nobody looks."""
-    if not show or name == "-" or not messages.is_terminal:
-        yield lambda size: None
-        return
-    columns = (TextColumn("correcting"), BarColumn(), TextColumn("{task.fields[count]}"), TimeElapsedColumn())
-    with Progress(*columns, console=messages, transient=True) as progress:
-        task = progress.add_task("", total=Path(name).stat().st_size, count=0)
-
-        def advance(size: int) -> None:
-            progress.update(task, advance=size, count=progress.tasks[0].fields["count"] + 1)
-
-        yield advance
+    began = time.monotonic()
+    warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))
+    print(f"compiled in {time.monotonic() - began:.1f} s; kept in {folder()}")
 
 
 if __name__ == "__main__":

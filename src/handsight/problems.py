@@ -168,13 +168,17 @@ def answer(problem: Problem) -> dict[str, Any]:
     }
 
 
-def answer_line(reader: Reader, line: bytes) -> tuple[dict[str, Any], Problem | None]:
-    """The answer to a line, or `{"error": ...}` and None."""
+def answer_text(reader: Reader, line: bytes) -> str:
+    """The answer to a line as one line of JSON, without its end; `{"error": ...}` where there is none."""
     try:
-        problem = reader.read(line)
-        return answer(problem), problem
+        return json.dumps(answer(reader.read(line)), allow_nan=False)
     except HandsightError as error:
-        return {"error": str(error)}, None
+        said = str(error)
+    except MemoryError:
+        said = "line: expected a problem that fits into memory, got a larger one"
+    except Exception as error:  # our own fault: told in its place, and the other lines are still answered
+        said = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
+    return json.dumps({"error": said})
 
 
 def _fields(line: bytes) -> ProblemFields:

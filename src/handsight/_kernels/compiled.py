@@ -97,6 +97,8 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         try:
             return super().load_overload(*args)
         except Exception:  # a file cut short, or of another build: compiled again
+            with contextlib.suppress(OSError):
+                self.flush()  # else what is damaged would be added to
             return None
 
     def save_overload(self, *args: Any) -> None:

@@ -4,6 +4,8 @@ Draws are made along the object's own axes and ordered by lengths alone, so that
 order of the contacts gives the same starts.
 """
 
+from functools import cache
+
 import numpy as np
 
 from handsight import se3
@@ -15,6 +17,8 @@ from handsight.objects import ObjectModel
 MOST_STARTS = 32
 WIDEST_OF_ONE = 0.225
 """A prior narrower than this part of the diameter needs one start."""
+FEW = 1024
+"""Draws that are kept: the same for every problem, along its own axes."""
 BLIND_SPINS = 18
 BLIND_KEPT = 384
 
@@ -45,10 +49,25 @@ def from_prior(vision: PosePrior, number: int) -> Array:
     scale = np.sqrt(np.diagonal(covariance)) + 1e-12
     correlation = covariance / np.outer(scale, scale)
     root = scale[:, None] * np.linalg.cholesky(correlation + 1e-9 * np.eye(6))
-    draws = np.random.default_rng(0).normal(size=(number, 6)) @ root.T
-    draws[0] = 0.0
+    draws = _standard(number) @ root.T
     both = np.hstack([draws[:, :3] @ R.T, draws[:, 3:] @ R.T])
     return se3.moved(np.broadcast_to(T, (number, 4, 4)), both)
+
+
+def _standard(number: int) -> Array:
+    """(number, 6) standard normal, the first at zero."""
+    return _few()[:number] if number <= FEW else _drawn(number)
+
+
+def _drawn(number: int) -> Array:
+    draws = np.random.default_rng(0).normal(size=(number, 6))
+    draws[0] = 0.0
+    return draws
+
+
+@cache
+def _few() -> Array:
+    return _drawn(FEW)
 
 
 def blind(model: ObjectModel, touch: Touch) -> Array:

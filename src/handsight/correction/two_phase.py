@@ -3,7 +3,8 @@
 starts → phase 1 (nearest samples) → phase 2 on the coarse field → phase 2 on the fine field → modes
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class TwoPhase:
             )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Problem:
     """One correction, its inputs checked."""
 
@@ -61,18 +62,19 @@ class Problem:
     vision: PosePrior | None
     outside_palm: Array
     """(m, 3), m may be 0."""
-    center_palm: Array = field(init=False)
-    """(3,) centroid of the contacts."""
-    sight: tuple[Evidence, ...] = field(init=False)
-    """Vision as evidence; nothing when blind."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "center_palm", self.contacts.points_palm.mean(axis=0))
-        seen: tuple[Evidence, ...] = ()
-        if self.vision is not None:
-            root = prior_root(self.vision, self.model.radius)
-            seen = (vision(self.vision.T_palm_object, root, self.model.symmetries),)
-        object.__setattr__(self, "sight", seen)
+    @cached_property
+    def center_palm(self) -> Array:
+        """(3,) centroid of the contacts."""
+        return np.asarray(self.contacts.points_palm.mean(axis=0))
+
+    @cached_property
+    def sight(self) -> tuple[Evidence, ...]:
+        """Vision as evidence; nothing when blind."""
+        if self.vision is None:
+            return ()
+        root = prior_root(self.vision, self.model.radius)
+        return (vision(self.vision.T_palm_object, root, self.model.symmetries),)
 
     def touch(self, surface: Field, used: Mask) -> Touch:
         """The contacts as evidence; `used` (K or 1, n) says which count for which pose."""
