@@ -1,13 +1,17 @@
-import multiprocessing
+import contextlib
+import dataclasses
 import os
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from handsight.cache_folder import cache_folder
 from handsight.objects import ObjectModel, ObjectWarning, cache
-from objects.object_shapes import box_mesh
+from objects.object_shapes import BOX_FACES, box_mesh
 
 
 @pytest.fixture
@@ -123,21 +127,110 @@ def test_where_the_files_go(monkeypatch, tmp_path):
     assert cache_folder() == tmp_path / ".cache" / "handsight"
 
 
-def build_in(folder, gate, answers):
-    os.environ["HANDSIGHT_CACHE"] = folder
-    gate.wait()
-    answers.put(float(box().fine.values.astype(float).sum()))
+PROGRAM = """
+import sys
+from handsight.objects import ObjectModel
+import numpy as np
+corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * [0.03, 0.045, 0.025]
+faces = np.array({faces})
+print("ready", flush=True)
+sys.stdin.readline()
+print(float(ObjectModel.from_mesh(corners, faces).fine.values.astype(float).sum()))
+"""
 
 
 def test_two_processes_may_build_the_same_object_at_once(folder):
-    context = multiprocessing.get_context("spawn")
-    gate, answers = context.Barrier(2), context.Queue()
-    workers = [context.Process(target=build_in, args=(str(folder), gate, answers)) for _ in range(2)]
-    for worker in workers:
-        worker.start()
-    found = [answers.get(timeout=120) for _ in workers]
-    for worker in workers:
-        worker.join(timeout=60)
-        assert worker.exitcode == 0
+    program = PROGRAM.format(faces=[list(face) for face in BOX_FACES])
+    environment = {**os.environ, "HANDSIGHT_CACHE": str(folder)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
+    with contextlib.ExitStack() as stack:
+        workers = [
+            stack.enter_context(subprocess.Popen([sys.executable, "-c", program], **pipes)) for _ in range(2)
+        ]
+        try:
+            assert [worker.stdout.readline() for worker in workers] == ["ready\n"] * 2
+            for worker in workers:
+                worker.stdin.write("go\n")
+                worker.stdin.flush()
+            found = [float(worker.communicate(timeout=300)[0]) for worker in workers]
+        finally:
+            for worker in workers:
+                worker.kill()
+    assert [worker.returncode for worker in workers] == [0, 0]
     assert found[0] == found[1] == float(box().fine.values.astype(float).sum())
     assert [f.suffix for f in folder.iterdir()] == [".npz"]
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "thing.ply"
+    trimesh.Trimesh(*box_mesh((0.06, 0.09, 0.05)), process=False).export(path)
+    return path
+
+
+def nothing_is_built(monkeypatch):
+    from handsight.objects import whole
+
+    monkeypatch.setattr(whole, "_built", None)
+
+
+def test_a_file_is_read_and_measured_once(folder, file, monkeypatch):
+    first = ObjectModel.from_file(file)
+    nothing_is_built(monkeypatch)
+    second = ObjectModel.from_file(file)
+    same(first, second)
+    for field in dataclasses.fields(first):
+        a, b = getattr(first, field.name), getattr(second, field.name)
+        if isinstance(a, np.ndarray):
+            np.testing.assert_array_equal(a, b)
+            assert (a.dtype, b.flags.writeable) == (b.dtype, False)
+        elif isinstance(a, str | bool | float | tuple):
+            assert a == b, field.name
+    np.testing.assert_array_equal(first.roughness.values, second.roughness.values)
+    for a, b in zip(first.sample(50, 3), second.sample(50, 3), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_cloud_in_a_file_comes_back_as_it_was(folder, tmp_path, monkeypatch):
+    points, _ = box().sample(3000)
+    np.savetxt(tmp_path / "cloud.xyz", points)
+    first = ObjectModel.from_file(tmp_path / "cloud.xyz")
+    nothing_is_built(monkeypatch)
+    second = ObjectModel.from_file(tmp_path / "cloud.xyz")
+    same(first, second)
+    assert (first.area, first.closed, first.diameter) == (second.area, second.closed, second.diameter)
+    for a, b in zip(first.sample(50, 3), second.sample(50, 3), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_what_was_odd_is_said_again(folder, file):
+    for _ in range(2):
+        with pytest.warns(ObjectWarning, match="looks like millimetres") as said:
+            ObjectModel.from_file(file, scale=1000.0)
+        assert [Path(w.filename).name for w in said] == ["test_field_cache.py"]
+
+
+def test_another_scale_or_content_is_another_object(folder, file):
+    whole, half = ObjectModel.from_file(file), ObjectModel.from_file(file, scale=0.5)
+    assert whole.diameter == pytest.approx(2 * half.diameter)
+    trimesh.Trimesh(*box_mesh((0.06, 0.09, 0.08)), process=False).export(file)
+    assert ObjectModel.from_file(file).bounds_object[1, 2] == pytest.approx(0.04)
+
+
+def test_a_damaged_whole_is_built_again(folder, file):
+    first = ObjectModel.from_file(file)
+    for kept in folder.iterdir():
+        kept.write_bytes(kept.read_bytes()[:-100])
+    same(ObjectModel.from_file(file), first)
+
+
+def test_a_file_that_is_known_needs_neither_trimesh_nor_scipy(folder, file):
+    ObjectModel.from_file(file)
+    program = f"""
+import sys
+import handsight as hs
+hs.ObjectModel.from_file({str(file)!r})
+loaded = {{"trimesh", "scipy", "numba"}} & set(sys.modules)
+assert not loaded, loaded
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

@@ -14,7 +14,7 @@ SIZE = np.array([0.06, 0.09, 0.14])
 def nearest_is_brute_force(mesh, rng):
     low, high = mesh.vertices.min(axis=0) - 0.03, mesh.vertices.max(axis=0) + 0.03
     points = rng.uniform(low, high, (400, 3))
-    feet, index = NearestPoint(mesh, 0.002).feet(points)
+    feet, index = NearestPoint(mesh).feet(points)
     np.testing.assert_array_equal(index, np.arange(400))
     brute = brute_distance(points, mesh)
     np.testing.assert_allclose(feet.distance, brute, atol=2e-4)

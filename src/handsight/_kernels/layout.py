@@ -35,7 +35,8 @@ ROUGH_CELL = SCAN_COUNT + 1  # one over it; 0: no roughness
 ROUGH_ORIGIN = ROUGH_CELL + 1
 ROUGH_SHAPE = ROUGH_ORIGIN + 3
 ROUGH = ROUGH_SHAPE + 3  # where in `model`
-MODEL = ROUGH + 1
+BOUNDS = ROUGH + 1  # least and greatest corner of a box around all of the object
+MODEL = BOUNDS + 6
 # What of the symmetries the kernels know: none, finitely many, an axis through the origin (and finitely many).
 NONE, DISCRETE, AXIS, OTHER = 0, 1, 2, 3
 

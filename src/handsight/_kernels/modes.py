@@ -23,7 +23,7 @@ from handsight._kernels.layout import (
 )  # fmt: skip
 from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
 from handsight._kernels.sight import add_sight, sight_cost
-from handsight._kernels.solve import add_outside
+from handsight._kernels.solve import add_outside, beside
 from handsight._kernels.touch import (
     DISTANCE,
     SURFACE,
@@ -139,6 +139,8 @@ def cost(
             square, log_spread = surprise(contacts, i, s, S)
             total += square + log_spread
     for i in range(HAND, len(hand), 3):
+        if beside(model, hand, i, pose):
+            continue
         surface(model, singles, FINE, hand, i, pose, s)
         depth = min(s[DISTANCE] + hand[0], 0.0) / hand[1]
         total += depth * depth

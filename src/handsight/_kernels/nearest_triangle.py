@@ -28,7 +28,7 @@ def _box_gap2(boxes: Any, k: int, x: float, y: float, z: float) -> float:
     dx = max(max(boxes[k, 0] - x, x - boxes[k, 3]), 0.0)
     dy = max(max(boxes[k, 1] - y, y - boxes[k, 4]), 0.0)
     dz = max(max(boxes[k, 2] - z, z - boxes[k, 5]), 0.0)
-    return dx * dx + dy * dy + dz * dz  # type: ignore[no-any-return]
+    return dx * dx + dy * dy + dz * dz
 
 
 @inner
@@ -49,20 +49,37 @@ def _weights(T: Any, t: int, x: float, y: float, z: float) -> Any:
     ru, rv = pu - uv, pv - vv
     if rv >= 0 and ru <= rv:
         return 0.0, 0.0, 1.0
-    c = pu * qv - qu * pv
-    if c <= 0 and pu >= 0 and qu <= 0:
-        s = pu / (pu - qu)
+    # The weights times the doubled area squared.
+    total, b, c = uu * vv - uv * uv, vv * pu - uv * pv, uu * pv - uv * pu
+    a = total - b - c
+    if c <= 0 and pu > 0 and qu <= 0:
+        s = pu / uu
         return 1 - s, s, 0.0
-    b = ru * pv - pu * rv
-    if b <= 0 and pv >= 0 and rv <= 0:
-        s = pv / (pv - rv)
+    if b <= 0 and pv > 0 and rv <= 0:
+        s = pv / vv
         return 1 - s, 0.0, s
-    a = qu * rv - ru * qv
-    if a <= 0 and qv - qu >= 0 and ru - rv >= 0:
+    if a <= 0 and qv > qu and ru >= rv:
         s = (qv - qu) / ((qv - qu) + (ru - rv))
         return 0.0, 1 - s, s
-    total = 1 / (a + b + c)
-    return a * total, b * total, c * total
+    if total <= FLAT * uu * vv or min(a, min(b, c)) < 0:
+        return _on_edges(uu, uv, vv, pu, pv)
+    return a / total, b / total, c / total
+
+
+@inner
+def _on_edges(uu: float, uv: float, vv: float, pu: float, pv: float) -> Any:
+    """As `_weights`, of the triangle's edges alone: from p to a + s u + t v it is |p - a|² + what is least here."""
+    s = min(pu / uu, 1.0) if pu > 0 else 0.0
+    t = min(pv / vv, 1.0) if pv > 0 else 0.0
+    along, size = pv - pu + uu - uv, uu - 2 * uv + vv
+    r = min(along / size, 1.0) if along > 0 and size > 0 else 0.0
+    first, second = s * (s * uu - 2 * pu), t * (t * vv - 2 * pv)
+    third = (1 - r) * ((1 - r) * uu - 2 * pu) + r * (r * vv - 2 * pv) + 2 * r * (1 - r) * uv
+    if first <= second and first <= third:
+        return 1 - s, s, 0.0
+    if second <= third:
+        return 1 - t, 0.0, t
+    return 0.0, 1 - r, r
 
 
 @inner

@@ -11,6 +11,7 @@ from handsight._kernels.algebra import factor, solved
 from handsight._kernels.compiled import inner
 from handsight._kernels.layout import (
     BLIND,
+    BOUNDS,
     COARSE,
     CONTACT,
     COST,
@@ -55,6 +56,8 @@ def add_outside(
     s, weight = work[:SURFACE], work[SURFACE : SURFACE + 1]
     weight[0], r = 1 / (hand[1] * hand[1]), 1 / radius
     for i in range(HAND, len(hand), 3):
+        if beside(model, hand, i, pose):
+            continue
         surface(model, singles, field, hand, i, pose, s)
         depth = s[DISTANCE] + hand[0]
         if depth < 0:
@@ -62,6 +65,19 @@ def add_outside(
             a, b, c = hand[i] - center[0], hand[i + 1] - center[1], hand[i + 2] - center[2]
             row = (x, y, z, (b * z - c * y) * r, (c * x - a * z) * r, (a * y - b * x) * r, depth)
             accumulate(weight, 0, row, equations)
+
+
+@inner
+def beside(model: Any, x: Any, at: int, pose: Any) -> bool:
+    """Whether the palm point at `x[at]` is outside the box around the object: most of a hand is."""
+    R = pose
+    lx, ly, lz = x[at] - R[9], x[at + 1] - R[10], x[at + 2] - R[11]
+    px = lx * R[0] + ly * R[3] + lz * R[6]
+    py = lx * R[1] + ly * R[4] + lz * R[7]
+    pz = lx * R[2] + ly * R[5] + lz * R[8]
+    x_within = model[BOUNDS] <= px <= model[BOUNDS + 3]
+    y_within = model[BOUNDS + 1] <= py <= model[BOUNDS + 4]
+    return not (x_within and y_within and model[BOUNDS + 2] <= pz <= model[BOUNDS + 5])
 
 
 @inner

@@ -40,7 +40,7 @@ def _farthest(features: Any, chosen: Any, gap: Any) -> None:
 
 @inner
 def _owners(features: Any, chosen: Any, owner: Any) -> None:
-    """The nearest of the chosen for each feature, of equals the first; scanned from its last one outwards."""
+    """The nearest of the chosen for each feature, of equals the first."""
     n = len(chosen)
     columns = chosen.T.copy()
     gap = np.empty(n)

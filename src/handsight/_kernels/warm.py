@@ -7,7 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels import correct, field, layout, many, sensing
+from handsight._kernels import (
+    correct,
+    field,
+    layout,
+    linking,
+    many,
+    nearest_triangle,
+    sensing,
+    spreading,
+    winding,
+)
 
 Report = Callable[[str, float], None]
 
@@ -49,10 +59,16 @@ def _fields() -> None:
     field.evaluate(model, singles, 0, np.zeros((1, 3)), np.empty((1, 13)), 0, 1)
 
 
+def _objects() -> None:
+    for kernels in (nearest_triangle, winding, linking, spreading):
+        kernels.warm()
+
+
 GROUPS: dict[str, Callable[[], None]] = {
     "corrections from a near pose": _corrections,
     "corrections from many starts": _starts,
     "distance fields": _fields,
+    "objects from meshes": _objects,
     "contact sensing": sensing.warm,
 }
 

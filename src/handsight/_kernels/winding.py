@@ -23,7 +23,7 @@ def _solid_angle(T: Any, t: int, x: float, y: float, z: float) -> float:
     c = np.sqrt(cx * cx + cy * cy + cz * cz)
     volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
     ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
-    return 2 * np.arctan2(volume, a * b * c + ab * c + bc * a + ca * b)  # type: ignore[no-any-return]
+    return 2 * np.arctan2(volume, a * b * c + ab * c + bc * a + ca * b)
 
 
 @inner
@@ -45,8 +45,8 @@ def _near(elements: Any, first: int, last: int, x: float, y: float, z: float) ->
 def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
     """`out` (n): winding numbers at the points (n, 3).
 
-    `patches`: `starts` (p + 1), `middles` (p, 3), `vectors` (p, 3), `radii` (p); `elements`: `centers` (m, 3), `vectors`
-    (m, 3), `reach` (m), `corners` (m, 3, 3) or of points (0, 3, 3).
+    `patches`: `starts` (p + 1), `middles` (p, 3), `vectors` (p, 3), `radii` (p); `elements`: `centers` (m, 3),
+    `vectors` (m, 3), `reach` (m), `corners` (m, 3, 3) or of points (0, 3, 3).
     """
     starts, middles, vectors, radii = patches
     for i in range(len(points)):

@@ -43,6 +43,9 @@ def _packed(model: ObjectModel) -> tuple[Array, Singles]:
     head[at.COARSE : at.COARSE + at.FIELD], coarse = packed_field(model.coarse, 0)
     head[at.FINE : at.FINE + at.FIELD], fine = packed_field(model.fine, len(coarse))
     head[at.RADIUS] = model.radius
+    # Facets may be a little within the surface they stand for.
+    margin = 0.01 * model.diameter * np.array([[-1.0], [1.0]])
+    head[at.BOUNDS : at.BOUNDS + 6] = (model.bounds_object + margin).reshape(-1)
     head[at.CENTER : at.CENTER + 3] = model.center_object
     samples = patches(model)
     head[at.SAMPLE_VARIANCE : at.SAMPLE_VARIANCE + 2] = samples.variance_point, samples.variance_normal

@@ -1,13 +1,10 @@
 """What every object model measures on its surface, whatever the surface came from."""
 
 import contextlib
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.distance import pdist
 
 from handsight.checks import Array
 from handsight.errors import InvalidObject
@@ -55,18 +52,17 @@ class Made:
     """None: sampled from the fine field."""
     closed: bool = True
     remarks: tuple[str, ...] = ()
+    diameter: float | None = None
+    """[m], where it is known already."""
 
 
 def measured(made: Made, samples: int) -> dict[str, Any]:
-    """Every field of an ObjectModel but its symmetries and its surface."""
+    """Every field of an ObjectModel but its symmetries."""
     bounds = np.stack([made.vertices.min(axis=0), made.vertices.max(axis=0)])
-    size = diameter(made.vertices)
+    size = made.diameter or diameter(made.vertices)
     points, normals = spread(made.surface, samples)
     sigma_point, sigma_normal = typical_roughness(made.surface, made.fine)
     coarse = made.coarse or sampled(made.fine, bounds, size)
-    remarks = (*made.remarks, *unit_remarks(bounds))
-    for remark in remarks:
-        warnings.warn(remark, ObjectWarning, stacklevel=4)
     return {
         "name": made.name,
         "coarse": coarse,
@@ -82,7 +78,8 @@ def measured(made: Made, samples: int) -> dict[str, Any]:
         "roughness": roughness(made.surface, made.fine, bounds, coarse.cell) if made.coarse else None,
         "vertices": frozen(made.vertices),
         "faces": made.faces,
-        "remarks": remarks,
+        "remarks": (*made.remarks, *unit_remarks(bounds)),
+        "_surface": made.surface,
     }
 
 
@@ -102,12 +99,15 @@ def sampled(exact: Field, bounds: Array, size: float) -> GridField:
 
 def diameter(points: Array) -> float:
     """The largest distance between two of the points (n, 3) [m]."""
+    from scipy.spatial import ConvexHull, QhullError  # an object that is kept whole needs no scipy
+    from scipy.spatial.distance import pdist
+
     with contextlib.suppress(QhullError):  # flat
         points = points[ConvexHull(points).vertices]
     if len(points) > 2000:  # a ball's hull: extremes along many directions miss by less than a thousandth
-        direction = np.random.default_rng(0).normal(size=(1500, 3))
-        along = points @ (direction / np.linalg.norm(direction, axis=1, keepdims=True)).T
-        points = points[np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))]
+        direction = np.random.default_rng(0).normal(size=(1000, 3))
+        along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
+        points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
     return float(pdist(points).max())
 
 

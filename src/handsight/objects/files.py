@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from handsight.checks import Array
@@ -45,14 +44,9 @@ class Shape:
 
 def read_shape(path: str | os.PathLike[str]) -> Shape:
     """The mesh or cloud in a file, by its extension; raises InvalidFile starting with the file's name."""
-    file = Path(path)
-    reader = READERS.get(file.suffix.lower())
-    if reader is None:
-        known = ", ".join(sorted(READERS))
-        raise InvalidFile(f"{file.name}: expected one of {known}, got {file.suffix or 'no extension'}")
-    data = _bytes(file)
+    file, data = Path(path), content(path)
     try:
-        shape = reader(data)
+        shape = READERS[file.suffix.lower()](data)
     except BadText as error:
         raise InvalidFile(f"{file.name}: {error}") from None
     except _UNREADABLE as error:
@@ -63,8 +57,12 @@ def read_shape(path: str | os.PathLike[str]) -> Shape:
     return shape if shape.faces is not None else _finite_rows(shape)
 
 
-def _bytes(file: Path) -> bytes:
-    """The content of a regular file of sensible size."""
+def content(path: str | os.PathLike[str]) -> bytes:
+    """What is in a regular file of a known kind and sensible size; raises InvalidFile."""
+    file = Path(path)
+    if file.suffix.lower() not in READERS:
+        known = ", ".join(sorted(READERS))
+        raise InvalidFile(f"{file.name}: expected one of {known}, got {file.suffix or 'no extension'}")
     try:
         size, folder, regular = file.stat().st_size, file.is_dir(), file.is_file()
         data = file.read_bytes() if regular and size <= LARGEST_FILE else b""
@@ -94,6 +92,8 @@ def _finite_rows(shape: Shape) -> Shape:
 
 
 def _by_trimesh(data: bytes, kind: str) -> Shape:
+    import trimesh  # long to import, and not needed for an object that is kept whole
+
     scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
     for part in scene.geometry.values():
@@ -137,6 +137,8 @@ def _with_faces(shape: Shape) -> Shape:
 
 
 def _ply(data: bytes) -> Shape:
+    import trimesh  # as above
+
     geometry = trimesh.load(io.BytesIO(data), file_type="ply", process=False, skip_materials=True)
     elements: dict[str, Any] = geometry.metadata.get("_ply_raw", {})
     vertex = elements.get("vertex", {}).get("data")

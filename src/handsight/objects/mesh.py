@@ -4,9 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from handsight.checks import Array
 from handsight.objects.grid import Fields, Grid, grids, interpolated
@@ -22,8 +19,7 @@ LARGEST_HOLE = 0.25
 """A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
 wide, inside and outside are a guess, and past a quarter that would be most of the object."""
 CLOSED_SHARE = 0.95
-SAMPLES_PER_CELL = 2.0
-LINK_MARGINS = (1.1, 1.5, np.inf)
+LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
 SPEAKERS = 16
 
@@ -31,8 +27,7 @@ SPEAKERS = 16
 def mesh_fields(mesh: Triangles, diameter: float) -> Fields:
     """The smooth and the sharp field of a repaired mesh, and whether it has an inside."""
     coarse, fine, remarks = grids(mesh.vertices, diameter)
-    nearest = NearestPoint(mesh, fine.cell / SAMPLES_PER_CELL)
-    winding, holes = Winding.of_mesh(mesh), holes_of(mesh)
+    nearest, winding, holes = NearestPoint(mesh), Winding.of_mesh(mesh), holes_of(mesh)
     closed = is_closed(mesh, winding, holes, diameter)
     side: Side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
     values = _signed(coarse, nearest, side)
@@ -74,13 +69,16 @@ class ByWinding(Side):
 
     def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
         """Signed distances (n,) [m] of grid nodes, given where they touch down."""
+        from handsight._kernels.linking import linked  # numba's import is long
+
         free = np.ones(len(points), dtype=bool)
         for middle, extent in zip(self.holes.middles, self.holes.extents, strict=True):
             free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
         inside = np.zeros(len(points), dtype=bool)
         todo = np.arange(len(points))
         for margin in LINK_MARGINS:
-            label = _connected(grid_index[todo], grid, feet.distance[todo], free[todo], margin)
+            limit = margin * grid.cell  # right across a face it is the step, give or take the rounding
+            label = linked(grid_index[todo], grid.shape, feet.distance[todo], free[todo], limit)
             votes, agreed = self._votes(label, points[todo])
             inside[todo] = votes[label]
             todo = todo[~agreed[label]]
@@ -112,6 +110,8 @@ class ByNormal(Side):
 
     def __init__(self, mesh: Triangles, holes: Holes, spacing: float) -> None:
         """`spacing` [m]: between the points that stand for the rim."""
+        from scipy.spatial import cKDTree  # half of this room's import, for open surfaces alone
+
         self._normals = pseudonormals(mesh)
         start, along = holes.segments[:, 0], holes.segments[:, 1] - holes.segments[:, 0]
         count = np.ceil(np.linalg.norm(along, axis=1) / spacing).astype(np.int64) + 1
@@ -132,32 +132,6 @@ class ByNormal(Side):
         rim = np.full(len(points), np.inf) if self._rim is None else self._rim.query(feet.points)[0]
         d = feet.distance
         return np.asarray(np.where(behind, d - 2 * np.minimum(d, rim), d))
-
-
-def _connected(
-    grid_index: NDArray[np.int64], grid: Grid, distance: Array, free: NDArray[np.bool_], margin: float
-) -> NDArray[np.int64]:
-    """(n,) the set of each node: neighbours with no surface between them are together."""
-    n = len(grid_index)
-    local = np.full(int(np.prod(grid.shape)), -1, dtype=np.int64)
-    local[grid_index] = np.arange(n)
-    cube = local.reshape(grid.shape)
-    rows, columns = [], []
-    for axis in range(3):
-        low, high = (np.take(cube, r, axis=axis).reshape(-1) for r in _pairs(grid.shape[axis]))
-        both = (low >= 0) & (high >= 0)
-        low, high = low[both], high[both]
-        # Right across a face the sum is the step, give or take the rounding.
-        link = (distance[low] + distance[high] > margin * grid.cell) & free[low] & free[high]
-        rows.append(low[link])
-        columns.append(high[link])
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def _pairs(n: int) -> tuple[range, range]:
-    return range(n - 1), range(1, n)
 
 
 def _signed(grid: Grid, nearest: NearestPoint, side: Side) -> Array:

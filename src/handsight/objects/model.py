@@ -2,8 +2,9 @@
 
 import dataclasses
 import os
+import warnings
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +13,13 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import primitives
-from handsight.objects.build import LARGEST, SMALLEST, Made, measured
+from handsight.objects.build import LARGEST, SMALLEST, Made, ObjectWarning, measured
 from handsight.objects.exact import BoxField, CylinderField, SphereField
 from handsight.objects.field import Field, FieldValues, GridField
 from handsight.objects.roughness import Roughness
-from handsight.objects.sources import made_of_file, made_of_mesh, made_of_points
 from handsight.objects.surface import Faces, Rounded, Surface
 from handsight.objects.symmetry import Symmetries
+from handsight.objects.whole import measured_file
 
 SAMPLES = 256
 """Surface points that phase 1 of the correction matches contacts with."""
@@ -61,6 +62,8 @@ class ObjectModel:
     remarks: tuple[str, ...]
     """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
     _surface: Surface
+    kept: dict[str, Any] = dataclasses.field(init=False, default_factory=dict)
+    """What other rooms have computed from this model and will need again."""
 
     def __repr__(self) -> str:
         """Name, size and kind in a line."""
@@ -93,7 +96,7 @@ class ObjectModel:
         _check_range(sides, "size")
         triangles = primitives.box_triangles(sides / 2)
         made = Made("box", triangles, triangles.vertices, triangles.faces, BoxField(sides / 2))
-        return cls._from(made, symmetries or primitives.box_symmetries(sides))
+        return cls._from(measured(made, SAMPLES), symmetries or primitives.box_symmetries(sides))
 
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
@@ -104,7 +107,7 @@ class ObjectModel:
         triangles = primitives.cylinder_triangles(radius, height / 2)
         exact, area = CylinderField(radius, height / 2), 2 * np.pi * radius * (radius + height)
         made = Made("cylinder", Rounded(triangles, exact, area), triangles.vertices, triangles.faces, exact)
-        return cls._from(made, symmetries or primitives.cylinder_symmetries())
+        return cls._from(measured(made, SAMPLES), symmetries or primitives.cylinder_symmetries())
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
@@ -114,7 +117,7 @@ class ObjectModel:
         triangles, exact = primitives.sphere_triangles(radius), SphereField(radius)
         rounded = Rounded(triangles, exact, 4 * np.pi * radius**2)
         made = Made("sphere", rounded, triangles.vertices, triangles.faces, exact)
-        return cls._from(made, symmetries or primitives.sphere_symmetries())
+        return cls._from(measured(made, SAMPLES), symmetries or primitives.sphere_symmetries())
 
     @classmethod
     def from_mesh(
@@ -125,7 +128,9 @@ class ObjectModel:
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
         surface is valid. Raises InvalidObject where there is no surface.
         """
-        return cls._from(made_of_mesh(vertices, faces), symmetries or Symmetries())
+        from handsight.objects.sources import made_of_mesh  # it brings scipy and trimesh
+
+        return cls._from(measured(made_of_mesh(vertices, faces), SAMPLES), symmetries or Symmetries())
 
     @classmethod
     def from_points(
@@ -136,7 +141,9 @@ class ObjectModel:
         `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
-        return cls._from(made_of_points(points, normals), symmetries or Symmetries())
+        from handsight.objects.sources import made_of_points  # as above
+
+        return cls._from(measured(made_of_points(points, normals), SAMPLES), symmetries or Symmetries())
 
     @classmethod
     def from_file(
@@ -148,12 +155,14 @@ class ObjectModel:
         where it holds no surface, both starting with the file's name.
         """
         scale = checks.positive(scale, "scale")
-        return cls._from(made_of_file(path, scale), symmetries or Symmetries())
+        return cls._from(measured_file(path, scale, SAMPLES), symmetries or Symmetries())
 
     @classmethod
-    def _from(cls, made: Made, symmetries: Symmetries) -> Self:
+    def _from(cls, values: dict[str, Any], symmetries: Symmetries) -> Self:
         _check_symmetries(symmetries)
-        return cls(**measured(made, SAMPLES), symmetries=symmetries, _surface=made.surface)
+        for remark in values["remarks"]:
+            warnings.warn(remark, ObjectWarning, stacklevel=3)
+        return cls(**values, symmetries=symmetries)
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
         """n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
@@ -164,7 +173,12 @@ class ObjectModel:
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
         """Distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
         points = checks.finite(points_object, "points_object", (None, 3))
-        return (self.fine if fine else self.coarse).evaluate(points)
+        from handsight.objects.pack import evaluated, packed_field  # numba's import is long
+
+        name = "fine" if fine else "coarse"
+        if name not in self.kept:
+            self.kept[name] = packed_field(getattr(self, name), 0)
+        return evaluated(self.kept[name], points)
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""

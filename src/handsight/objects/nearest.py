@@ -3,17 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from handsight.checks import Array
 from handsight.objects.surface import Faces, Triangles
-from handsight.objects.topology import neighbours
+from handsight.objects.tree import boxes, halves
 
-LEAST_SAMPLES, MOST_SAMPLES = 4_000, 200_000
-CANDIDATES = 3
-WALK = 8
-_CHUNK = 100_000
+PART = 16
+"""Triangles with one frame, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,101 +27,39 @@ class Feet:
 
 
 class NearestPoint:
-    """Finds nearest points by a tree of dense surface samples, then exactly on their triangles."""
+    """Finds the nearest points of a mesh, exactly, by a tree of boxes around its triangles."""
 
-    def __init__(self, mesh: Triangles, spacing: float) -> None:
-        """Samples about `spacing` [m] apart, every triangle's middle among them."""
-        n = int(np.clip(mesh.area / spacing**2, LEAST_SAMPLES, MOST_SAMPLES))
-        drawn, face = mesh.draw_on_faces(n, np.random.default_rng(2))
-        self._corners = mesh.vertices[mesh.faces]
-        self._face = np.concatenate([face, np.arange(len(mesh.faces))])
-        self._tree = cKDTree(np.vstack([drawn, self._corners.mean(axis=1)]))
-        self._beside = neighbours(mesh.faces)
+    def __init__(self, mesh: Triangles) -> None:
+        """Of a mesh with at least one triangle."""
+        corners = mesh.vertices[mesh.faces]
+        parts = halves(corners.mean(axis=1), PART)
+        self._order = parts.order
+        corners, starts = corners[parts.order], parts.starts
+        boxed = boxes(corners.min(axis=1), corners.max(axis=1), starts)
+        frames = _frames(np.add.reduceat(mesh.doubled_normals()[parts.order], starts[:-1]))
+        turned = corners @ np.repeat(frames, np.diff(starts), axis=0).swapaxes(1, 2)
+        around = np.hstack([turned.min(axis=1), turned.max(axis=1)])
+        self._tree = starts, boxed, frames.reshape(-1, 9), turned, around
 
     def feet(self, points: Array, within: float = np.inf) -> tuple[Feet, Faces]:
-        """The nearest surface points of those points (n, 3) within [m] of a sample, and which these are.
+        """The nearest surface points of those points (n, 3) nearer than `within` [m], and which these are.
 
-        From the triangles of the nearest samples over their neighbours, as long as that leads nearer. Where
-        two sheets are closer to each other than the samples are, it may end on the wrong one: too far by a
-        fraction of the spacing.
+        Of several triangles that are equally near, any. Quickest where neighbours in space follow each other.
         """
-        parts = [self._feet(points[k : k + _CHUNK], within) for k in range(0, max(len(points), 1), _CHUNK)]
-        index = np.concatenate([_CHUNK * k + row for k, (_, row) in enumerate(parts)])
-        columns = zip(*((p.distance, p.points, p.face, p.corners) for p, _ in parts), strict=True)
-        return Feet(*(np.concatenate(c) for c in columns)), index
+        from handsight._kernels.nearest_triangle import all_feet  # numba's import is long
 
-    def _feet(self, points: Array, within: float) -> tuple[Feet, Faces]:
-        gap, sample = self._tree.query(points, k=CANDIDATES, distance_upper_bound=within)
-        row = np.flatnonzero(np.isfinite(gap[:, 0]))
-        points, gap, sample = points[row], gap[row], sample[row]
-        n = len(row)
-        best = Feet(np.full(n, np.inf), np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros((n, 3)))
-        faces = self._face[np.where(np.isfinite(gap), sample, sample[:, :1])]
-        todo = np.arange(n)
-        for _ in range(WALK):
-            closer = self._improve(best, points, todo, faces)
-            todo, faces = todo[closer], self._beside[best.face[todo[closer]]]
-            if not len(todo):
-                break
-        return best, row
-
-    def _improve(self, best: Feet, points: Array, rows: Faces, faces: Faces) -> NDArray[np.bool_]:
-        """Replaces the feet of these rows where one of their triangles (r, c) is nearer; which it did."""
-        improved = np.zeros(len(rows), dtype=bool)
-        for k in range(faces.shape[1]):
-            fresh = faces[:, k] != best.face[rows] if k else np.ones(len(rows), dtype=bool)
-            at, row, face = np.flatnonzero(fresh), rows[fresh], faces[fresh, k]
-            triangle = self._corners[face]
-            corners = nearest_on_triangles(points[row], triangle)
-            foot = (corners[:, None, :] @ triangle)[:, 0]
-            distance = np.sqrt(_dot(points[row] - foot, points[row] - foot))
-            closer = distance < best.distance[row]
-            row = row[closer]
-            best.distance[row], best.points[row] = distance[closer], foot[closer]
-            best.face[row], best.corners[row] = face[closer], corners[closer]
-            improved[at[closer]] = True
-        return improved
+        found = all_feet(np.require(points, np.float64, ["C", "W"]), within, self._tree)
+        index = np.flatnonzero(np.isfinite(found[:, 0]))
+        found = found[index]
+        face = self._order[found[:, 7].astype(np.int64)]
+        return Feet(found[:, 0], found[:, 1:4], face, found[:, 4:7]), index
 
 
-def _dot(a: Array, b: Array) -> Array:
-    """Row by row; three times as fast as a sum along the last axis."""
-    return np.asarray(np.einsum("ij,ij->i", a, b))
-
-
-def nearest_on_triangles(points: Array, triangles: Array) -> Array:
-    """Barycentric coordinates (n, 3) of the point nearest to each point (n, 3) on its triangle (n, 3, 3).
-
-    Exact zeros on edges and at vertices.
-    """
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    ab, ac, ap = b - a, c - a, points - a
-    d1, d2, d3 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
-    e1, e2 = _dot(ap, ab), _dot(ap, ac)
-    area2 = d1 * d3 - d2 * d2
-    flat = area2 <= 1e-14 * d1 * d3
-    safe = np.where(flat, 1.0, area2)
-    v, w = (d3 * e1 - d2 * e2) / safe, (d1 * e2 - d2 * e1) / safe
-    corners = np.stack([1 - v - w, v, w], axis=1)
-    row = np.flatnonzero(flat | (corners.min(axis=1) <= 0))
-    if len(row):
-        corners[row] = _nearest_on_edges(points[row], triangles[row])
-    return corners
-
-
-def _nearest_on_edges(points: Array, triangles: Array) -> Array:
-    """Barycentric coordinates (n, 3) of the nearest point on the triangles' edges."""
-    n = len(points)
-    least = np.full(n, np.inf)
-    best = np.zeros((n, 3))
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        start, along = triangles[:, i], triangles[:, j] - triangles[:, i]
-        length2 = _dot(along, along)
-        t = _dot(points - start, along) / np.where(length2 > 0, length2, 1.0)
-        t = np.clip(t, 0.0, 1.0)
-        gap = points - start - t[:, None] * along
-        gap2 = _dot(gap, gap)
-        closer = gap2 < least
-        least[closer] = gap2[closer]
-        best[closer] = 0.0
-        best[closer, i], best[closer, j] = 1 - t[closer], t[closer]
-    return best
+def _frames(normals: Array) -> Array:
+    """(p, 3, 3) rotations whose third row is along these (p, 3); any rotation where there is none."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+    aside = np.eye(3)[np.abs(third).argmin(axis=1)]
+    first = np.cross(aside, third)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(third, first), third], axis=1)

@@ -1,12 +1,19 @@
 """A distance field as the flat numbers that kernels take (`handsight._kernels.layout`)."""
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight._kernels import field as kernel
 from handsight._kernels import layout as at
+from handsight._kernels.threads import in_parts
 from handsight.checks import Array
 from handsight.objects.exact import BoxField, CylinderField, SphereField
-from handsight.objects.field import Field, GridField
+from handsight.objects.field import Field, FieldValues, GridField
+
+MANY = 16_384
+"""Points that are worth another thread."""
 
 
 def packed_field(field: Field, nodes: int) -> tuple[Array, NDArray[np.float32]]:
@@ -29,3 +36,12 @@ def packed_field(field: Field, nodes: int) -> tuple[Array, NDArray[np.float32]]:
         raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
     numbers[at.LEAST] = field.least
     return numbers, np.empty(0, dtype=np.float32)
+
+
+def evaluated(packed: tuple[Array, NDArray[np.float32]], points_object: Array) -> FieldValues:
+    """As `evaluate` of the field that was packed, in a kernel on all cores."""
+    numbers, nodes = packed
+    points = np.require(points_object, np.float64, ["C"])
+    values = np.empty((len(points), 13))
+    in_parts(partial(kernel.evaluate, numbers, nodes, 0, points, values), len(points), MANY)
+    return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))

@@ -7,7 +7,6 @@ is right to one. A contact is only as good as the model where it touches.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from handsight.checks import Array
 from handsight.objects.field import Field
@@ -44,6 +43,8 @@ class Roughness:
 
 def roughness(surface: Surface, fine: Field, bounds: Array, cell: float) -> Roughness:
     """The roughness of a fine field, from samples of the surface within about half a cell of each node."""
+    from scipy.spatial import cKDTree  # an object that is kept whole needs no scipy
+
     points, normals = surface.draw(SAMPLES, np.random.default_rng(2))
     distance, gradient, _ = fine.evaluate(points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)

@@ -30,7 +30,7 @@ def made_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Made:
     mesh, remarks = repaired(vertices, faces)
     size = diameter(mesh.vertices)
     fields = _remembered("mesh", lambda: mesh_fields(mesh, size), mesh.vertices, mesh.faces)
-    return _made(mesh, mesh.vertices, mesh.faces, fields, remarks)
+    return dataclasses.replace(_made(mesh, mesh.vertices, mesh.faces, fields, remarks), diameter=size)
 
 
 def made_of_points(points: ArrayLike, normals: ArrayLike | None) -> Made:
@@ -42,7 +42,8 @@ def made_of_points(points: ArrayLike, normals: ArrayLike | None) -> Made:
     cloud, remarks = cloud_from(array, directions)
     size = diameter(cloud.points)
     fields = _remembered("cloud", lambda: cloud_fields(cloud, size), cloud.points, cloud.normals)
-    return _made(cloud, cloud.points, np.empty((0, 3), dtype=np.int64), fields, remarks)
+    made = _made(cloud, cloud.points, np.empty((0, 3), dtype=np.int64), fields, remarks)
+    return dataclasses.replace(made, diameter=size)
 
 
 def made_of_file(path: str | os.PathLike[str], scale: float) -> Made:

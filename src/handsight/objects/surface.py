@@ -5,7 +5,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from handsight.checks import Array
 from handsight.objects.field import Field
@@ -91,37 +90,18 @@ def spread(surface: Surface, n: int, seed: int = 0) -> tuple[Array, Array]:
     points, normals = surface.draw(CROWD * n, np.random.default_rng(seed))
     spacing = np.sqrt(surface.area / n)
     features = np.hstack([points, spacing * normals])
-    chosen = features[_farthest(features, n)]
-    for _ in range(LLOYD_STEPS):
-        owner = cKDTree(chosen).query(features)[1]
-        count = np.bincount(owner, minlength=n)
-        kept = np.flatnonzero(count)
-        sums = np.stack([np.bincount(owner, f, minlength=n) for f in features.T], axis=1)
-        chosen[kept] = sums[kept] / count[kept, None]
+    from handsight._kernels.spreading import spread_out  # numba's import is long
+
     # Back to draws, each once: a middle lies off a curved surface.
-    index = _snap(features, chosen)
+    index = _snap(features, spread_out(features, n, LLOYD_STEPS))
     return points[index], normals[index]
 
 
-def _farthest(features: Array, n: int) -> Faces:
-    """Indices of n rows, each the farthest from those before it; the first from the middle."""
-    middle = features.mean(axis=0)
-    index = np.empty(n, dtype=np.int64)
-    index[0] = ((features - middle) ** 2).sum(axis=1).argmax()
-    gap = ((features - features[index[0]]) ** 2).sum(axis=1)
-    for k in range(1, n):
-        index[k] = gap.argmax()
-        gap = np.minimum(gap, ((features - features[index[k]]) ** 2).sum(axis=1))
-    return index
-
-
 def _snap(features: Array, middles: Array) -> Faces:
-    """For each middle the nearest row not taken by an earlier one."""
-    tree = cKDTree(features)
-    taken: set[int] = set()
+    """For each middle (n, 6) the nearest row not taken by an earlier one."""
+    gap2 = (features * features).sum(axis=1) - 2 * middles @ features.T
     index = np.empty(len(middles), dtype=np.int64)
-    nearest = tree.query(middles, k=min(8, len(features)))[1].reshape(len(middles), -1)
-    for k, options in enumerate(nearest):
-        index[k] = next((i for i in options if i not in taken), options[0])
-        taken.add(int(index[k]))
+    for k, row in enumerate(gap2):
+        row[index[:k]] = np.inf
+        index[k] = row.argmin()
     return index

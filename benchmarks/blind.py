@@ -1,0 +1,70 @@
+"""Blind problems: five contacts with normals, no vision. Scaling Series against handsight's own blind search.
+
+A slide that the contacts leave open is no error (the judge's rule everywhere); which of several poses that fit is the
+true one nobody can tell, so "first" asks for the first answer and "among 8" for any of the first eight.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+
+import handsight as hs
+import scenes
+from benchmarks import timing, workload
+from benchmarks.peers.scaling_series import ScalingSeries
+from benchmarks.shapes import bumpy
+from benchmarks.workload import NOISE, Problem
+
+Row = dict[str, Any]
+
+
+def problems(name: str, count: int, seed: int = workload.REPORTED_ON) -> list[Problem]:
+    """Five contacts on the box, or anywhere on a bumpy mesh."""
+    if name == "box":
+        return [workload.draw("box", workload.NEAR, k, seed) for k in range(count)]
+    vertices, faces = bumpy(4)
+    model, found = hs.ObjectModel.from_mesh(vertices, faces), []
+    touch = scenes.anywhere_on(model)
+    for k in range(count):
+        rng = np.random.default_rng([seed, 7, k])
+        scene = scenes.grasp(*touch(rng), rng, noise=NOISE)
+        found.append(Problem(name, model, scene))
+    return found
+
+
+def ours(problem: Problem) -> np.ndarray:
+    """Up to eight modes (k, 4, 4), best first."""
+    estimate = hs.correct_pose(problem.model, problem.contacts)
+    return np.stack([h.T_palm_object for h in estimate.hypotheses])[:8]
+
+
+def run(count: int, seconds: float) -> list[Row]:
+    """A row for each method and object."""
+    series, rows = ScalingSeries(), []
+    methods = {"handsight, blind": ours, series.name: series.solve}
+    for name in ("box", "bumpy mesh"):
+        drawn = problems(name, count)
+        found: dict[str, list[tuple[float, bool, bool]]] = {key: [] for key in methods}
+        for solve in methods.values():
+            solve(drawn[0])
+        end = time.perf_counter() + seconds / 2
+        for problem in drawn:
+            if time.perf_counter() > end and len(found[series.name]) >= 3:
+                break
+            for key, solve in methods.items():
+                Ts, took = timing.once(lambda s=solve, p=problem: s(p), cold=True)
+                right = [workload.judged(problem, T).found for T in Ts]
+                found[key].append((took, right[0], any(right)))
+        for key, results in found.items():
+            took, first, among = zip(*results, strict=True)
+            rows.append(
+                {
+                    "object": name,
+                    "name": key,
+                    "success": float(np.mean(first)),
+                    "among_8": float(np.mean(among)),
+                }
+                | timing.summary(took)
+            )
+    return rows

@@ -1,0 +1,127 @@
+"""Pose correction: every peer on the same problems, in turn; time beside success and accuracy."""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks import frontier, timing, workload
+from benchmarks.workload import Peer, Problem, Solve, Verdict
+
+HOT_PROBLEMS = 5
+Row = dict[str, Any]
+
+
+@dataclass
+class Entrant:
+    """One peer in one case, and what was measured of it."""
+
+    key: str
+    peer: Peer
+    setting: Row | None
+    seconds: list[float] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
+    hot: list[float] = field(default_factory=list)
+
+    def run(self, problem: Problem, solve: Solve) -> None:
+        """One cold solve, judged."""
+        answer, took = timing.once(solve, cold=True)
+        self.seconds.append(took)
+        T_hat = workload.pose_of(answer)
+        if T_hat is not None:
+            self.verdicts.append(workload.judged(problem, T_hat))
+
+    def row(self, object_name: str, error: str) -> Row:
+        """The table's line."""
+        hot = {"hot_median_s": float(np.median(self.hot))} if self.hot else {}
+        judged = workload.accuracy(self.verdicts) if self.verdicts else {"success": None}
+        return {
+            "object": object_name,
+            "error": error,
+            "peer": self.key,
+            "name": self.peer.name,
+            "uses_normals": self.peer.uses_normals,
+            "uses_prior": self.peer.uses_prior,
+            "setting": self.setting,
+            **timing.summary(self.seconds),
+            **hot,
+            **judged,
+        }
+
+
+def entrants(peers: dict[str, Peer], object_name: str, error: str, chosen: Row) -> list[Entrant]:
+    """The peers with the settings chosen for this case, prepared and compiled."""
+    found = []
+    for key, peer in peers.items():
+        tuned, setting = frontier.tuned(key, peer, object_name, error, chosen)
+        found.append(Entrant(key, tuned, setting))
+    return found
+
+
+def run_case(runners: list[Entrant], object_name: str, error: str, problems: int, seconds: float) -> None:
+    """Cold trials in turn until all problems are done or the time is up; a slow peer does fewer problems.
+
+    No peer may use more than its even share, but each does at least ten problems; then hot repeats of a few.
+    """
+    model = workload.models()[object_name]
+    for runner in runners:
+        runner.peer.prepare(model)
+    share = 0.7 * seconds / len(runners)
+    with timing.undisturbed(), timing.silent_stderr():
+        for runner in runners:
+            runner.peer.ready(workload.draw(object_name, error, problems))()
+        begin = time.perf_counter()
+        for k in range(problems):
+            problem = workload.draw(object_name, error, k)
+            for runner in _rotated(runners, k):
+                done = len(runner.seconds)
+                if done < 10 or sum(runner.seconds) < share:
+                    runner.run(problem, runner.peer.ready(problem))
+            if k > 20 and time.perf_counter() - begin > 0.8 * seconds:
+                break
+        for k in range(HOT_PROBLEMS):
+            problem = workload.draw(object_name, error, k)
+            for runner in runners:
+                solve = runner.peer.ready(problem)
+                budget = 0.2 * seconds / HOT_PROBLEMS / len(runners)
+                runner.hot.append(float(np.median(timing.hot(solve, min(budget, 0.1), least=3))))
+
+
+def _rotated(runners: list[Entrant], k: int) -> list[Entrant]:
+    shift = k % len(runners)
+    return [*runners[shift:], *runners[:shift]]
+
+
+def run(
+    peers: dict[str, Peer], chosen: Row, errors: list[str], problems: int, seconds: float
+) -> tuple[list[Row], dict[str, Any]]:
+    """Rows of every case, and the ratios of times on the near start, geometric mean of can and box."""
+    rows: list[Row] = []
+    near: dict[str, dict[str, list[float]]] = {}
+    cases = [(o, e) for o in workload.OBJECTS for e in errors]
+    for object_name, error in cases:
+        runners = entrants(peers, object_name, error, chosen)
+        run_case(runners, object_name, error, problems, seconds / len(cases))
+        rows += [runner.row(object_name, error) for runner in runners]
+        if error == workload.NEAR:
+            near[object_name] = {runner.key: runner.seconds for runner in runners}
+    return rows, ratios(near)
+
+
+def ratios(near: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
+    """ours / peer, and kernel / peer; below 1 where ours is faster."""
+    found: dict[str, Any] = {}
+    for ours in ("ours", "ours_kernel"):
+        for peer in ("paper", "paper_pruned", "ours_numpy", "scipy", "open3d", "small_gicp"):
+            each = [
+                timing.ratio(times[ours], times[peer])
+                for times in near.values()
+                if {ours, peer} <= times.keys()
+            ]
+            if each:
+                mean = {
+                    k: float(np.exp(np.mean([np.log(e[k]) for e in each]))) for k in ("ratio", "low", "high")
+                }
+                found[f"{ours} / {peer}"] = mean | {"pairs": sum(e["pairs"] for e in each)}
+    return found

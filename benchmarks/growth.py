@@ -1,0 +1,174 @@
+"""How time grows: with contacts, points of the hand, hypotheses, and triangles of the mesh."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import handsight as hs
+from benchmarks import frontier, timing, workload
+from benchmarks.peers.ours import with_starts
+from benchmarks.shapes import bumpy
+from benchmarks.workload import Peer, Problem
+from handsight.errors import InvalidInput
+
+CONTACTS = (2, 3, 5, 8, 12)
+OUTSIDE = (0, 10, 30, 100, 200, 500)
+STARTS = (1, 10, 100, 1000, 10_000, 100_000, 1_000_000)
+HAND = 100
+"""Points of the hand in the second curve of hypotheses."""
+SUBDIVISIONS = (3, 4, 5, 6, 7, 8)
+"""1 280, 5 120, 20 480, 81 920, 327 680 and 1 310 720 triangles."""
+Row = dict[str, Any]
+
+
+def contacts(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
+    """Cold median time and success of each peer on the box, by number of contacts."""
+    rows = []
+    for n in CONTACTS:
+        problems = [workload.draw("box", workload.NEAR, k, contacts=n) for k in range(100)]
+        rows += compared(peers, chosen, problems, seconds / len(CONTACTS), {"contacts": n})
+    return rows
+
+
+def outside(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
+    """The same by number of points of the hand, for the peers that know what to do with them: ours."""
+    rows, mine = [], {key: peer for key, peer in peers.items() if key == "ours"}
+    for n in OUTSIDE:
+        drawn = [workload.draw("box", workload.NEAR, k) for k in range(100)]
+        problems = [replace(p, outside=workload.hand_points(p, n)) if n else p for p in drawn]
+        rows += compared(mine, chosen, problems, seconds / len(OUTSIDE), {"outside": n})
+    return rows
+
+
+def compared(
+    peers: dict[str, Peer], chosen: Row, problems: list[Problem], seconds: float, at: dict[str, int]
+) -> list[Row]:
+    """A row for each peer: time and success over as many of these problems as time allows."""
+    tuned = {key: frontier.tuned(key, peer, "box", workload.NEAR, chosen)[0] for key, peer in peers.items()}
+    times: dict[str, list[float]] = {key: [] for key in tuned}
+    verdicts: dict[str, list[workload.Verdict]] = {key: [] for key in tuned}
+    for peer in tuned.values():
+        peer.prepare(problems[0].model)
+    with timing.undisturbed(), timing.silent_stderr():
+        for peer in tuned.values():
+            peer.ready(problems[-1])()
+        end = time.perf_counter() + seconds
+        for problem in problems:
+            if time.perf_counter() > end and all(len(found) >= 5 for found in times.values()):
+                break
+            for key, peer in tuned.items():
+                answer, took = timing.once(peer.ready(problem), cold=True)
+                times[key].append(took)
+                T_hat = workload.pose_of(answer)
+                if T_hat is not None:
+                    verdicts[key].append(workload.judged(problem, T_hat))
+    return [
+        {"peer": key, "name": tuned[key].name, **at, **timing.summary(times[key])}
+        | (workload.accuracy(verdicts[key]) if verdicts[key] else {"success": None})
+        for key in tuned
+    ]
+
+
+def hypotheses(seconds: float) -> list[Row]:
+    """Seconds, and hypotheses per second, of a batch of both phases by its size, without and with a hand."""
+    rows = []
+    problem = workload.draw("box", workload.FAR, 1)
+    held = replace(problem, outside=workload.hand_points(problem, HAND))
+    for outside_points, given in ((0, problem), (HAND, held)):
+        end, slowest = time.perf_counter() + seconds / 2, 0.0
+        for starts in STARTS:
+            if time.perf_counter() + 10 * slowest > end and starts > 10_000:
+                rows.append({"starts": starts, "outside": outside_points, "skipped": "no time left"})
+                continue
+            try:
+                solve = with_starts(given, starts)
+                _, slowest = timing.once(solve)
+                times = (
+                    timing.hot(solve, min(0.03 * seconds, 1.0), least=2)
+                    if 8 * slowest < seconds
+                    else [slowest]
+                )
+            except InvalidInput as error:
+                rows.append({"starts": starts, "outside": outside_points, "skipped": str(error)})
+                continue
+            summary = timing.summary(times)
+            rate = starts / summary["median_s"]
+            rows.append({"starts": starts, "outside": outside_points, "per_second": rate, **summary})
+    return rows
+
+
+def batch(seconds: float) -> tuple[list[Row], dict[str, Any]]:
+    """One correction against one hypothesis of a batch of 4 096: rows, and the ratio batch per hypothesis / single."""
+    problem, count = workload.draw("box", workload.NEAR, 1), 4096
+    model, scene = problem.model, problem.scene
+    calls = [
+        ("one correction", lambda: hs.correct_pose(model, scene.contacts, vision=scene.vision)),
+        (f"a batch of {count}", with_starts(problem, count)),
+    ]
+    times = timing.in_turn(calls, seconds)
+    single, each = (times[name] for name, _ in calls)
+    rows = [
+        {"name": "one correction, the public call", **timing.summary(single)},
+        {"name": f"a batch of {count}, per hypothesis", "per_second": count / float(np.median(each))}
+        | timing.summary(each / count),
+    ]
+    return rows, {"batch per hypothesis / single": timing.ratio(each / count, single)}
+
+
+def meshes(seconds: float) -> list[Row]:
+    """Seconds to build an object's fields, to load them again, and per query, by triangles of its mesh."""
+    rows: list[Row] = []
+    end, kept = time.perf_counter() + seconds, os.environ.get("HANDSIGHT_CACHE")
+    hs.ObjectModel.from_mesh(*bumpy(2))  # kernels, if any, compiled before
+    try:
+        for subdivisions in SUBDIVISIONS:
+            last = sum(rows[-1][key] for key in ("build_s", "load_s")) if rows else 0.0
+            if rows and time.perf_counter() + 5 * last > end:
+                rows.append({"triangles": 20 * 4**subdivisions, "skipped": "no time left"})
+                break
+            with tempfile.TemporaryDirectory() as folder:
+                os.environ["HANDSIGHT_CACHE"] = folder
+                rows.append(built(subdivisions))
+    finally:
+        os.environ.pop("HANDSIGHT_CACHE", None)
+        if kept is not None:
+            os.environ["HANDSIGHT_CACHE"] = kept
+    return rows
+
+
+def built(subdivisions: int) -> Row:
+    """One mesh: from arrays to a model with an empty cache, the same again from it, a batch of queries."""
+    vertices, faces = bumpy(subdivisions)
+    model, build = timing.once(lambda: hs.ObjectModel.from_mesh(vertices, faces))
+    loads = [timing.once(lambda: hs.ObjectModel.from_mesh(vertices, faces))[1] for _ in range(3)]
+    points = model.sample(20_000)[0] + 0.005 * np.random.default_rng(0).normal(size=(20_000, 3))
+    query = timing.hot(lambda: model.evaluate(points), 0.2, least=3) / len(points)
+    return {
+        "triangles": len(faces),
+        "build_s": build,
+        "load_s": float(np.median(loads)),
+        "query_s": float(np.median(query)),
+    }
+
+
+def run(
+    peers: dict[str, Peer], chosen: Row, seconds: float, say: Callable[[str], None]
+) -> dict[str, list[Row]]:
+    """All four, each with its share of the time."""
+    some = {key: peer for key, peer in peers.items() if key != "ours_numpy"}
+    parts: dict[str, Callable[[], list[Row]]] = {
+        "contacts": lambda: contacts(some, chosen, 0.2 * seconds),
+        "outside": lambda: outside(peers, chosen, 0.1 * seconds),
+        "hypotheses": lambda: hypotheses(0.4 * seconds),
+        "meshes": lambda: meshes(0.3 * seconds),
+    }
+    found = {}
+    for name, part in parts.items():
+        say(f"  growth with {name}")
+        found[name] = part()
+    return found

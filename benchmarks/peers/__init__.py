@@ -1,0 +1,44 @@
+"""Who is compared, one file each."""
+
+import importlib
+from collections.abc import Callable
+
+from benchmarks.workload import Peer
+
+
+def _of(module: str, name: str, **options: object) -> Callable[[], Peer]:
+    def make() -> Peer:
+        return getattr(importlib.import_module(f"benchmarks.peers.{module}"), name)(**options)
+
+    return make
+
+
+MAKERS: dict[str, Callable[[], Peer]] = {
+    "ours": _of("ours", "Ours"),
+    "ours_kernel": _of("ours", "OursKernel"),
+    "ours_numpy": _of("ours_numpy", "OursNumPy"),
+    "paper": _of("paper_numba", "PaperCompiled"),
+    "paper_pruned": _of("paper_numba", "PaperCompiled", prune=True),
+    "scipy": _of("scipy_lsq", "ScipyLeastSquares"),
+    "open3d": _of("open3d_icp", "Open3DICP"),
+    "small_gicp": _of("small_gicp", "SmallGICP"),
+}
+"""The peers that start from vision; Scaling Series starts from nothing and has its own section."""
+
+
+class Skipped(Exception):
+    """A peer that cannot be measured here; says why."""
+
+
+def made(names: list[str] | None = None) -> tuple[dict[str, Peer], dict[str, str]]:
+    """The peers of these names that can run here, and why the others cannot."""
+    found: dict[str, Peer] = {}
+    missing: dict[str, str] = {}
+    for name in names or MAKERS:
+        try:
+            found[name] = MAKERS[name]()
+        except ImportError as error:
+            missing[name] = f"not installed ({error}); pip install 'handsight[bench]'"
+        except Skipped as error:
+            missing[name] = str(error)
+    return found, missing

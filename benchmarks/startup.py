@@ -1,0 +1,116 @@
+"""New processes: time to import, to say --help, to the first correction (warm and with nothing compiled); memory.
+
+Warm: kernels and fields are in their cache. First compile: with an empty cache folder, as after installing.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks import ROOT, frontier, timing, workload
+
+Row = dict[str, Any]
+IMPORT = "import handsight"
+FIRST = """
+import numpy as np, handsight as hs
+model = hs.ObjectModel.box((0.06, 0.09, 0.14))
+points, normals = model.sample(5)
+vision = hs.PosePrior.from_sigmas(np.eye(4), 0.012, 0.15)
+hs.correct_pose(model, hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1), vision=vision)
+"""
+HELP = "import sys; sys.argv = ['handsight', '--help']; import handsight.cli; handsight.cli.main()"
+SOLVES = 20
+
+
+def process_seconds(code: str, **environment: str) -> float:
+    """Wall time of a whole Python process, interpreter included."""
+    begin = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        env={**os.environ, **environment},
+        timeout=600,
+    )
+    return time.perf_counter() - begin
+
+
+def run(repeats: int, *, compile_too: bool) -> list[Row]:
+    """A row for each kind of start."""
+    kinds = {
+        "an empty interpreter": "pass",
+        "import handsight": IMPORT,
+        "handsight --help": HELP,
+        "new process to first correction, warm": FIRST,
+    }
+    rows = [started(name, code, repeats) for name, code in kinds.items()]
+    if compile_too:
+        with tempfile.TemporaryDirectory() as folder:
+            took = process_seconds(FIRST, HANDSIGHT_CACHE=folder, NUMBA_CACHE_DIR=folder)
+        rows.append({"name": "new process to first correction, nothing compiled"} | timing.summary([took]))
+    return rows
+
+
+def started(name: str, code: str, repeats: int) -> Row:
+    """One kind of start; the first fills the disk's cache and handsight's, and does not count."""
+    try:
+        process_seconds(code)
+        return {"name": name} | timing.summary([process_seconds(code) for _ in range(repeats)])
+    except subprocess.CalledProcessError as error:
+        return {"name": name, "failed": error.stderr.decode().strip().splitlines()[-1:]}
+
+
+def memory(keys: list[str]) -> list[Row]:
+    """Peak resident memory of a process that prepares and solves with one peer only [MB]; first, with none."""
+    rows = []
+    for key in ["none", *keys]:
+        done = subprocess.run(
+            [sys.executable, "-m", "benchmarks.startup", key],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        if done.returncode:
+            rows.append({"peer": key, "failed": done.stderr.strip().splitlines()[-1:]})
+            continue
+        rows.append({"peer": key, **json.loads(done.stdout.strip().splitlines()[-1])})
+    base = rows[0].get("peak_mb", 0.0)
+    return [row | {"beyond_none_mb": row["peak_mb"] - base} if "peak_mb" in row else row for row in rows]
+
+
+def solve_a_few(key: str) -> Row:
+    """Peak memory of this process after some solves on the box; `none`: after drawing the problems."""
+    problems = [workload.draw("box", workload.NEAR, k) for k in range(SOLVES)]
+    begin = time.perf_counter()
+    if key != "none":
+        from benchmarks import peers
+
+        found, _ = peers.made([key])
+        peer, _ = frontier.tuned(key, found[key], "box", workload.NEAR, frontier.stored())
+        with timing.silent_stderr():
+            peer.prepare(problems[0].model)
+            for problem in problems:
+                workload.pose_of(peer.ready(problem)())
+    return {"peak_mb": round(peak_mb(), 1), "seconds": time.perf_counter() - begin}
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far [MB]."""
+    try:  # getrusage would count what the parent had when it forked
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+    except OSError:
+        import resource
+
+        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return size / (1024**2 if sys.platform == "darwin" else 1024)
+
+
+if __name__ == "__main__":
+    print(json.dumps(solve_a_few(sys.argv[1])))

@@ -1,0 +1,116 @@
+"""The sections of a run, each with its share of the time."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import handsight as hs
+from benchmarks import (
+    blind,
+    closest,
+    correction,
+    frontier,
+    growth,
+    machine,
+    peers,
+    sensing,
+    startup,
+    workload,
+)
+
+Row = dict[str, Any]
+QUICK = {"correction": 30.0, "batch": 3.0, "blind": 6.0, "closest": 6.0, "sensing": 3.0, "growth": 20.0}
+FULL = {
+    "frontier": 200.0,
+    "correction": 160.0,
+    "batch": 10.0,
+    "blind": 80.0,
+    "closest": 30.0,
+    "sensing": 15.0,
+    "growth": 180.0,
+}
+"""Seconds; startup and memory take what their processes take."""
+NAMES = (*FULL, "startup", "memory")
+
+
+@dataclass
+class Suite:
+    """One run: what it measures with, and what it has found."""
+
+    quick: bool
+    say: Callable[[str], None]
+    results: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Finds the peers, and the settings chosen for them."""
+        self.peers, missing = peers.made()
+        for name, why in missing.items():
+            self.say(f"skipped {name}: {why}")
+        self.chosen = frontier.stored()
+        self.seconds = QUICK if self.quick else FULL
+        self.results = {"machine": machine.description(), "quick": self.quick, "sections": {}, "ratios": {}}
+        self.results |= {"skipped": missing, "seconds": {}, "frontier": self.chosen}
+
+    def warm(self) -> None:
+        """Compiles what is not yet, outside all times."""
+        begin = time.perf_counter()
+        problem = workload.draw("box", workload.NEAR, 0)
+        far = workload.draw("can", workload.FAR, 0)
+        points = workload.hand_points(problem, 10)
+        for given in (problem, far):
+            hs.correct_pose(given.model, given.contacts, vision=given.vision)
+        hs.correct_pose(problem.model, problem.contacts)
+        hs.correct_pose(problem.model, problem.contacts, vision=problem.vision, outside=points)
+        self.say(f"compiled, or loaded what was, in {time.perf_counter() - begin:.1f} s")
+
+    def run(self, name: str) -> None:
+        """Measures one section into the results."""
+        self.say(f"{name} ...")
+        begin = time.perf_counter()
+        getattr(self, f"_{name}")()
+        took = self.results["seconds"][name] = round(time.perf_counter() - begin, 1)
+        self.say(f"{name}: {took:.0f} s")
+
+    def _kept(self, name: str, measured: tuple[Any, ...]) -> None:
+        self.results["sections"][name] = measured[0]
+        self.results["ratios"] |= measured[1]
+
+    def _frontier(self) -> None:
+        errors = [workload.NEAR, workload.FAR]
+        self.chosen = frontier.search(self.peers, errors, self.seconds["frontier"], self.say)
+        self.chosen["machine"] = self.results["machine"]["description"]
+        self.results["frontier"] = self.chosen
+
+    def _correction(self) -> None:
+        errors, problems = [workload.NEAR, workload.FAR], 120 if self.quick else 500
+        self._kept(
+            "correction",
+            correction.run(self.peers, self.chosen, errors, problems, self.seconds["correction"]),
+        )
+
+    def _batch(self) -> None:
+        self._kept("batch", growth.batch(self.seconds["batch"]))
+
+    def _blind(self) -> None:
+        self.results["sections"]["blind"] = blind.run(6 if self.quick else 60, self.seconds["blind"])
+
+    def _closest(self) -> None:
+        rows, ratios, missing = closest.run(10_000 if self.quick else 100_000, self.seconds["closest"])
+        self._kept("closest", (rows, ratios))
+        self.results["skipped"] |= missing
+        for name, why in missing.items():
+            self.say(f"skipped {name}: {why}")
+
+    def _sensing(self) -> None:
+        self._kept("sensing", sensing.run(100_000 if self.quick else 1_000_000, self.seconds["sensing"]))
+
+    def _growth(self) -> None:
+        found = growth.run(self.peers, self.chosen, self.seconds["growth"], self.say)
+        self.results["sections"]["growth"] = found
+
+    def _startup(self) -> None:
+        self.results["sections"]["startup"] = startup.run(2 if self.quick else 9, compile_too=not self.quick)
+
+    def _memory(self) -> None:
+        self.results["sections"]["memory"] = startup.memory(list(self.peers))

@@ -1,0 +1,122 @@
+"""What was promised, and what this run measured: times on two cores, taken in the run's own way."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+Results = dict[str, Any]
+Read = Callable[[Results], float | None]
+NEAR, FAR = "20 mm / 15°", "85 mm / 30°"
+
+
+@dataclass(frozen=True)
+class Target:
+    """One promise."""
+
+    what: str
+    read: Read
+    limit: float
+    at_most: bool = True
+    scale: float = 1.0
+    unit: str = ""
+
+    def row(self, results: Results) -> list[str]:
+        """What, measured, wanted, met."""
+        sign = "≤" if self.at_most else "≥"
+        wanted = f"{sign} {self.limit:g} {self.unit}"
+        try:
+            value = self.read(results)
+        except (KeyError, StopIteration, TypeError, ZeroDivisionError):
+            value = None
+        if value is None:
+            return [self.what, "not measured", wanted, ""]
+        value *= self.scale
+        met = value <= self.limit if self.at_most else value >= self.limit
+        return [self.what, f"{value:.3g} {self.unit}", wanted, "met" if met else "NOT met"]
+
+
+def worst(peer: str, key: str, error: str = NEAR) -> Read:
+    """The larger of can and box."""
+    return lambda results: max(r[key] for r in _cases(results, peer, error))
+
+
+def _cases(results: Results, peer: str, error: str) -> list[Results]:
+    return [r for r in results["sections"]["correction"] if r["peer"] == peer and r["error"] == error]
+
+
+def tail(results: Results) -> float:
+    """p99 over median, the larger of can and box."""
+    return max(r["p99_s"] / r["median_s"] for r in _cases(results, "ours", NEAR))
+
+
+def success_over(peer: str, object_name: str) -> Read:
+    """Our success over a peer's on one object."""
+
+    def read(results: Results) -> float:
+        mine, theirs = (
+            next(r["success"] for r in _cases(results, key, NEAR) if r["object"] == object_name)
+            for key in ("ours", peer)
+        )
+        return mine / theirs
+
+    return read
+
+
+def times_faster(ratio: str) -> Read:
+    """One over a ratio."""
+    return lambda results: 1 / results["ratios"][ratio]["ratio"]
+
+
+def of(section: str, name: str, key: str = "median_s") -> Read:
+    """One number of the row whose name begins so."""
+    return lambda results: next(r[key] for r in results["sections"][section] if r["name"].startswith(name))
+
+
+def best_rate(outside: int) -> Read:
+    """The most hypotheses per second at any size of batch."""
+    return lambda results: max(
+        r["per_second"]
+        for r in results["sections"]["growth"]["hypotheses"]
+        if r["outside"] == outside and "per_second" in r
+    )
+
+
+def mesh_of_16k(key: str) -> Read:
+    """Of the mesh nearest to 16 000 triangles (20 480)."""
+    return lambda results: next(
+        r[key] for r in results["sections"]["growth"]["meshes"] if r["triangles"] == 20_480
+    )
+
+
+TARGETS = [
+    Target("correct_pose, 20 mm start, median", worst("ours", "median_s"), 60, scale=1e6, unit="µs"),
+    Target("  the same, repeated on one problem (hot)", worst("ours", "hot_median_s"), 60, scale=1e6, unit="µs"),
+    Target("its kernel, median", worst("ours_kernel", "median_s"), 30, scale=1e6, unit="µs"),
+    Target("correct_pose, p99 over median", tail, 3, unit="x"),
+    Target("faster than the paper's method, compiled", times_faster("ours / paper"), 15, at_most=False, unit="x"),
+    Target("  its kernel, the same", times_faster("ours_kernel / paper"), 15, at_most=False, unit="x"),
+    Target("  success over the paper's, can", success_over("paper", "can"), 1, at_most=False, unit="x"),
+    Target("  success over the paper's, box", success_over("paper", "box"), 1, at_most=False, unit="x"),
+    Target("faster than small_gicp PLANE_ICP", times_faster("ours / small_gicp"), 2.5, at_most=False, unit="x"),
+    Target("  its kernel, the same", times_faster("ours_kernel / small_gicp"), 2.5, at_most=False, unit="x"),
+    Target("  success over small_gicp's, box", success_over("small_gicp", "box"), 2.5, at_most=False, unit="x"),
+    Target("correct_pose, 85 mm start, median", worst("ours", "median_s", FAR), 1, scale=1e3, unit="ms"),
+    Target("hypotheses", best_rate(0), 200, at_most=False, scale=1e-3, unit="k/s"),
+    Target("hypotheses with 100 outside points", best_rate(100), 70, at_most=False, scale=1e-3, unit="k/s"),
+    Target("contact sensing in batch, a core", of("sensing", "closed form", "per_second"), 40, False, 1e-6, "M/s"),
+    Target("five fingers, one public call", of("sensing", "five fingers, one"), 25, scale=1e6, unit="µs"),
+    Target("five fingers, a public call each", of("sensing", "five fingers, a call"), 25, scale=1e6, unit="µs"),
+    Target("field query in batch, with curvature", of("closest", "handsight field"), 0.07, scale=1e6, unit="µs"),
+    Target("  faster than Open3D's scene", times_faster("field / Open3D closest points"), 15, False, unit="x"),
+    Target("field build, 20 480 triangles", mesh_of_16k("build_s"), 0.3, unit="s"),
+    Target("  the same from the cache", mesh_of_16k("load_s"), 5, scale=1e3, unit="ms"),
+    Target("import handsight", of("startup", "import"), 0.6, unit="s"),
+    Target("handsight --help", of("startup", "handsight --help"), 0.5, unit="s"),
+    Target("new process to first correction, warm", of("startup", "new process to first correction, warm"), 1.5,
+           unit="s"),
+]  # fmt: skip
+
+
+def rows(results: Results) -> list[list[str]]:
+    """A row for each promise."""
+    return [target.row(results) for target in TARGETS]

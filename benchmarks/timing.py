@@ -1,0 +1,100 @@
+"""Wall-clock times: of calls taken in turn (cold) and again and again (hot); medians, tails, ratios."""
+
+import contextlib
+import gc
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+COLD_BYTES = 2 << 20
+"""Read before each cold call: more than a core's L2, as whatever else a control loop does would be."""
+_filler = np.ones(COLD_BYTES // 8)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """No garbage collection while timing."""
+    was = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+@contextlib.contextmanager
+def silent_stderr() -> Iterator[None]:
+    """What libraries write to stderr from C++ goes nowhere: a terminal would cost them more than their work."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept), os.close(nowhere)
+
+
+def once(call: Callable[[], object], *, cold: bool = False) -> tuple[object, float]:
+    """What the call answers, and its seconds."""
+    if cold:
+        _filler.sum()
+    begin = time.perf_counter()
+    answer = call()
+    return answer, time.perf_counter() - begin
+
+
+def hot(call: Callable[[], object], seconds: float = 0.05, least: int = 5, most: int = 2000) -> np.ndarray:
+    """Seconds of each of many repeats of one call, after two that do not count."""
+    call(), call()
+    times: list[float] = []
+    end = time.perf_counter() + seconds
+    with undisturbed():
+        while len(times) < least or (len(times) < most and time.perf_counter() < end):
+            times.append(once(call)[1])
+    return np.array(times)
+
+
+def in_turn(
+    calls: Sequence[tuple[str, Callable[[], object]]], seconds: float, least: int = 5, most: int = 400
+) -> dict[str, np.ndarray]:
+    """Seconds of each of several calls, taken in turn and cold, after one round that does not count."""
+    times: dict[str, list[float]] = {name: [] for name, _ in calls}
+    for _, call in calls:
+        call()
+    rounds, end = 0, time.perf_counter() + seconds
+    with undisturbed():
+        while rounds < least or (rounds < most and time.perf_counter() < end):
+            shift = rounds % len(calls)
+            for name, call in [*calls[shift:], *calls[:shift]]:
+                times[name].append(once(call, cold=True)[1])
+            rounds += 1
+    return {name: np.array(found) for name, found in times.items()}
+
+
+def summary(seconds: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """Median, 99 % quantile and least [s], and of how many."""
+    array = np.asarray(seconds, dtype=np.float64)
+    return {
+        "median_s": float(np.median(array)),
+        "p99_s": float(np.quantile(array, 0.99)),
+        "min_s": float(array.min()),
+        "repeats": len(array),
+    }
+
+
+def ratio(a: Sequence[float], b: Sequence[float], draws: int = 400) -> dict[str, float]:
+    """median(a) / median(b) with its bootstrap interval (95 %); pairs were taken in the same turn."""
+    first, second = np.asarray(a), np.asarray(b)
+    n = min(len(first), len(second))
+    first, second = first[:n], second[:n]
+    rows = np.random.default_rng(0).integers(n, size=(draws, n))
+    drawn = np.median(first[rows], axis=1) / np.median(second[rows], axis=1)
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    middle = float(np.median(first) / np.median(second))
+    return {"ratio": middle, "low": float(low), "high": float(high), "pairs": n}

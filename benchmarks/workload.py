@@ -1,0 +1,175 @@
+"""What every peer is given and how every answer is judged.
+
+Problems are the experiments' (experiments/convergence.py): a can and a box, five contacts with 0.5 mm and 2 degrees of
+noise, vision off by a Gaussian draw. A peer may build what it likes from the object beforehand (`prepare`, not timed)
+and may turn a problem's contacts into its own data type (`ready`, not timed either: handsight's `Contacts` exist by
+then, too); timed is the call that `ready` answers.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+
+import handsight as hs
+from benchmarks import ROOT  # noqa: F401 - puts the experiments on the path
+from handsight.correction import modes
+
+import scenes  # isort: skip
+from convergence import ERRORS, NOISE, OBJECTS  # isort: skip
+
+NEAR, FAR = "20 mm / 15°", "85 mm / 30°"
+CHOSEN_ON, REPORTED_ON = 1, 0
+"""Seeds: settings of the peers are chosen on one, numbers reported on the other."""
+SHIFT_LIMIT, TURN_LIMIT = 5e-3, np.deg2rad(8)
+
+Solve = Callable[[], Any]
+"""One solve of one problem; what it answers is for `pose_of`."""
+
+
+class Peer(Protocol):
+    """One way to solve a correction problem."""
+
+    name: str
+    """As tables call it."""
+    uses_normals: bool
+    """Whether the contacts' normals count."""
+    uses_prior: bool
+    """Whether vision counts as evidence; otherwise it is a first guess and nothing more."""
+
+    def prepare(self, model: hs.ObjectModel) -> None:
+        """Builds what is built once per object. Not timed."""
+        ...
+
+    def ready(self, problem: "Problem") -> Solve:
+        """The call to time, for an object that was prepared last."""
+        ...
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One grasp with its truth."""
+
+    object_name: str
+    model: hs.ObjectModel
+    scene: scenes.Scene
+    outside: np.ndarray | None = None
+    """(m, 3) points of the hand [m], or None."""
+
+    @property
+    def contacts(self) -> hs.Contacts:
+        """What was felt."""
+        return self.scene.contacts
+
+    @property
+    def vision(self) -> hs.PosePrior:
+        """What was seen."""
+        return self.scene.vision
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far an answer is from the truth, modulo symmetry, in what the contacts observe."""
+
+    shift: float
+    """[m]"""
+    turn: float
+    """[rad]"""
+
+    @property
+    def found(self) -> bool:
+        """The experiments' criterion."""
+        return bool(self.shift < SHIFT_LIMIT and self.turn < TURN_LIMIT)
+
+
+@lru_cache(maxsize=1)
+def models() -> dict[str, hs.ObjectModel]:
+    """Can and box."""
+    return {name: make() for name, (make, _) in OBJECTS.items()}
+
+
+def draw(object_name: str, error: str, trial: int, seed: int = REPORTED_ON, contacts: int = 5) -> Problem:
+    """Problem number `trial` of a seed; can and box at 20 and 85 mm are those of experiments/convergence.py."""
+    o, e = list(OBJECTS).index(object_name), list(ERRORS).index(error)
+    rng = np.random.default_rng([seed, o, e, trial])
+    touched = OBJECTS[object_name][1](rng, contacts)
+    scene = scenes.grasp(*touched, rng, noise=NOISE, error=ERRORS[error])
+    return Problem(object_name, models()[object_name], scene)
+
+
+def hand_points(problem: Problem, count: int, seed: int = 0) -> np.ndarray:
+    """Points (count, 3) [m] a hand's surface could have: behind the contacts, outside the true object by 2-40 mm."""
+    rng = np.random.default_rng([seed, count])
+    contact = rng.integers(len(problem.contacts), size=count)
+    T, scene = problem.scene.T_palm_object, problem.scene
+    away = rng.uniform(0.002, 0.04, (count, 1))
+    points = scene.points_object[contact] + away * scene.normals_object[contact]
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def pose_of(answer: Any) -> np.ndarray | None:
+    """`T_palm_object` (4, 4): the answer, or its first 12 numbers, rotation row by row and position. None: None."""
+    if answer is None or answer.shape == (4, 4):
+        return answer
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = answer[:9].reshape(3, 3), answer[9:12]
+    return T
+
+
+def judged(problem: Problem, T_hat: np.ndarray) -> Verdict:
+    """The same judge for everyone, whatever a peer says of its own uncertainty.
+
+    As `scenes.pose_errors`, but what the contacts leave open is taken from the true contacts on the object and
+    carried along with the answer, because a peer does not report it.
+    """
+    from handsight import se3
+
+    model = problem.model
+    if not np.isfinite(T_hat).all():
+        return Verdict(np.inf, np.inf)
+    truth = scenes.nearest_truth(model, problem.scene.T_palm_object, T_hat)
+    delta = se3.difference(T_hat, truth)
+    R = np.kron(np.eye(2), T_hat[:3, :3])
+    scale = np.repeat([1.0, model.radius], 3)
+    open_ = open_directions(problem) @ R.T
+    seen = delta * scale
+    seen = (seen - open_.T @ (open_ @ seen)) / scale
+    return Verdict(float(np.linalg.norm(seen[:3])), float(np.linalg.norm(seen[3:])))
+
+
+def open_directions(problem: Problem) -> np.ndarray:
+    """(k, 6) directions (δp, radius δθ), object's axes, that the true contacts do not fix."""
+    scene, model = problem.scene, problem.model
+    points, normals = scene.points_object, scene.normals_object
+    values = model.fine.evaluate(points)
+    variance = np.diagonal(scene.contacts.covariance, axis1=1, axis2=2)
+    sigma_point, sigma_normal = np.sqrt(variance[:, 0]), np.sqrt(variance[:, 3:].sum(axis=1) / 2)
+    information = np.zeros((6, 6))
+    for i, point in enumerate(points):
+        move = np.hstack([-np.eye(3), _skew(point)])  # of the contact, in the object, by (δp, δθ)
+        turn = np.hstack([np.zeros((3, 3)), -_skew(normals[i])])
+        rows = np.vstack(
+            [
+                values.gradient[i] @ move / sigma_point[i],
+                (values.hessian[i] @ move + turn) / max(sigma_normal[i], model.sigma_normal, 1e-6),
+            ]
+        )
+        information += rows.T @ rows
+    return modes.unobservable(information, model.radius, model.center_object)
+
+
+def _skew(v: np.ndarray) -> np.ndarray:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def accuracy(verdicts: list[Verdict]) -> dict[str, Any]:
+    """Share found, and of those the median shift and turn."""
+    good = [v for v in verdicts if v.found]
+    return {
+        "problems": len(verdicts),
+        "success": len(good) / len(verdicts),
+        "median_mm": 1e3 * float(np.median([v.shift for v in good])) if good else None,
+        "median_deg": float(np.rad2deg(np.median([v.turn for v in good]))) if good else None,
+    }
