@@ -40,7 +40,8 @@ from handsight._kernels.layout import (
     WIDTH,
 )  # fmt: skip
 from handsight._kernels.match import match
-from handsight._kernels.modes import in_metres, information, largest_gain, secant, spread, unobservable
+from handsight._kernels.modes import in_metres, secant, spread, unobservable
+from handsight._kernels.posterior import information, largest_gain
 from handsight._kernels.settings import COARSE_STEP, COARSE_STEPS, FINE_STEPS, SMALL_STEP
 from handsight._kernels.sight import held, seen
 from handsight._kernels.solve import WORK, descend, freeze

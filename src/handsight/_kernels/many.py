@@ -11,7 +11,8 @@ from handsight._kernels.algebra import eigen
 from handsight._kernels.compiled import entry
 from handsight._kernels.correct import answer_near, approach, explain, finish, space
 from handsight._kernels.layout import BLIND, CONTACT, COST, EQUATIONS, FINE, PRIOR, RADIUS
-from handsight._kernels.modes import cost, in_metres, information
+from handsight._kernels.modes import in_metres
+from handsight._kernels.posterior import cost, information
 from handsight._kernels.settings import FINE_STEPS, SMALL_STEP
 from handsight._kernels.sight import sight_cost
 from handsight._kernels.solve import WORK, descend, evaluate

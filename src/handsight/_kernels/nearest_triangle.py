@@ -63,12 +63,13 @@ def _weights(T: Any, t: int, x: float, y: float, z: float) -> Any:
         return 0.0, 1 - s, s
     if total <= FLAT * uu * vv or min(a, min(b, c)) < 0:
         return _on_edges(uu, uv, vv, pu, pv)
-    return a / total, b / total, c / total
+    share = 1 / total
+    return a * share, b * share, c * share
 
 
 @inner
 def _on_edges(uu: float, uv: float, vv: float, pu: float, pv: float) -> Any:
-    """As `_weights`, of the triangle's edges alone: from p to a + s u + t v it is |p - a|² + what is least here."""
+    """As `_weights`, of the edges alone, by what each squared distance has above that to the first corner."""
     s = min(pu / uu, 1.0) if pu > 0 else 0.0
     t = min(pv / vv, 1.0) if pv > 0 else 0.0
     along, size = pv - pu + uu - uv, uu - 2 * uv + vv

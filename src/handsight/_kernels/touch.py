@@ -22,7 +22,6 @@ from handsight._kernels.layout import (
     ROUGH_CELL,
     ROUGH_ORIGIN,
     ROUGH_SHAPE,
-    SHARP,
     VARIANCE,
 )  # fmt: skip
 from handsight._kernels.vectors import accumulate
@@ -251,26 +250,6 @@ def weigh(S: Any, has_normal: bool, weight: Any, at: int) -> float:
     m[4] = m[1] = w10 * d1 + w20 * g + w30 * b
     m[0] = d0 + w10 * w10 * d1 + w20 * f + w30 * a
     return np.log((S[0] * e1) * (e2 * e3))
-
-
-@inner
-def at_edge(model: Any, contacts: Any, i: int, s: Any) -> bool:
-    """Whether the surface bends as sharply as an edge, and the contact's normal tells the face."""
-    bend = 0.0
-    for k in range(9):
-        bend += s[BEND + k] * s[BEND + k]
-    return bend > model[SHARP] and contacts[CONTACT * i + HAS_NORMAL] > 0
-
-
-@inner
-def flatten(contacts: Any, i: int, s: Any) -> None:
-    """A plane along the contact's normal in place of an edge."""
-    for k in range(3):
-        normal = contacts[CONTACT * i + NORMAL + k]
-        s[SLOPE + k] = normal
-        s[FACING + k] = normal
-    for k in range(9):
-        s[BEND + k] = 0.0
 
 
 @inner
