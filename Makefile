@@ -1,12 +1,13 @@
 # make demo    see it work          make test    all tests, the slow ones too
 # make lint    format, types, layers  make clean   remove .venv and every cache
+# make bench   the benchmarks against every peer: fills .venv with Open3D and small_gicp, fifteen minutes
 #
 # .venv is made and filled by the first target that needs it. PYTHON=/path/to/python chooses another one.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint venv clean
+.PHONY: help demo test lint bench venv clean
 
 PYTHON ?=
 BIN := .venv/bin
@@ -26,6 +27,10 @@ lint: $(STAMP)
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+bench: $(STAMP)
+	@PIP_ROOT_USER_ACTION=ignore $(BIN)/python -m pip install -qq --disable-pip-version-check -e '.[bench]'
+	@$(BIN)/python -m benchmarks
 
 venv: $(STAMP)
 

@@ -292,3 +292,31 @@ def test_a_damaged_kernel_is_compiled_again(tmp_path):
     done = ran("print(solve())", NUMBA_CACHE_DIR=str(tmp_path))
     assert done.stdout == expected
     assert "Warning" not in done.stderr
+
+
+@pytest.mark.slow
+def test_after_warming_up_nothing_is_left_to_compile(tmp_path):
+    kernels = {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    ran("from handsight._kernels.warm import warm; warm(lambda name, seconds: None)", **kernels)
+    kept = {path.name for path in (tmp_path / "kernels").rglob("*.nbc")}
+    assert kept
+    program = f"""
+solve()
+far = hs.PosePrior(T, np.diag([0.01] * 3 + [0.3] * 3))
+hs.correct_pose(model, contacts, vision=far, outside=[[0.1, 0, 0], [0, 0, 0]])
+hs.correct_pose(model, contacts, vision=far, samples=200)
+hs.correct_pose(model, contacts)
+bare = hs.Contacts(contacts.points_palm, [None, [-1.0, 0, 0], None])
+hs.correct_pose(model, bare, vision=far)
+os.environ["HANDSIGHT_CACHE"] = {str(tmp_path / "fields")!r}
+mesh = hs.ObjectModel.from_mesh(model.vertices, model.faces)
+mesh.evaluate([[0, 0, 0]])
+hs.correct_pose(mesh, contacts, vision=vision)
+hs.ObjectModel.from_points(*mesh.sample(2000))
+mesh.evaluate(mesh.points_object)
+model.evaluate(model.points_object)
+hs.contacts_from_wrenches(np.eye(3), np.eye(3), hs.Ellipsoid((0.01, 0.01, 0.012)))
+hs.contact_from_wrench([0, 0, -1], [0, 0, 0], hs.Sphere(0.01))
+"""
+    ran(program, **kernels)
+    assert {path.name for path in (tmp_path / "kernels").rglob("*.nbc")} == kept

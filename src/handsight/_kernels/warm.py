@@ -56,6 +56,7 @@ def _corrections() -> None:
 
 def _fields() -> None:
     model, singles, *_ = _ball()
+    singles.flags.writeable = False  # as a model's own are
     field.evaluate(model, singles, 0, np.zeros((1, 3)), np.empty((1, 13)), 0, 1)
 
 

@@ -18,6 +18,8 @@ SMALLEST, LARGEST = 1e-6, 1e6
 SMALL, LARGE = 0.005, 2.0
 """A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
 ROUGHNESS_SAMPLES = 2000
+MOST_COMPARED = 2000
+"""Points whose distances are all taken."""
 # The median of |x| over a standard deviation, and of the length of a vector of two such.
 _MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
 
@@ -102,13 +104,27 @@ def diameter(points: Array) -> float:
     from scipy.spatial import ConvexHull, QhullError  # an object that is kept whole needs no scipy
     from scipy.spatial.distance import pdist
 
-    with contextlib.suppress(QhullError):  # flat
-        points = points[ConvexHull(points).vertices]
-    if len(points) > 2000:  # a ball's hull: extremes along many directions miss by less than a thousandth
+    points = _outermost(points)
+    if len(points) > MOST_COMPARED:
+        with contextlib.suppress(QhullError):  # flat
+            points = points[ConvexHull(points).vertices]
+    if len(points) > MOST_COMPARED:  # a ball: extremes along many directions miss by less than a thousandth
         direction = np.random.default_rng(0).normal(size=(1000, 3))
         along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
         points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
     return float(pdist(points).max())
+
+
+def _outermost(points: Array) -> Array:
+    """Those of the points (n, 3) that may be one of the two farthest apart: of most objects a few."""
+    one = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax()]
+    for _ in range(3):
+        other = one
+        one = points[((points - other) ** 2).sum(axis=1).argmax()]
+    least = float(np.linalg.norm(one - other))
+    # Two that are farther apart than these are together at least as far from the middle between these.
+    gap = np.linalg.norm(points - (one + other) / 2, axis=1)
+    return np.asarray(points[gap >= (1 - 1e-9) * least - gap.max()])
 
 
 def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
@@ -116,8 +132,10 @@ def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
 
     By medians, so that edges, which the field rounds off, do not speak for the faces.
     """
+    from handsight.objects.pack import looked_up  # numba's import is long
+
     points, normals = surface.draw(ROUGHNESS_SAMPLES, np.random.default_rng(1))
-    distance, gradient, _ = fine.evaluate(points)
+    distance, gradient, _ = looked_up(fine, points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
     angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
     return float(np.median(np.abs(distance)) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)

@@ -11,6 +11,7 @@ from handsight.objects.nearest import Feet, NearestPoint
 from handsight.objects.repair import side_samples
 from handsight.objects.surface import Triangles
 from handsight.objects.topology import Holes, holes_of, pseudonormals
+from handsight.objects.tree import Halves
 from handsight.objects.winding import Winding
 
 BAND = 4
@@ -24,10 +25,10 @@ LINK_MARGINS = (1.001, 1.5, np.inf)
 SPEAKERS = 16
 
 
-def mesh_fields(mesh: Triangles, diameter: float) -> Fields:
-    """The smooth and the sharp field of a repaired mesh, and whether it has an inside."""
+def mesh_fields(mesh: Triangles, diameter: float, parts: Halves) -> Fields:
+    """The smooth and the sharp field of a repaired mesh, halved into parts, and whether it has an inside."""
     coarse, fine, remarks = grids(mesh.vertices, diameter)
-    nearest, winding, holes = NearestPoint(mesh), Winding.of_mesh(mesh), holes_of(mesh)
+    nearest, winding, holes = NearestPoint(mesh, parts), Winding.of_mesh(mesh, parts), holes_of(mesh)
     closed = is_closed(mesh, winding, holes, diameter)
     side: Side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
     values = _signed(coarse, nearest, side)

@@ -6,10 +6,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.objects.surface import Faces, Triangles
-from handsight.objects.tree import boxes, halves
-
-PART = 16
-"""Triangles with one frame, at most."""
+from handsight.objects.tree import Halves, boxes, halves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,10 +26,10 @@ class Feet:
 class NearestPoint:
     """Finds the nearest points of a mesh, exactly, by a tree of boxes around its triangles."""
 
-    def __init__(self, mesh: Triangles) -> None:
-        """Of a mesh with at least one triangle."""
+    def __init__(self, mesh: Triangles, parts: Halves | None = None) -> None:
+        """Of a mesh with at least one triangle; `parts` of it, where they are known already, have a frame each."""
         corners = mesh.vertices[mesh.faces]
-        parts = halves(corners.mean(axis=1), PART)
+        parts = parts or halves(corners.mean(axis=1))
         self._order = parts.order
         corners, starts = corners[parts.order], parts.starts
         boxed = boxes(corners.min(axis=1), corners.max(axis=1), starts)

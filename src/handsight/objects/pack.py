@@ -35,13 +35,20 @@ def packed_field(field: Field, nodes: int) -> tuple[Array, NDArray[np.float32]]:
     else:
         raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
     numbers[at.LEAST] = field.least
-    return numbers, np.empty(0, dtype=np.float32)
+    nothing = np.empty(0, dtype=np.float32)
+    nothing.flags.writeable = False  # as a grid's nodes are: to a kernel that is another type
+    return numbers, nothing
+
+
+def looked_up(field: Field, points_object: Array) -> FieldValues:
+    """As `field.evaluate`, in a kernel."""
+    return evaluated(packed_field(field, 0), points_object)
 
 
 def evaluated(packed: tuple[Array, NDArray[np.float32]], points_object: Array) -> FieldValues:
     """As `evaluate` of the field that was packed, in a kernel on all cores."""
     numbers, nodes = packed
-    points = np.require(points_object, np.float64, ["C"])
+    points = np.require(points_object, np.float64, ["C", "W"])
     values = np.empty((len(points), 13))
     in_parts(partial(kernel.evaluate, numbers, nodes, 0, points, values), len(points), MANY)
     return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))

@@ -1,13 +1,14 @@
 """A mesh as it should be, from a mesh as it came, and what had to be done to it in words."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight.checks import Array
 from handsight.errors import InvalidObject
 from handsight.objects.build import check_extent
 from handsight.objects.surface import Faces, Triangles
 from handsight.objects.topology import consistent, pieces
+from handsight.objects.tree import Halves, halves
 from handsight.objects.winding import Winding
 
 _SAME_POINT = 1e-9
@@ -20,8 +21,8 @@ INSIDE_OUT = -0.55
 SMALL_PIECE = 0.01
 
 
-def repaired(vertices: ArrayLike, faces: ArrayLike) -> tuple[Triangles, tuple[str, ...]]:
-    """A mesh with finite, merged vertices and consistent triangles that face outwards, and the remarks.
+def repaired(vertices: ArrayLike, faces: ArrayLike) -> tuple[Triangles, Halves, tuple[str, ...]]:
+    """A mesh with finite, merged vertices and consistent triangles that face outwards, its parts, and the remarks.
 
     `vertices` (k, 3) [m], `faces` (m, 3) indices. Raises InvalidObject where no surface is left.
     """
@@ -37,8 +38,9 @@ def repaired(vertices: ArrayLike, faces: ArrayLike) -> tuple[Triangles, tuple[st
         remarks.append(
             "the surface has one side only somewhere: its triangles cannot all agree on what is outside"
         )
-    mesh = _facing_out(Triangles(points, triangles), remarks)
-    return mesh, tuple(remarks)
+    parts = halves(points[triangles].mean(axis=1))
+    mesh = _facing_out(Triangles(points, triangles), parts, remarks)
+    return mesh, parts, tuple(remarks)
 
 
 def _arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, Faces]:
@@ -97,19 +99,25 @@ def _distinct(points: Array, triangles: Faces, remarks: list[str]) -> Faces:
     if flat.any():
         remarks.append(f"{int(flat.sum())} triangles without area were dropped")
     triangles = triangles[~flat]
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    first = np.unique(_named(np.sort(triangles, axis=1), len(points)), return_index=True)[1]
     if len(first) < len(triangles):
         remarks.append(f"{len(triangles) - len(first)} repeated triangles were dropped")
     return triangles[np.sort(first)]
 
 
-def _facing_out(mesh: Triangles, remarks: list[str]) -> Triangles:
+def _named(triangles: Faces, count: int) -> NDArray[np.int64]:
+    """(m,) a number for each triangle of `count` vertices, the same for the same corners."""
+    pair = np.unique(triangles[:, 0] * count + triangles[:, 1], return_inverse=True)[1].reshape(-1)
+    return np.asarray(pair * count + triangles[:, 2])
+
+
+def _facing_out(mesh: Triangles, parts: Halves, remarks: list[str]) -> Triangles:
     """The mesh with every piece that was inside out turned."""
     piece = pieces(mesh.faces)
     count = int(piece.max()) + 1
     area = np.bincount(piece, np.linalg.norm(mesh.doubled_normals(), axis=1) / 2)
     points, normals, face = side_samples(mesh)
-    front = Winding.of_mesh(mesh).at(points + _step(mesh) * normals)
+    front = Winding.of_mesh(mesh, parts).at(points + _step(mesh) * normals)
     inverted = np.zeros(count, dtype=bool)
     for k in np.unique(piece[face]):
         inverted[k] = np.median(front[piece[face] == k]) < INSIDE_OUT

@@ -43,10 +43,12 @@ class Roughness:
 
 def roughness(surface: Surface, fine: Field, bounds: Array, cell: float) -> Roughness:
     """The roughness of a fine field, from samples of the surface within about half a cell of each node."""
-    from scipy.spatial import cKDTree  # an object that is kept whole needs no scipy
+    from scipy.spatial import cKDTree  # an object that is kept whole needs neither scipy nor numba
+
+    from handsight.objects.pack import looked_up
 
     points, normals = surface.draw(SAMPLES, np.random.default_rng(2))
-    distance, gradient, _ = fine.evaluate(points)
+    distance, gradient, _ = looked_up(fine, points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
     angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.

@@ -27,9 +27,9 @@ _KEPT = {"coarse", "coarse_grid", "fine", "fine_grid", "closed", "remarks"}
 
 def made_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Made:
     """The object of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject."""
-    mesh, remarks = repaired(vertices, faces)
+    mesh, parts, remarks = repaired(vertices, faces)
     size = diameter(mesh.vertices)
-    fields = _remembered("mesh", lambda: mesh_fields(mesh, size), mesh.vertices, mesh.faces)
+    fields = _remembered("mesh", lambda: mesh_fields(mesh, size, parts), mesh.vertices, mesh.faces)
     return dataclasses.replace(_made(mesh, mesh.vertices, mesh.faces, fields, remarks), diameter=size)
 
 

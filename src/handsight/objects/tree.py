@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from handsight.checks import Array
 
+PART = 16
+"""Things in a part, at most."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halves:
@@ -22,7 +25,7 @@ class Halves:
     """(parts + 1,) where each part begins, and the end; a power of two of parts."""
 
 
-def halves(centers: Array, most: int) -> Halves:
+def halves(centers: Array, most: int = PART) -> Halves:
     """Things at `centers` (n, 3) halved again and again until no part has more than `most`."""
     n = len(centers)
     order = np.arange(n)
@@ -39,6 +42,13 @@ def halves(centers: Array, most: int) -> Halves:
         middles = (starts[:-1] + starts[1:]) // 2
         starts = np.append(np.stack([starts[:-1], middles], axis=1).reshape(-1), n)
     return Halves(order, starts)
+
+
+def merged(starts: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Where parts begin, and the end, with neighbours taken together until there are at most so many parts."""
+    while len(starts) > most + 1:
+        starts = starts[::2]
+    return starts
 
 
 def boxes(low: Array, high: Array, starts: NDArray[np.int64]) -> Array:

@@ -8,10 +8,9 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.objects.surface import Triangles
-from handsight.objects.tree import Halves, halves
+from handsight.objects.tree import Halves, halves, merged
 
-PATCH = 16
-MOST_PATCHES = 2000
+MOST_PATCHES = 4000
 
 
 class Winding:
@@ -24,8 +23,9 @@ class Winding:
 
         `parts`: the patches, where they are known already.
         """
-        parts = parts or halves(centers, max(PATCH, len(centers) // MOST_PATCHES))
-        first, sizes = parts.starts[:-1], np.diff(parts.starts)
+        parts = parts or halves(centers)
+        starts = merged(parts.starts, MOST_PATCHES)
+        first, sizes = starts[:-1], np.diff(starts)
         centers, vectors = centers[parts.order], area_vectors[parts.order]
         weight = np.linalg.norm(vectors, axis=1) + 1e-300
         total = np.add.reduceat(weight, first)
@@ -37,7 +37,7 @@ class Winding:
             corners = corners[parts.order]
             reach = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
         radii = np.maximum.reduceat(spread + reach, first)
-        self.patches = parts.starts, middles, np.add.reduceat(vectors, first), radii
+        self.patches = starts, middles, np.add.reduceat(vectors, first), radii
         self.elements = centers, vectors, reach, corners
 
     @classmethod

@@ -1,0 +1,109 @@
+"""One evaluation of phase 2 by count, against what a core can do: `python -m benchmarks.floor`.
+
+An evaluation is the normal equations of five contacts and vision at one pose: what a Levenberg-Marquardt step costs.
+Counted are the additions and multiplications that the formulas ask for, and the bytes that they must read; measured is
+the kernel, hot, on one core, and what the same core reaches on nothing but fused multiply-adds in registers.
+"""
+
+import time
+
+import numba
+import numpy as np
+
+import report
+from benchmarks import workload
+from benchmarks.shapes import bumpy
+from handsight import ObjectModel
+from handsight._kernels import layout as at
+from handsight._kernels import solve
+from handsight._kernels.compiled import FAST
+from handsight._kernels.touch import WHITE
+from handsight.correction import compiled
+from handsight.correction.two_phase import Problem
+
+CONTACTS = 5
+TRANSFORM = 9 + 9
+"""A point into the object's frame."""
+TURN = 15 + 12 + 2 * 45 + 42
+"""Gradient and Hessian into the palm's frame, the unit normal and its derivative."""
+SPLINE = 3 * 21 + 2 * (16 * 4 * 3 + 4 * 4 * 6 + 4 * 10) + 19
+"""Weights of three axes, 64 nodes summed axis after axis, ten derivatives scaled."""
+ROWS = 6 + 4 * 9 + 6 + 4
+"""The lever, four crosses, the normal's own turn, residuals."""
+SUMS = 2 * (4 * 4 * 7 + 4 * 28)
+"""Four weighted rows of seven, and their outer products."""
+VISION = 2 * (6 * 6 * 7 + 6 * 28) + 120
+BYTES = CONTACTS * 8 * (at.CONTACT - 36 + WHITE) + 8 * (at.SIGHT + at.EQUATIONS)
+"""Read in double precision: contacts, their weights, vision, the equations."""
+NODES = CONTACTS * 64 * 4
+"""Read besides where the field is a grid, in single precision."""
+
+
+def flops(grid: bool) -> int:
+    """Of one evaluation. An exact field's own few are not counted."""
+    return CONTACTS * (TRANSFORM + TURN + ROWS + SUMS + (SPLINE if grid else 0)) + VISION
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+def evaluations(n, model, singles, contacts, weight, sight, hand, center, pose, equations, work):
+    """n evaluations, each at a pose a hair from the last."""
+    for _ in range(n):
+        pose[9] += 1e-9
+        solve.evaluate(model, singles, at.FINE, contacts, weight, sight, hand, center, pose, equations, work)
+    return equations[at.COST]
+
+
+@numba.njit(fastmath=True)
+def multiplied(n):
+    """n times 64 independent fused multiply-adds."""
+    x = np.linspace(0.1, 0.2, 64)
+    for _ in range(n):
+        for k in range(64):
+            x[k] = x[k] * 0.999 + 0.001
+    return x.sum()
+
+
+def best(call, n: int) -> float:
+    """Seconds of one of the n that a call does; the least of many."""
+    call(n)
+    times = []
+    for _ in range(25):
+        begin = time.perf_counter()
+        call(n)
+        times.append(time.perf_counter() - begin)
+    return min(times) / n
+
+
+def evaluated(model: ObjectModel) -> float:
+    """Seconds of one evaluation."""
+    given = workload.draw("box", workload.NEAR, 1)
+    p = compiled._Packed(Problem(model, given.contacts, given.vision, np.empty((0, 3))))
+    weight = np.tile(np.eye(4).reshape(-1), CONTACTS)
+    pose = compiled.packed_poses(given.vision.T_palm_object[None])[0]
+    equations, work = np.empty(at.EQUATIONS), np.empty(solve.WORK)
+    rest = p.singles, p.contacts, weight, p.sight, p.hand, p.center, pose, equations, work
+    return best(lambda n: evaluations(n, p.model, *rest), 2000)
+
+
+def main() -> None:
+    """Prints the table."""
+    peak = 2 * 64 / best(multiplied, 20_000)
+    things = [("box (exact field)", workload.models()["box"], False)]
+    things.append(("bumpy ball, 5 120 triangles (grid)", ObjectModel.from_mesh(*bumpy(4)), True))
+    rows = []
+    for name, model, grid in things:
+        seconds, count = evaluated(model), flops(grid)
+        rows.append(
+            [name, count, BYTES + grid * NODES, f"{1e9 * seconds:.0f}", f"{count / seconds / 1e9:.1f}",
+             f"{100 * count / seconds / peak:.0f} %"]
+        )  # fmt: skip
+    report.print_table(
+        "One evaluation of phase 2: five contacts and vision",
+        ["object", "flops", "bytes", "ns", "Gflop/s", "of the peak"],
+        rows,
+        f"Peak: {peak / 1e9:.0f} Gflop/s, fused multiply-adds in registers, one core. {report.machine()}",
+    )
+
+
+if __name__ == "__main__":
+    main()
