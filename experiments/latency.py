@@ -1,6 +1,6 @@
 """How long one correction takes from a near start, default settings: five contacts, vision off by 20 mm and 15 degrees.
 
-One process, plain NumPy; the problems of can and box are taken in turn, each once (synthetic). The median says what a
+One process; the problems of can and box are taken in turn, each once (synthetic). The median says what a
 control loop sees; the slow tail are problems whose contacts do not fit at first and are searched for a wrong one.
 """
 

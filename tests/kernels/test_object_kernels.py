@@ -9,7 +9,7 @@ import pytest
 from handsight._kernels import warm
 from handsight._kernels.linking import linked
 from handsight._kernels.nearest_triangle import all_feet
-from handsight._kernels.spreading import spread_out
+from handsight._kernels.spreading import snapped, spread_out
 from handsight._kernels.winding import winding_at
 from handsight.objects import ObjectModel, _plain
 from handsight.objects.nearest import NearestPoint
@@ -52,7 +52,7 @@ def flat_ones():
         [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0), (0, 1, 1), (1, 1e-9, 0), (-1, -1, 1.0)]
     )
     return vertices, np.array(
-        [(0, 1, 2), (1, 0, 2), (3, 3, 3), (3, 4, 4), (0, 3, 4), (0, 1, 5), (6, 6, 2), (1, 3, 6)]
+        [(0, 1, 2), (1, 0, 2), (3, 3, 3), (3, 4, 4), (6, 6, 4), (0, 3, 4), (0, 1, 5), (6, 6, 2), (1, 3, 6)]
     )
 
 
@@ -220,6 +220,15 @@ def test_points_of_a_lattice_are_spread_as_well_as_the_twin_spreads_them():
     assert found == pytest.approx(plain, rel=0.05)
 
 
+def test_places_are_snapped_to_the_points_that_the_twin_takes(rng):
+    features, middles = rng.normal(size=(500, 6)), rng.normal(size=(200, 6))
+    middles[:50] = features[0]  # all ask for the same
+    index = snapped(features, middles)
+    np.testing.assert_array_equal(index, _plain.snapped(features, middles))
+    assert len(set(index)) == 200
+    np.testing.assert_array_equal(np.sort(snapped(features, features[::-1].copy())), np.arange(500))
+
+
 def test_as_many_places_as_points_are_these_points(rng):
     features = rng.normal(size=(20, 6))
     chosen = spread_out(features, 20, 3)
@@ -277,7 +286,14 @@ def test_warming_compiles_what_building_an_object_calls(rng):
     told = []
     warm.warm(lambda name, seconds: told.append((name, seconds)))
     assert [name for name, _ in told] == list(warm.GROUPS)
-    kernels = nearest_triangle.feet, winding.winding, linking.linked, spreading.spread_out, field.evaluate
+    kernels = (
+        nearest_triangle.feet,
+        winding.winding,
+        linking.linked,
+        spreading.spread_out,
+        spreading.snapped,
+        field.evaluate,
+    )
     before = [len(kernel.signatures) for kernel in kernels]
     size = 0.05 + 0.001 * rng.random()  # of its own: nothing is remembered
     model = ObjectModel.from_mesh(*bumpy(size=size))

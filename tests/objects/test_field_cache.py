@@ -176,6 +176,7 @@ def nothing_is_built(monkeypatch):
 
 def test_a_file_is_read_and_measured_once(folder, file, monkeypatch):
     first = ObjectModel.from_file(file)
+    assert len(list(folder.iterdir())) == 1
     nothing_is_built(monkeypatch)
     second = ObjectModel.from_file(file)
     same(first, second)

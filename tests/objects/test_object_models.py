@@ -4,9 +4,11 @@ import warnings
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist
 
 from handsight.errors import HandsightError, InvalidInput
 from handsight.objects import ObjectModel, ObjectWarning, Symmetries
+from handsight.objects.build import diameter
 from objects.object_shapes import box_mesh, divided
 
 SIZE = np.array([0.06, 0.09, 0.14])
@@ -45,6 +47,19 @@ def test_sizes_are_those_of_the_shape(models, kind, diameter, area, extent):
     np.testing.assert_allclose(np.ptp(model.bounds_object, axis=0), extent, rtol=1e-9)
     np.testing.assert_allclose(model.center_object, 0, atol=1e-12)
     assert model.closed
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1e-9), (1, 1e-9, 1e-9), (3, 2, 1)])
+def test_the_diameter_is_the_largest_of_all_distances(shape, rng):
+    cloud = rng.normal(size=(1500, 3))
+    for points in (cloud, cloud / np.linalg.norm(cloud, axis=1, keepdims=True), cloud[:2]):
+        assert diameter(points * shape) == pytest.approx(pdist(points * shape).max(), rel=1e-12)
+
+
+def test_the_diameter_of_a_ball_of_many_points_is_close(rng):
+    points = rng.normal(size=(6000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    assert diameter(points) == pytest.approx(pdist(points).max(), rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,4 +1,4 @@
-"""Points spread evenly over many. Twin: `handsight.objects._plain.spread_out`."""
+"""Points spread evenly over many. Twins: `spread_out` and `snapped` of `handsight.objects._plain`."""
 
 from typing import Any
 
@@ -11,64 +11,55 @@ WIDE = 6
 
 
 @inner
-def _gap2(a: Any, i: int, b: Any, j: int) -> float:
-    """The squared distance between two rows."""
-    total = 0.0
-    for k in range(WIDE):
-        total += (a[i, k] - b[j, k]) ** 2
-    return total
+def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
+    """The squared distance of each of the columns (6, n) to the k-th row of p."""
+    x, y, z, u, v, w = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    for j in range(columns.shape[1]):
+        a, b, c = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
+        d, e, f = columns[3, j] - u, columns[4, j] - v, columns[5, j] - w
+        out[j] = a * a + b * b + c * c + d * d + e * e + f * f
 
 
 @inner
-def _farthest(features: Any, chosen: Any, gap: Any) -> None:
+def _least(numbers: Any) -> int:
+    """Where the least of the numbers is, of equals the first."""
+    best, least = -1, np.inf
+    for j in range(len(numbers)):
+        if numbers[j] < least:
+            best, least = j, numbers[j]
+    return best
+
+
+@inner
+def _farthest(features: Any, columns: Any, chosen: Any) -> None:
     """Fills `chosen` with rows, each the farthest from those before it; the first from the middle."""
-    middle = np.zeros((1, WIDE))
+    middle, gap, now = np.zeros((1, WIDE)), np.empty(len(features)), np.empty(len(features))
     for i in range(len(features)):
         for k in range(WIDE):
             middle[0, k] += features[i, k] / len(features)
-    for i in range(len(features)):
-        gap[i] = _gap2(features, i, middle, 0)
+    _gaps2(columns, middle, 0, gap)
     for j in range(len(chosen)):
-        best = np.argmax(gap)
-        for k in range(WIDE):
-            chosen[j, k] = features[best, k]
+        chosen[j] = features[np.argmax(gap)]
+        _gaps2(columns, chosen, j, now)
         for i in range(len(features)):
             # The middle itself was not chosen.
-            now = _gap2(features, i, chosen, j)
-            gap[i] = now if j == 0 else min(gap[i], now)
-
-
-@inner
-def _owners(features: Any, chosen: Any, owner: Any) -> None:
-    """The nearest of the chosen for each feature, of equals the first."""
-    n = len(chosen)
-    columns = chosen.T.copy()
-    gap = np.empty(n)
-    for i in range(len(features)):
-        f = features[i]
-        least = np.inf
-        for j in range(n):
-            a, b, c = columns[0, j] - f[0], columns[1, j] - f[1], columns[2, j] - f[2]
-            d, e, g = columns[3, j] - f[3], columns[4, j] - f[4], columns[5, j] - f[5]
-            gap[j] = a * a + b * b + c * c + d * d + e * e + g * g
-        for j in range(n):
-            if gap[j] < least:
-                least, owner[i] = gap[j], j
+            gap[i] = now[i] if j == 0 else min(gap[i], now[i])
 
 
 @entry
 def spread_out(features: Any, n: int, steps: int) -> Any:
     """(n, 6) places spread evenly over the features (m, 6): the farthest ones, then Lloyd's steps."""
-    chosen = np.empty((n, WIDE))
-    _farthest(features, chosen, np.empty(len(features)))
-    owner = np.empty(len(features), np.int64)
+    chosen, gap = np.empty((n, WIDE)), np.empty(n)
+    _farthest(features, features.T.copy(), chosen)
     for _ in range(steps):
-        _owners(features, chosen, owner)
+        columns = chosen.T.copy()
         sums, count = np.zeros((n, WIDE)), np.zeros(n)
         for i in range(len(features)):
-            count[owner[i]] += 1
+            _gaps2(columns, features, i, gap)
+            owner = _least(gap)
+            count[owner] += 1
             for k in range(WIDE):
-                sums[owner[i], k] += features[i, k]
+                sums[owner, k] += features[i, k]
         for j in range(n):
             # One that stands for nothing stays where it is.
             if count[j] > 0:
@@ -77,6 +68,19 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
     return chosen
 
 
+@entry
+def snapped(features: Any, middles: Any) -> Any:
+    """(n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
+    columns, gap = features.T.copy(), np.empty(len(features))
+    index = np.empty(len(middles), np.int64)
+    for j in range(len(middles)):
+        _gaps2(columns, middles, j, gap)
+        index[j] = _least(gap)
+        columns[0, index[j]] = np.inf
+    return index
+
+
 def warm() -> None:
     """Compiles every kernel, or loads it."""
-    spread_out(np.zeros((1, WIDE)), 1, 1)
+    one = np.zeros((1, WIDE))
+    snapped(one, spread_out(one, 1, 1))

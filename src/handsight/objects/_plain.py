@@ -152,6 +152,16 @@ def spread_out(features: Array, n: int, steps: int) -> Array:
     return chosen
 
 
+def snapped(features: Array, middles: Array) -> Indices:
+    """(n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
+    index = np.empty(len(middles), dtype=np.int64)
+    for k, middle in enumerate(middles):
+        gap2 = ((features - middle) ** 2).sum(axis=1)
+        gap2[index[:k]] = np.inf
+        index[k] = gap2.argmin()
+    return index
+
+
 def _farthest(features: Array, n: int) -> Indices:
     """Indices of n rows, each the farthest from those before it; the first from the middle."""
     middle = features.mean(axis=0)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from handsight.cache_folder import cache_folder
 from handsight.objects.build import ObjectWarning
 
-VERSION = 2
+VERSION = 3
 """Raise it whenever the same geometry gives other fields."""
 KEPT = 200
 """Files; the oldest go first."""

@@ -44,7 +44,11 @@ class Shape:
 
 def read_shape(path: str | os.PathLike[str]) -> Shape:
     """The mesh or cloud in a file, by its extension; raises InvalidFile starting with the file's name."""
-    file, data = Path(path), content(path)
+    return shape_of(Path(path), content(path))
+
+
+def shape_of(file: Path, data: bytes) -> Shape:
+    """The mesh or cloud in the content of a file so called; raises InvalidFile."""
     try:
         shape = READERS[file.suffix.lower()](data)
     except BadText as error:

@@ -33,7 +33,7 @@ class NearestPoint:
         self._order = parts.order
         corners, starts = corners[parts.order], parts.starts
         boxed = boxes(corners.min(axis=1), corners.max(axis=1), starts)
-        frames = _frames(np.add.reduceat(mesh.doubled_normals()[parts.order], starts[:-1]))
+        frames = _frames(np.add.reduceat(mesh.doubled_normals[parts.order], starts[:-1]))
         turned = corners @ np.repeat(frames, np.diff(starts), axis=0).swapaxes(1, 2)
         around = np.hstack([turned.min(axis=1), turned.max(axis=1)])
         self._tree = starts, boxed, frames.reshape(-1, 9), turned, around

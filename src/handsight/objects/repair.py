@@ -115,7 +115,7 @@ def _facing_out(mesh: Triangles, parts: Halves, remarks: list[str]) -> Triangles
     """The mesh with every piece that was inside out turned."""
     piece = pieces(mesh.faces)
     count = int(piece.max()) + 1
-    area = np.bincount(piece, np.linalg.norm(mesh.doubled_normals(), axis=1) / 2)
+    area = np.bincount(piece, mesh.areas)
     points, normals, face = side_samples(mesh)
     front = Winding.of_mesh(mesh, parts).at(points + _step(mesh) * normals)
     inverted = np.zeros(count, dtype=bool)
@@ -135,7 +135,7 @@ def _facing_out(mesh: Triangles, parts: Halves, remarks: list[str]) -> Triangles
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Faces]:
     """Surface points (n, 3) [m], the normals (n, 3) and indices (n,) of their triangles."""
     points, face = mesh.draw_on_faces(SIDE_SAMPLES, np.random.default_rng(3))
-    normals = mesh.doubled_normals()[face]
+    normals = mesh.doubled_normals[face]
     return points, normals / np.linalg.norm(normals, axis=1, keepdims=True), face
 
 

@@ -43,7 +43,8 @@ class Roughness:
 
 def roughness(surface: Surface, fine: Field, bounds: Array, cell: float) -> Roughness:
     """The roughness of a fine field, from samples of the surface within about half a cell of each node."""
-    from scipy.spatial import cKDTree  # an object that is kept whole needs neither scipy nor numba
+    import numba  # an object that is kept whole needs neither numba nor scipy
+    from scipy.spatial import cKDTree
 
     from handsight.objects.pack import looked_up
 
@@ -56,5 +57,7 @@ def roughness(surface: Surface, fine: Field, bounds: Array, cell: float) -> Roug
     shape = np.ceil((bounds[1] - bounds[0]) / cell).astype(np.int64) + 2
     origin = bounds.mean(axis=0) - (shape - 1) / 2 * cell
     nodes = origin + cell * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    _, near = cKDTree(points).query(nodes.reshape(-1, 3), k=NEIGHBOURS)
+    _, near = cKDTree(points).query(
+        nodes.reshape(-1, 3), k=NEIGHBOURS, workers=numba.config.NUMBA_NUM_THREADS
+    )
     return Roughness(origin, cell, (lengths[near].mean(axis=1) ** 2).reshape(*shape, 2))

@@ -1,7 +1,6 @@
 """Objects from meshes, clouds and files: read, repaired, their fields built or remembered."""
 
 import dataclasses
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from handsight.objects import cache
 from handsight.objects.build import Made, diameter
 from handsight.objects.cloud import cloud_fields, cloud_from
 from handsight.objects.field import GridField
-from handsight.objects.files import read_shape
+from handsight.objects.files import shape_of
 from handsight.objects.grid import Fields
 from handsight.objects.mesh import mesh_fields
 from handsight.objects.repair import repaired
@@ -25,39 +24,56 @@ from handsight.objects.surface import Faces, Surface
 _KEPT = {"coarse", "coarse_grid", "fine", "fine_grid", "closed", "remarks"}
 
 
-def made_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Made:
-    """The object of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject."""
+def made_of_mesh(vertices: ArrayLike, faces: ArrayLike, *, keep: bool = True) -> Made:
+    """The object of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject.
+
+    `keep`: whether its fields are looked for on disk and put there.
+    """
     mesh, parts, remarks = repaired(vertices, faces)
     size = diameter(mesh.vertices)
-    fields = _remembered("mesh", lambda: mesh_fields(mesh, size, parts), mesh.vertices, mesh.faces)
+
+    def build() -> Fields:
+        return mesh_fields(mesh, size, parts)
+
+    fields = _remembered("mesh", build, mesh.vertices, mesh.faces) if keep else build()
     return dataclasses.replace(_made(mesh, mesh.vertices, mesh.faces, fields, remarks), diameter=size)
 
 
-def made_of_points(points: ArrayLike, normals: ArrayLike | None) -> Made:
-    """The object of surface points (n, 3) [m], normals outward or None; InvalidInput, InvalidObject."""
+def made_of_points(points: ArrayLike, normals: ArrayLike | None, *, keep: bool = True) -> Made:
+    """The object of surface points (n, 3) [m], normals outward or None; InvalidInput, InvalidObject.
+
+    `keep`: as of a mesh.
+    """
     array = checks.finite(points, "points", (None, 3))
     directions = None
     if normals is not None:
         directions = checks.unit(normals, "normals", (len(array), 3))
     cloud, remarks = cloud_from(array, directions)
     size = diameter(cloud.points)
-    fields = _remembered("cloud", lambda: cloud_fields(cloud, size), cloud.points, cloud.normals)
+
+    def build() -> Fields:
+        return cloud_fields(cloud, size)
+
+    fields = _remembered("cloud", build, cloud.points, cloud.normals) if keep else build()
     made = _made(cloud, cloud.points, np.empty((0, 3), dtype=np.int64), fields, remarks)
     return dataclasses.replace(made, diameter=size)
 
 
-def made_of_file(path: str | os.PathLike[str], scale: float) -> Made:
-    """The object in a file whose unit is `scale` metres; raises InvalidFile and InvalidObject."""
-    shape = read_shape(path)
+def made_of_file(file: Path, data: bytes, scale: float) -> Made:
+    """The object in the content of a file whose unit is `scale` metres; raises InvalidFile and InvalidObject.
+
+    Nothing of it is kept on disk: who asks keeps the whole.
+    """
+    shape = shape_of(file, data)
     try:
         if shape.faces is None:
-            made = made_of_points(scale * shape.vertices, shape.normals)
+            made = made_of_points(scale * shape.vertices, shape.normals, keep=False)
         else:
-            made = made_of_mesh(scale * shape.vertices, shape.faces)
+            made = made_of_mesh(scale * shape.vertices, shape.faces, keep=False)
     except InvalidObject as error:
-        raise InvalidObject(f"{Path(path).name}: {error}") from None
-    remarks = tuple(f"{Path(path).name}: {remark}" for remark in (*shape.remarks, *made.remarks))
-    return dataclasses.replace(made, name=Path(path).stem, remarks=remarks)
+        raise InvalidObject(f"{file.name}: {error}") from None
+    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *made.remarks))
+    return dataclasses.replace(made, name=file.stem, remarks=remarks)
 
 
 def _made(surface: Surface, vertices: Array, faces: Faces, fields: Fields, remarks: tuple[str, ...]) -> Made:

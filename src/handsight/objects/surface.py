@@ -1,6 +1,7 @@
 """Points spread over a surface: what an object's samples are drawn from."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -27,7 +28,7 @@ class Surface(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Triangles:
     """The surface of a triangle mesh."""
 
@@ -39,25 +40,30 @@ class Triangles:
     @property
     def area(self) -> float:
         """Sum of the triangles' areas [m²]."""
-        return float(np.linalg.norm(self.doubled_normals(), axis=1).sum() / 2)
+        return float(self.areas.sum())
 
+    @cached_property
     def doubled_normals(self) -> Array:
         """(m, 3) outward normals as long as twice each triangle's area [m²]."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return np.asarray(np.cross(b - a, c - a))
 
+    @cached_property
+    def areas(self) -> Array:
+        """(m,) of each triangle [m²]."""
+        return np.asarray(np.linalg.norm(self.doubled_normals, axis=1) / 2)
+
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
         points, face = self.draw_on_faces(n, rng)
-        normals = self.doubled_normals()[face]
+        normals = self.doubled_normals[face]
         return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Faces]:
         """n points (n, 3) [m], uniform over the area, and the triangle (n,) of each."""
-        area = np.linalg.norm(self.doubled_normals(), axis=1)
         # One draw per n-th of the area spreads better than n free draws, and is as uniform.
         at = (np.arange(n) + rng.random(n)) / max(n, 1)
-        face = np.searchsorted(np.cumsum(area) / area.sum(), at).clip(max=len(area) - 1)
+        face = np.searchsorted(np.cumsum(self.areas) / self.area, at).clip(max=len(self.faces) - 1)
         u, v = rng.random((2, n))
         flip = u + v > 1
         u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
@@ -90,18 +96,8 @@ def spread(surface: Surface, n: int, seed: int = 0) -> tuple[Array, Array]:
     points, normals = surface.draw(CROWD * n, np.random.default_rng(seed))
     spacing = np.sqrt(surface.area / n)
     features = np.hstack([points, spacing * normals])
-    from handsight._kernels.spreading import spread_out  # numba's import is long
+    from handsight._kernels.spreading import snapped, spread_out  # numba's import is long
 
     # Back to draws, each once: a middle lies off a curved surface.
-    index = _snap(features, spread_out(features, n, LLOYD_STEPS))
+    index = snapped(features, spread_out(features, n, LLOYD_STEPS))
     return points[index], normals[index]
-
-
-def _snap(features: Array, middles: Array) -> Faces:
-    """For each middle (n, 6) the nearest row not taken by an earlier one."""
-    gap2 = (features * features).sum(axis=1) - 2 * middles @ features.T
-    index = np.empty(len(middles), dtype=np.int64)
-    for k, row in enumerate(gap2):
-        row[index[:k]] = np.inf
-        index[k] = row.argmin()
-    return index

@@ -130,7 +130,7 @@ def pseudonormals(mesh: Triangles) -> Array:
     Aanaes 2005).
     """
     faces = mesh.faces
-    normal = mesh.doubled_normals()
+    normal = mesh.doubled_normals
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     edges = edges_of(faces)
     at_edge, at_vertex = np.zeros((len(edges.pairs), 3)), np.zeros((len(mesh.vertices), 3))

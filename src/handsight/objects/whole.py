@@ -21,17 +21,17 @@ _KEPT = {*_GRIDS, *_ARRAYS, "sizes", "remarks", "roughness", "grids", "areas", "
 
 def measured_file(path: str | os.PathLike[str], scale: float, samples: int) -> dict[str, Any]:
     """As `measured`, of the object in a file whose unit is `scale` metres; raises InvalidFile, InvalidObject."""
-    file, data = Path(path), np.frombuffer(content(path), dtype=np.uint8)
+    file, data = Path(path), content(path)
     # By name as well: remarks begin with it, and its end says what the bytes mean.
-    name = cache.key("file", f"{scale!r} {samples} {file.name}", data)
-    arrays = cache.remembered(name, _KEPT, lambda: _arrays(_built(path, scale, samples)))
+    name = cache.key("file", f"{scale!r} {samples} {file.name}", np.frombuffer(data, dtype=np.uint8))
+    arrays = cache.remembered(name, _KEPT, lambda: _arrays(_built(file, data, scale, samples)))
     return {"name": file.stem, **_values(arrays)}
 
 
-def _built(path: str | os.PathLike[str], scale: float, samples: int) -> dict[str, Any]:
+def _built(file: Path, data: bytes, scale: float, samples: int) -> dict[str, Any]:
     from handsight.objects.sources import made_of_file  # it brings scipy and trimesh
 
-    return measured(made_of_file(path, scale), samples)
+    return measured(made_of_file(file, data, scale), samples)
 
 
 def _arrays(values: dict[str, Any]) -> cache.Arrays:

@@ -44,7 +44,7 @@ class Winding:
     def of_mesh(cls, mesh: Triangles, parts: Halves | None = None) -> "Winding":
         """The winding number of a mesh."""
         corners = mesh.vertices[mesh.faces]
-        return cls(corners.mean(axis=1), mesh.doubled_normals() / 2, corners, parts)
+        return cls(corners.mean(axis=1), mesh.doubled_normals / 2, corners, parts)
 
     def at(self, points: Array) -> Array:
         """Winding numbers (n,) at the points (n, 3) [m]."""

@@ -1,0 +1,62 @@
+"""Where the time of one correction goes, hot, on one core: `python -m benchmarks.stages`."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import handsight as hs
+import report
+from benchmarks import workload
+from handsight._kernels import layout as at
+from handsight._kernels import many
+from handsight.correction import compiled
+from handsight.correction.pack import packed, packed_contacts, packed_prior
+from handsight.correction.starts import WIDEST_OF_ONE
+
+PROBLEMS, REPEATS = 12, 1500
+
+
+def microseconds(call: Callable[[], object]) -> float:
+    """The median of many repeats."""
+    call()
+    times = np.empty(REPEATS)
+    for k in range(REPEATS):
+        begin = time.perf_counter()
+        call()
+        times[k] = time.perf_counter() - begin
+    return 1e6 * float(np.median(times))
+
+
+def stages(problem: workload.Problem) -> list[float]:
+    """The whole, and its parts: laying out the inputs, the kernel, of it the two phases, making the estimate."""
+    model, contacts, vision = problem.model, problem.contacts, problem.vision
+    numbers, singles = packed(model)
+    rows, prior = packed_contacts(contacts), packed_prior(vision)
+    begins, out = np.array((0, len(rows))), np.empty((1, at.RESIDUALS + 2 * len(contacts)))
+    given = numbers, singles, rows, begins, prior, compiled.NO_HAND, WIDEST_OF_ONE, out, 0, 1
+    return [
+        microseconds(lambda: hs.correct_pose(model, contacts, vision=vision)),
+        microseconds(lambda: (packed_contacts(contacts), packed_prior(vision))),
+        microseconds(lambda: many.correct_all(*given)),
+        microseconds(compiled.kernel_call(model, contacts, vision)),
+        microseconds(lambda: compiled.answer_of_one(contacts, out[0])),
+    ]
+
+
+def main() -> None:
+    """Prints the table."""
+    cells = []
+    for name in workload.OBJECTS:
+        drawn = [workload.draw(name, workload.NEAR, k) for k in range(PROBLEMS)]
+        # Those that fit at once; the others are searched for a wrong contact.
+        usual = [p for p in drawn if compiled.near(p.model, p.contacts, p.vision) is not None]
+        median = np.median([stages(problem) for problem in usual], axis=0)
+        cells.append([name, *(f"{value:.1f}" for value in median)])
+    columns = ["object", "correct_pose", "inputs laid out", "kernel", "of it the two phases", "estimate made"]
+    title = f"One correction in µs, hot: five contacts, vision off by {workload.NEAR}"
+    report.print_table(title, columns, cells, f"Medians over {PROBLEMS} problems. {report.machine()}")
+
+
+if __name__ == "__main__":
+    main()
