@@ -29,7 +29,11 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
         help=f"one of {', '.join(suite.NAMES)}; repeatable",
     )
     add("--output", type=Path, default=Path("results/benchmarks"), metavar="DIR", help="default: %(default)s")
-    add("--update-baseline", action="store_true", help="write this run's ratios to baseline.json")
+    add(
+        "--update-baseline",
+        action="store_true",
+        help="write this run's ratios to baseline.json (with --quick: the gate's own sizes)",
+    )
     return parser.parse_args(arguments)
 
 

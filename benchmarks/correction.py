@@ -26,7 +26,7 @@ class Entrant:
 
     def run(self, problem: Problem, solve: Solve) -> None:
         """One cold solve, judged."""
-        answer, took = timing.once(solve, cold=True)
+        answer, took = timing.once(solve)
         self.seconds.append(took)
         T_hat = workload.pose_of(answer)
         if T_hat is not None:

@@ -39,7 +39,7 @@ def measured(
         peer.ready(workload.draw(object_name, error, 0, seed))()
         for k in trials:
             problem = workload.draw(object_name, error, k, seed)
-            answer, took = timing.once(peer.ready(problem), cold=True)
+            answer, took = timing.once(peer.ready(problem))
             found.append(workload.judged(problem, workload.pose_of(answer)).found)
             seconds.append(took)
     return found, seconds

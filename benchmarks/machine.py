@@ -7,13 +7,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 import report
-from benchmarks import timing
 
 PACKAGES = ("handsight", "numpy", "scipy", "numba", "trimesh", "open3d", "small_gicp")
 
 
 def description() -> dict[str, Any]:
-    """Processor, cores, load before the run, versions, and how cold is cold."""
+    """Processor, cores, load before the run, versions."""
     return {
         "description": report.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -21,7 +20,6 @@ def description() -> dict[str, Any]:
         "system": platform.platform(terse=True),
         "versions": {name: _version(name) for name in PACKAGES},
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
-        "cold": f"{timing.COLD_BYTES >> 20} MiB read before each cold call",
     }
 
 

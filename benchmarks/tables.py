@@ -77,7 +77,7 @@ TIMES = {"median_s": "median", "p99_s": "p99", "repeats": "repeats"}
 def others(sections: dict[str, Any]) -> None:
     """All sections but correction."""
     if rows := sections.get("batch"):
-        plain("A batch against a single correction (box, 20 mm)", rows,
+        plain("A batch against a single correction (box, 20 mm; one core)", rows,
               {"name": "", **TIMES, "per_second": "per second"})  # fmt: skip
     if rows := sections.get("blind"):
         plain(
@@ -118,10 +118,11 @@ def growth(parts: dict[str, list[Row]]) -> None:
           {"name": "peer", "contacts": "contacts", **TIMES, "success": "success"})  # fmt: skip
     plain("Growth with points of the hand (box, 20 mm)", parts.get("outside", []),
           {"name": "peer", "outside": "points", **TIMES, "success": "success"})  # fmt: skip
-    plain("Growth with hypotheses (box, 85 mm, both phases)", parts.get("hypotheses", []),
+    plain("Growth with hypotheses (box, 20 mm, both phases)", parts.get("hypotheses", []),
           {"starts": "hypotheses", "outside": "hand points", **TIMES, "per_second": "per second"})  # fmt: skip
-    plain("Growth with triangles (bumpy ball)", parts.get("meshes", []),
-          {"triangles": "triangles", "build_s": "build", "load_s": "from cache", "query_s": "query"})  # fmt: skip
+    plain("Growth with triangles", parts.get("meshes", []),
+          {"shape": "file", "triangles": "triangles", "build_s": "build", "load_s": "from cache",
+           "query_s": "query"})  # fmt: skip
 
 
 def ratios(found: dict[str, Any]) -> None:
@@ -132,7 +133,7 @@ def ratios(found: dict[str, Any]) -> None:
         "Ratios of median times (below 1: the first is faster)",
         ["ratio", "value", "95 %", "faster by", "pairs"],
         cells,
-        "Taken in turn in one process, caches cold; can and box (20 mm) by geometric mean. Interval by bootstrap.",
+        "Taken in turn in one process; can and box (20 mm) by geometric mean. Interval by bootstrap.",
     )
 
 

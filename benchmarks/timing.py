@@ -1,4 +1,4 @@
-"""Wall-clock times: of calls taken in turn (cold) and again and again (hot); medians, tails, ratios."""
+"""Wall-clock times: of calls taken in turn and again and again (hot); medians, tails, ratios."""
 
 import contextlib
 import gc
@@ -8,10 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-
-COLD_BYTES = 2 << 20
-"""Read before each cold call: more than a core's L2, as whatever else a control loop does would be."""
-_filler = np.ones(COLD_BYTES // 8)
 
 
 @contextlib.contextmanager
@@ -40,10 +36,8 @@ def silent_stderr() -> Iterator[None]:
         os.close(kept), os.close(nowhere)
 
 
-def once(call: Callable[[], object], *, cold: bool = False) -> tuple[object, float]:
+def once(call: Callable[[], object]) -> tuple[object, float]:
     """What the call answers, and its seconds."""
-    if cold:
-        _filler.sum()
     begin = time.perf_counter()
     answer = call()
     return answer, time.perf_counter() - begin
@@ -63,7 +57,7 @@ def hot(call: Callable[[], object], seconds: float = 0.05, least: int = 5, most:
 def in_turn(
     calls: Sequence[tuple[str, Callable[[], object]]], seconds: float, least: int = 5, most: int = 400
 ) -> dict[str, np.ndarray]:
-    """Seconds of each of several calls, taken in turn and cold, after one round that does not count."""
+    """Seconds of each of several calls, taken in turn, after one round that does not count."""
     times: dict[str, list[float]] = {name: [] for name, _ in calls}
     for _, call in calls:
         call()
@@ -72,7 +66,7 @@ def in_turn(
         while rounds < least or (rounds < most and time.perf_counter() < end):
             shift = rounds % len(calls)
             for name, call in [*calls[shift:], *calls[:shift]]:
-                times[name].append(once(call, cold=True)[1])
+                times[name].append(once(call)[1])
             rounds += 1
     return {name: np.array(found) for name, found in times.items()}
 
