@@ -32,7 +32,7 @@ def microseconds(call: Callable[[], object], before: Callable[[], object] = lamb
 
 
 def stages(problem: workload.Problem) -> list[float]:
-    """The whole after other data, the whole, and its parts: laying out the inputs, the kernel, of it the two phases, making the estimate."""
+    """The whole after other data, and hot; its parts: inputs, kernel, of it the two phases, estimate."""
     model, contacts, vision = problem.model, problem.contacts, problem.vision
     numbers, singles = packed(model)
     rows, prior = packed_contacts(contacts), packed_prior(vision)
