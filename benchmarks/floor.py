@@ -45,8 +45,9 @@ def flops(grid: bool) -> int:
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
-def evaluations(n, model, singles, contacts, weight, sight, hand, center, pose, equations, work):
+def evaluations(n, given):
     """n evaluations, each at a pose a hair from the last."""
+    model, singles, contacts, weight, sight, hand, center, pose, equations, work = given
     for _ in range(n):
         pose[9] += 1e-9
         solve.evaluate(model, singles, at.FINE, contacts, weight, sight, hand, center, pose, equations, work)
@@ -81,8 +82,8 @@ def evaluated(model: ObjectModel) -> float:
     weight = np.tile(np.eye(4).reshape(-1), CONTACTS)
     pose = compiled.packed_poses(given.vision.T_palm_object[None])[0]
     equations, work = np.empty(at.EQUATIONS), np.empty(solve.WORK)
-    rest = p.singles, p.contacts, weight, p.sight, p.hand, p.center, pose, equations, work
-    return best(lambda n: evaluations(n, p.model, *rest), 2000)
+    given = p.model, p.singles, p.contacts, weight, p.sight, p.hand, p.center, pose, equations, work
+    return best(lambda n: evaluations(n, given), 2000)
 
 
 def main() -> None:

@@ -53,11 +53,9 @@ def success_over(peer: str, object_name: str) -> Read:
     """Our success over a peer's on one object."""
 
     def read(results: Results) -> float:
-        mine, theirs = (
-            next(r["success"] for r in _cases(results, key, NEAR) if r["object"] == object_name)
-            for key in ("ours", peer)
-        )
-        return mine / theirs
+        found = {r["peer"]: r["success"] for r in results["sections"]["correction"]
+                 if r["error"] == NEAR and r["object"] == object_name}  # fmt: skip
+        return float(found["ours"] / found[peer])
 
     return read
 
