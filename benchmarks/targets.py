@@ -26,7 +26,7 @@ class Target:
         wanted = f"{sign} {self.limit:g} {self.unit}"
         try:
             value = self.read(results)
-        except (KeyError, StopIteration, TypeError, ZeroDivisionError):
+        except (KeyError, StopIteration, TypeError, ValueError, ZeroDivisionError):
             value = None
         if value is None:
             return [self.what, "not measured", wanted, ""]
