@@ -49,7 +49,7 @@ def time_and_success(rows: list[Row], chosen: Row, folder: Path) -> None:
     for line in panels:
         line[0].set_ylabel("success")
     handles, labels = panels.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
     save(figure, folder, "time_and_success")
 
 
@@ -75,35 +75,49 @@ def growth(parts: dict[str, list[Row]], folder: Path) -> None:
     plt = report.pyplot()
     figure, ((a, b), (c, d)) = plt.subplots(2, 2, figsize=(9.6, 7.2), layout="constrained")
     _by_peer(a, parts["contacts"], "contacts", "contacts")
+    a.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.0, 0.93), ncols=2)
     _by_peer(b, [row for row in parts["outside"] if row["outside"]], "outside", "points of the hand")
     without = [row for row in parts["outside"] if not row["outside"]]
     for row in without:
         b.axhline(1e6 * row["median_s"], color="0.6", lw=0.8, ls="--", label="without a hand")
     b.legend(fontsize=7)
-    for outside, colour in (
-        (0, COLOURS["ours"]),
-        (max(r["outside"] for r in parts["hypotheses"]), "#14532d"),
-    ):
-        rows = [r for r in parts["hypotheses"] if r["outside"] == outside and "median_s" in r]
-        c.plot([r["starts"] for r in rows], [1e6 * r["median_s"] for r in rows], "o-", ms=4, color=colour,
-               label=f"{outside} points of the hand")  # fmt: skip
-    c.set_xlabel("hypotheses")
-    c.legend(fontsize=7)
-    rows = [row for row in parts["meshes"] if "build_s" in row]
+    _hypotheses(c, parts["hypotheses"])
+    rows = [row for row in parts["meshes"] if "build_s" in row and row["shape"].startswith("bumpy")]
     for key, label in (
         ("build_s", "build"),
         ("load_s", "from the cache"),
         ("query_s", "one query, in batch"),
     ):
         d.plot([r["triangles"] for r in rows], [1e6 * r[key] for r in rows], "o-", ms=4, label=label)
-    d.set_xlabel("triangles")
+    d.set_xlabel("triangles (bumpy ball)")
     d.legend(fontsize=7)
-    for panel in (a, b, c, d):
+    for panel, section, key in (
+        (a, "contacts", "contacts"),
+        (b, "outside", "outside"),
+        (c, "", ""),
+        (d, "", ""),
+    ):
         panel.set_xscale("log")
+        if section:
+            ticks = sorted({row[key] for row in parts[section] if row[key]})
+            panel.set_xticks(ticks, [str(tick) for tick in ticks])
+            panel.minorticks_off()
         panel.set_yscale("log")
         panel.set_ylabel("time [µs]")
         panel.grid(alpha=0.25, which="major")
     save(figure, folder, "growth")
+
+
+def _hypotheses(panel: Any, rows: list[Row]) -> None:
+    for outside, colour in (
+        (0, COLOURS["ours"]),
+        (max(r["outside"] for r in rows), "#14532d"),
+    ):
+        mine = [r for r in rows if r["outside"] == outside and "median_s" in r]
+        panel.plot([r["starts"] for r in mine], [1e6 * r["median_s"] for r in mine], "o-", ms=4, color=colour,
+               label=f"{outside} points of the hand")  # fmt: skip
+    panel.set_xlabel("hypotheses")
+    panel.legend(fontsize=7)
 
 
 def _by_peer(panel: Any, rows: list[Row], key: str, label: str) -> None:
@@ -111,8 +125,5 @@ def _by_peer(panel: Any, rows: list[Row], key: str, label: str) -> None:
         mine = [row for row in rows if row["peer"] == peer]
         panel.plot([r[key] for r in mine], [1e6 * r["median_s"] for r in mine], "o-", ms=4,
                    color=COLOURS.get(peer, "0.4"), label=mine[0]["name"])  # fmt: skip
-    ticks = sorted({row[key] for row in rows})
-    panel.set_xticks(ticks, [str(tick) for tick in ticks])
-    panel.minorticks_off()
     panel.set_xlabel(label)
     panel.legend(fontsize=7)
