@@ -51,16 +51,15 @@ def say(text: str) -> None:
 
 
 def passes(run: suite.Suite, baseline: dict[str, Any]) -> bool:
-    """Whether nothing is lost; what seems lost is measured once more, and the better of both counts."""
-    lost = gate.losses(run.results["ratios"], baseline)
-    for name in lost:
-        say(f"{lost[name]}; measured once more")
-    first = dict(run.results["ratios"])
-    for section in dict.fromkeys(gate.GATED[name] for name in lost):
-        run.run(section)
-    for name in lost:
-        again = run.results["ratios"][name]
-        run.results["ratios"][name] = min(first[name], again, key=lambda r: r["ratio"])
+    """Whether nothing is lost; what seems lost is measured again, and the best of the measurements counts."""
+    for _ in range(gate.MEASUREMENTS - 1):
+        lost, before = gate.losses(run.results["ratios"], baseline), dict(run.results["ratios"])
+        for sentence in lost.values():
+            say(f"{sentence}; measured once more")
+        for section in dict.fromkeys(gate.GATED[name] for name in lost):
+            run.run(section)
+        for name, again in run.results["ratios"].items():
+            run.results["ratios"][name] = min(before[name], again, key=lambda r: r["ratio"])
     tables.gated(run.results, baseline)
     failures = [*gate.losses(run.results["ratios"], baseline).values(), *gate.fallen(run.results, baseline)]
     for failure in failures:

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import trimesh
 
@@ -18,6 +17,7 @@ from benchmarks import frontier, timing, workload
 from benchmarks.peers.ours import with_starts
 from benchmarks.shapes import bumpy, can
 from benchmarks.workload import Peer, Problem
+from handsight._kernels.threads import alone
 from handsight.errors import InvalidInput
 
 CONTACTS = (2, 3, 5, 8, 12)
@@ -108,16 +108,6 @@ def hypotheses(seconds: float) -> list[Row]:
     return rows
 
 
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Kernels work alone."""
-    threads, numba.config.NUMBA_NUM_THREADS = numba.config.NUMBA_NUM_THREADS, 1
-    try:
-        yield
-    finally:
-        numba.config.NUMBA_NUM_THREADS = threads
-
-
 def batch(seconds: float) -> tuple[list[Row], dict[str, Any]]:
     """One correction against one hypothesis of a batch of 4 096: rows, and the ratio batch per hypothesis / single.
 
@@ -129,7 +119,7 @@ def batch(seconds: float) -> tuple[list[Row], dict[str, Any]]:
         ("one correction", lambda: hs.correct_pose(model, scene.contacts, vision=scene.vision)),
         (f"a batch of {count}", with_starts(problem, count)),
     ]
-    with one_thread():
+    with alone():
         times = timing.in_turn(calls, seconds)
     single, each = (times[name] for name, _ in calls)
     rows = [

@@ -21,13 +21,12 @@ class ClusterFailure(HandsightError):
 
 def answer_on_worker(folder: str, lines: list[bytes]) -> Answers:
     """What runs on the cluster: `handsight.worker.answer_lines`, with one thread for the kernels."""
-    import numba
-
+    from handsight._kernels.threads import alone
     from handsight.worker import answer_lines
 
     # Dask has a process or a thread for each core already.
-    numba.set_num_threads(1)
-    return answer_lines(folder, lines)
+    with alone():
+        return answer_lines(folder, lines)
 
 
 class Cluster:

@@ -15,7 +15,7 @@ import grasps
 import handsight as hs
 from handsight import se3
 from handsight._kernels import field, layout
-from handsight._kernels.threads import in_parts
+from handsight._kernels.threads import alone, in_parts
 from handsight.correction import compiled, plain, starts
 from handsight.correction.two_phase import Problem
 from handsight.objects.pack import packed_field
@@ -230,6 +230,11 @@ def test_parts_cover_the_range_once_and_pass_errors_on():
 
         in_parts(work, n, least)
         assert (count == 1).all()
+
+    parts = []
+    with alone():
+        in_parts(lambda start, stop: parts.append((start, stop, threading.get_ident())), 1000, 10)
+    assert parts == [(0, 1000, threading.get_ident())]
 
     def fails(start, stop):
         raise ValueError("part")
