@@ -7,6 +7,11 @@ The five lines most users need:
     contacts = hs.Contacts(points_palm, normals_palm, sigma_point=1e-3, sigma_normal=0.1)
     vision = hs.PosePrior.from_sigmas(T_palm_object, sigma_position=0.03, sigma_rotation=0.25)
     estimate = hs.correct_pose(model, contacts, vision=vision)
+
+And those whose robot runs:
+
+    tracker = hs.Tracker(hs.Rig.from_file("rig.yaml"), model)
+    estimate = tracker.update(hs.Observation(stamp, joint_positions, wrenches, seen, T_world_palm))
 """
 
 from importlib import import_module
@@ -34,6 +39,9 @@ if TYPE_CHECKING:
     )
     from handsight.errors import HandsightError
     from handsight.objects import ObjectModel
+    from handsight.observation import Observation
+    from handsight.rig import Rig
+    from handsight.tracking import Tracker
 
 __all__ = [
     "Contact",
@@ -42,10 +50,13 @@ __all__ = [
     "HandsightError",
     "NoContact",
     "ObjectModel",
+    "Observation",
     "PaperMethod",
     "PoseEstimate",
     "PosePrior",
+    "Rig",
     "Sphere",
+    "Tracker",
     "TwoPhase",
     "calibrate_wrench",
     "compensate",
@@ -65,8 +76,11 @@ _ROOMS = {
     "correct_poses": "correction",
     "HandsightError": "errors",
     "ObjectModel": "objects",
+    "Observation": "observation",
+    "Rig": "rig",
+    "Tracker": "tracking",
 }
-_MODULES = ("checks", "contact", "correction", "errors", "objects", "se3")
+_MODULES = ("checks", "contact", "correction", "errors", "hand", "objects", "observation", "rig", "se3", "tracking")
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,8 @@
 """Checks at the public door: the clean array comes back, or an InvalidInput that names the argument."""
 
+import difflib
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -79,6 +82,16 @@ def describe(shape: tuple[int | None, ...]) -> str:
     if len(shape) == 1 and shape[0] is not None:
         return f"{shape[0]} finite numbers"
     return f"finite numbers of shape ({', '.join('n' if s is None else str(s) for s in shape)})"
+
+
+def among(name: str, valid: Iterable[str]) -> str:
+    """`; the nearest valid one is 'x'`, or, where none is alike, the first few of them: for the end of a message."""
+    known = sorted(valid)
+    alike = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if alike:
+        return f"; the nearest valid one is {alike[0]!r}"
+    listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+    return f"; valid: {listed}" if known else ""
 
 
 def brief(value: object) -> str:

@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperCommand
 
 # Help and version are to be there at once: what computes is imported by the command that needs it.
+from handsight import cli_robot
 from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.job import MOST_PANELS, Tally, answered
 from handsight.terminal import one_line_warning, opened_output, progress, say
@@ -24,6 +25,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
+cli_robot.register(app)
 INTERRUPTED, NOBODY_READS = 130, 141
 """Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
 

@@ -84,3 +84,38 @@ def progress(name: str, *, show: bool) -> Iterator[Callable[[int, int], None]]:
             progress.update(task, advance=size, count=count, rate=rate)
 
         yield advance
+
+
+@contextlib.contextmanager
+def bar(what: str) -> Iterator[Callable[[float], None]]:
+    """A call that moves a bar on the terminal to a share of the work, 0 to 1; silent where nobody looks."""
+    if not _messages().is_terminal:
+        yield lambda share: None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    with Progress(
+        TextColumn(what), BarColumn(), TimeRemainingColumn(), console=_messages(), transient=True
+    ) as progress:
+        task = progress.add_task("", total=1.0)
+        yield lambda share: progress.update(task, completed=share)
+
+
+@contextlib.contextmanager
+def live_rows(title: str) -> Iterator[Callable[[list[tuple[str, str]]], None]]:
+    """A call that replaces a small table of names and values on the terminal; silent where nobody looks."""
+    if not _messages().is_terminal:
+        yield lambda rows: None
+        return
+    from rich.live import Live
+    from rich.table import Table
+
+    with Live(console=_messages(), auto_refresh=False, transient=True) as live:
+
+        def show(rows: list[tuple[str, str]]) -> None:
+            table = Table(title=title, title_justify="left", show_header=False, box=None)
+            for row in rows:
+                table.add_row(*row)
+            live.update(table, refresh=True)
+
+        yield show

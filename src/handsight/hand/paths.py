@@ -1,0 +1,56 @@
+"""Where the files are that a robot's description names."""
+
+import os
+from importlib.util import find_spec
+from pathlib import Path
+
+from handsight.errors import InvalidFile
+
+PACKAGE = "package://"
+
+
+def find_file(name: str | Path, beside: str | Path = ".") -> Path:
+    """The file that a path or `package://NAME/rest` names in a file of the folder `beside`.
+
+    NAME is the folder of a ROS package (`beside`, its parents and their subfolders, $ROS_PACKAGE_PATH,
+    $AMENT_PREFIX_PATH) or an installed Python package, which is not imported. Raises InvalidFile where there is none.
+    """
+    text = str(name)
+    if not text.startswith(PACKAGE):
+        path = Path(beside) / text.removeprefix("file://")
+        if path.is_file():
+            return path
+        raise InvalidFile(
+            f"{text}: expected a file, got {'a folder' if path.is_dir() else 'none of that name'}"
+        )
+    package, _, rest = text.removeprefix(PACKAGE).partition("/")
+    folders = _ros_folders(package, Path(beside).absolute()) + _python_folders(package)
+    for folder in folders:
+        if (folder / rest).is_file():
+            return folder / rest
+    if any(folder.is_dir() for folder in folders):
+        raise InvalidFile(f"{text}: expected a file of the package, got none of that name")
+    raise InvalidFile(
+        f"{text}: expected a package in a folder above the file that names it, in $ROS_PACKAGE_PATH or "
+        f"$AMENT_PREFIX_PATH, or installed in Python, got none called {package!r}"
+    )
+
+
+def _ros_folders(package: str, beside: Path) -> list[Path]:
+    if not package or package in (".", ".."):
+        return []
+    above = [beside, *beside.parents]
+    roots = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+    shares = [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    found = [folder for folder in [*above, *roots] if folder.name == package]
+    return found + [folder / package for folder in [*above, *roots, *shares]]
+
+
+def _python_folders(package: str) -> list[Path]:
+    if not package.isidentifier():  # a dotted name would import its parents
+        return []
+    try:
+        spec = find_spec(package)
+    except ValueError:  # a module that runs as a script has none
+        return []
+    return [Path(p) for p in (spec.submodule_search_locations or [])] if spec else []

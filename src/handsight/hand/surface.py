@@ -1,0 +1,114 @@
+"""Points on the surface of a hand's links, which no object can be deeper than."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from handsight import se3
+from handsight._kernels import chain
+from handsight.checks import Array, Indices
+from handsight.hand.chains import Chains
+
+SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
+"""MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
+_CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandSurface:
+    """Points each of which moves with one link of a hand."""
+
+    bodies: tuple[str, ...]
+    """The links that have points."""
+    body_of: Indices
+    """(m,) places in `bodies`."""
+    points_body: Array
+    """(m, 3) in the axes of its link [m], inside the surface by what was asked for."""
+    normals: Array
+    """(m, 3) unit, outward, in the axes of its link."""
+    chains: Chains
+    """Of `bodies`, from the palm."""
+
+    def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
+        """(m, 3) where the points are [m]; raises InvalidInput as `Hand.Ts_palm_tip` does.
+
+        Needs the joints of every link that has points, fingers without a tip among them.
+        """
+        Ts, _ = self.chains.poses(joint_positions)
+        points = np.empty_like(self.points_body)
+        chain.carried(self.points_body, self.body_of, Ts, points)
+        return points
+
+
+def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
+    """Of each point its place in the list, itself and the outward normal: (m,), (m, 3), (m, 3).
+
+    `triangles`: (f, 3, 3) for each link. Evenly by area: the area is laid out in one line, with one point drawn in
+    each of its `count` equal parts.
+    """
+    rng = np.random.default_rng(seed)
+    link = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
+    corners = np.concatenate(triangles) if triangles else np.zeros((0, 3, 3))
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    ends = np.cumsum(np.linalg.norm(crosses, axis=1))
+    if not len(ends) or not ends[-1] > 0:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3))
+    along = (np.arange(count) + rng.random(count)) / count * ends[-1]
+    chosen = np.searchsorted(ends, along, side="right").clip(max=len(ends) - 1)
+    u, v = rng.random((2, count))
+    root = np.sqrt(u)
+    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+    points = np.einsum("mc,mcx->mx", weights, corners[chosen])
+    normals = crosses[chosen] / np.linalg.norm(crosses[chosen], axis=1, keepdims=True)
+    return link[chosen], points, normals
+
+
+def triangles_of(model: Any, body: int) -> Array:
+    """(f, 3, 3) the shapes of a body [m]: those that touch, else those that are seen."""
+    first = int(model.body_geomadr[body])
+    shapes = [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in _MADE]
+    touching = [g for g in shapes if model.geom_contype[g] or model.geom_conaffinity[g]]
+    found = [np.zeros((0, 3, 3))]
+    for g in touching or shapes:
+        R = se3.rotation_from_quaternion(model.geom_quat[g][[1, 2, 3, 0]])
+        corners = _MADE[int(model.geom_type[g])](model, g)
+        found.append(corners @ R.T + model.geom_pos[g])
+    return np.concatenate(found)
+
+
+def _ball(model: Any, g: int) -> Array:
+    size = model.geom_size[g]
+    radii = size if model.geom_type[g] == ELLIPSOID else size[:1]
+    return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)
+
+
+def _capsule(model: Any, g: int) -> Array:
+    radius, half, _ = model.geom_size[g]
+    mesh = trimesh.creation.capsule(2 * half, radius)
+    # trimesh has had it stand on the origin and about it.
+    return np.asarray(mesh.triangles - mesh.bounds.mean(axis=0))
+
+
+def _cylinder(model: Any, g: int) -> Array:
+    radius, half, _ = model.geom_size[g]
+    return np.asarray(trimesh.creation.cylinder(radius, 2 * half).triangles)
+
+
+def _box(model: Any, g: int) -> Array:
+    return np.asarray(trimesh.creation.box(2 * model.geom_size[g]).triangles)
+
+
+def _mesh(model: Any, g: int) -> Array:
+    mesh = model.geom_dataid[g]
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    corners = vertices[model.mesh_face[first : first + count]]
+    volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return np.asarray(corners if volume > 0 else corners[:, ::-1])
+
+
+_MADE = {SPHERE: _ball, CAPSULE: _capsule, ELLIPSOID: _ball, CYLINDER: _cylinder, BOX: _box, MESH: _mesh}

@@ -1,0 +1,146 @@
+"""What all kinds of recording files have in common: raw messages, and the blocks they lie in.
+
+Files are hostile until read: no length is believed beyond the file's own, nothing is unpacked beyond a limit.
+"""
+
+import sys
+from abc import ABC, abstractmethod
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from handsight.errors import MissingExtra
+
+LARGEST_BLOCK = 1 << 27
+"""Bytes that a block may unpack to; recorders write 1 to 16 MiB."""
+LARGEST_WAITING = 1 << 28
+"""Bytes that overlapping blocks may hold back until their turn."""
+PIECE = 1 << 16
+"""Bytes unpacked at a time: what came before a fault is kept."""
+
+
+class Raw(NamedTuple):
+    """One message as it lies in the file."""
+
+    topic: str
+    type: str
+    """As ROS 2 writes it: `package/msg/Name`."""
+    encoding: str
+    """`cdr` of ROS 2, `ros1`, or what else the file says."""
+    log: float
+    """When it was recorded [s]."""
+    data: bytes
+
+
+class Source(ABC):
+    """A recording file, open."""
+
+    def __init__(self, path: Path) -> None:
+        """Nothing known of it yet but its name."""
+        self.path = path
+        self.topics: dict[str, str] = {}
+        """Type by topic, of all that was recorded."""
+        self.truncated: str | None = None
+        """Where the file ends too early; None: it is whole."""
+        self.damage: dict[int, str] = {}
+        """By byte: what of it could not be read."""
+
+    @abstractmethod
+    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+        """Messages on the wanted topics in order of log time, from the first, each time it is called."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A stretch of the file that is read in one go."""
+
+    start: int
+    """Log time of its earliest message [ns]."""
+    offset: int
+    """Where its bytes begin in the file."""
+    length: int
+    """How many there are."""
+    compression: str = ""
+    """none, lz4, zstd or bz2; empty: none."""
+    size: int = 0
+    """Bytes when unpacked, as the file says."""
+    crc: int = 0
+    """CRC-32 of the unpacked bytes; 0: not given."""
+
+
+def seconds(nanoseconds: int) -> float:
+    """As the stamps of messages are made: equal times are equal numbers."""
+    sec, rest = divmod(nanoseconds, 10**9)
+    return sec + rest * 1e-9
+
+
+def normal_type(name: str) -> str:
+    """The type's name as ROS 2 writes it."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if rest and "/" not in rest else name
+
+
+def merged(blocks: Iterable[Block], read: Callable[[Block], list[Raw]]) -> Iterator[Raw]:
+    """The messages of all blocks in order of log time, as far as LARGEST_WAITING reaches."""
+    waiting: list[Raw] = []
+    for block in sorted(blocks, key=lambda block: block.start):
+        ready = bisect_left(waiting, seconds(block.start), key=lambda raw: raw.log)
+        yield from waiting[:ready]
+        del waiting[:ready]
+        waiting += read(block)
+        waiting.sort(key=lambda raw: raw.log)
+        if sum(len(raw.data) for raw in waiting) > LARGEST_WAITING:
+            yield from waiting
+            waiting.clear()
+    yield from waiting
+
+
+def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
+    """At most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing)."""
+    if size > LARGEST_BLOCK:
+        return b"", f"says it unpacks to {size} bytes, at most {LARGEST_BLOCK} are read"
+    if compression in ("", "none"):
+        return data[:size], None if len(data) >= size else f"expected {size} bytes, got {len(data)}"
+    new = _unpacker(compression)
+    if new is None:
+        return b"", f"expected compression none, lz4, zstd or bz2, got {compression[:20]!r}"
+    out, packed, unpacker = bytearray(), memoryview(data), new()
+    try:
+        for at in range(0, len(data), PIECE):
+            piece = bytes(packed[at : at + PIECE])
+            while piece and len(out) < size:
+                out += unpacker.decompress(piece, size - len(out))
+                piece = b""
+                if unpacker.eof:  # several frames may follow one another
+                    piece, unpacker = unpacker.unused_data or b"", new()
+    except Exception as error:  # each library has errors of its own; what came before is kept
+        return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
+    return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
+
+
+def _unpacker(compression: str) -> Callable[[], Any] | None:
+    """What makes a decompressor with `decompress(data, max_length)`, `eof` and `unused_data`."""
+    try:
+        if compression == "zstd":
+            if sys.version_info >= (3, 14):
+                from compression import zstd
+            else:
+                from backports import zstd
+            return zstd.ZstdDecompressor
+        if compression == "lz4":
+            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+            return LZ4FrameDecompressor  # type: ignore[no-any-return]
+    except ImportError:
+        raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
+    if compression == "bz2":
+        from bz2 import BZ2Decompressor
+
+        return BZ2Decompressor
+    return None

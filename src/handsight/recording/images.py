@@ -1,0 +1,131 @@
+"""Images of ROS to arrays: colour (h, w, 3) red, green, blue; depth (h, w) [m], NaN where there is none."""
+
+import io
+import struct
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight.errors import MissingExtra
+
+Color = NDArray[np.uint8]
+Depth = NDArray[np.float32]
+
+LARGEST_IMAGE = 50_000_000
+"""Pixels."""
+FARTHEST = 20.0
+"""A depth image whose median is beyond it [m] is not in metres."""
+NEAREST_MM = 20
+"""A depth image whose median is below it [mm] is not in millimetres."""
+COMPRESSED_DEPTH = struct.Struct("<iff")
+"""What `compressed_depth_image_transport` puts before the PNG: a format, and A, B of depth = A / (value - B)."""
+
+_LAYOUTS: dict[str, tuple[str, int]] = {
+    "rgb8": ("u1", 3),
+    "bgr8": ("u1", 3),
+    "16UC1": ("u2", 1),
+    "mono16": ("u2", 1),
+    "32FC1": ("f4", 1),
+}
+
+
+class Refused(Exception):
+    """A message that is not used, and why; never leaves this package."""
+
+    def __init__(self, reason: str, *, nan: bool = False) -> None:
+        """`nan`: it is one that holds NaN or infinity."""
+        super().__init__(reason)
+        self.nan = nan
+
+
+def color(message: Any) -> Color:
+    """The colour image of an Image or CompressedImage; raises Refused."""
+    if hasattr(message, "format"):
+        return _opened(bytes(message.data), lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
+    pixels = _pixels(message, ("rgb8", "bgr8"))
+    return np.ascontiguousarray(pixels if message.encoding == "rgb8" else pixels[..., ::-1])
+
+
+def depth(message: Any) -> Depth:
+    """The depth image of an Image or CompressedImage; raises Refused, also for the wrong unit."""
+    if hasattr(message, "format"):
+        return _compressed_depth(bytes(message.data), str(message.format))
+    pixels = _pixels(message, ("16UC1", "mono16", "32FC1"))[..., 0]
+    return _metres(pixels)
+
+
+def _pixels(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
+    """(h, w, channels) as the encoding says, rows padded to `step`."""
+    if message.encoding not in expected:
+        raise Refused(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
+    kind, channels = _LAYOUTS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    h, w, step = int(message.height), int(message.width), int(message.step)
+    row = w * channels * dtype.itemsize
+    if h == 0 or w == 0 or step < row or len(message.data) < step * (h - 1) + row:
+        raise Refused(
+            f"expected {h} rows of {step} bytes for {w} x {h} {message.encoding}, got {len(message.data)} bytes"
+        )
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    rows = np.lib.stride_tricks.as_strided(data, (h, row), (step, 1), writeable=False)
+    return np.ascontiguousarray(rows).view(dtype).reshape(h, w, channels)
+
+
+def _metres(pixels: NDArray[Any]) -> Depth:
+    """Millimetres if the pixels are integers, else metres; raises Refused where the numbers say otherwise."""
+    whole = pixels.dtype.kind == "u"
+    metres = pixels.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        metres[~((metres > 0) & np.isfinite(metres))] = np.nan
+    sample = metres[::4, ::4]
+    sample = sample[~np.isnan(sample)]
+    median = float(np.median(sample)) if sample.size else None
+    if median is not None and whole and median < NEAREST_MM:
+        raise Refused(f"expected depth in millimetres (16UC1), got a median of {median:g} (another unit?)")
+    if median is not None and not whole and median > FARTHEST:
+        raise Refused(f"expected depth in metres (32FC1), got a median of {median:.4g} (millimetres?)")
+    return metres * np.float32(1e-3) if whole else metres
+
+
+def _compressed_depth(data: bytes, described: str) -> Depth:
+    if "rvl" in described.lower():
+        raise Refused("expected compressed depth as PNG, got RVL")
+    if "compressedDepth" not in described:
+        return _metres(_opened(data, _sixteen_bits))
+    if len(data) < COMPRESSED_DEPTH.size:
+        raise Refused(f"expected a header of {COMPRESSED_DEPTH.size} bytes, got {len(data)} bytes")
+    _, a, b = COMPRESSED_DEPTH.unpack_from(data)
+    values = _opened(data[COMPRESSED_DEPTH.size :], _sixteen_bits)
+    if not described.startswith("32FC1"):
+        return _metres(values)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = (a / (values.astype(np.float64) - b)).astype(np.float32)
+    return _metres(np.where(values == 0, np.float32(np.nan), inverse))
+
+
+def _sixteen_bits(image: Any) -> NDArray[np.uint16]:
+    if not image.mode.startswith("I"):
+        raise Refused(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
+    return np.asarray(image).astype(np.uint16)
+
+
+def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
+    """What `read` makes of a PNG or JPEG; raises Refused where it is none, or too large."""
+    try:
+        from PIL import Image
+    except ImportError:
+        raise MissingExtra("compressed images need pillow: pip install 'handsight[robot]'") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+                if image.width * image.height > LARGEST_IMAGE:
+                    raise Refused(f"expected at most {LARGEST_IMAGE} pixels, got {image.size}")
+                return read(image)
+    except (Refused, MissingExtra):
+        raise
+    except Exception as error:  # pillow's plugins raise many kinds; each says that the bytes are no image
+        raise Refused(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None

@@ -1,0 +1,82 @@
+"""How each object is grasped: opening, targets and place in the palm, and random grasps around them.
+
+The numbers were found by random search on the Shadow hand (J3 spread, J2 knuckle, J1 middle; the last joint of a
+finger is coupled to its middle one by a tendon).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+
+CLOSING = 0.7
+"""How long the servos' targets take from opening to closed [s]."""
+SHIFT, TURN, AIM = 0.003, float(np.deg2rad(3.0)), float(np.deg2rad(1.0))
+"""Half widths of the draws: place [m] and turn [rad] of the object per axis, targets of the joints [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """A closing motion of the hand around an object."""
+
+    T_palm_middle: Array
+    """(4, 4) of the upright object's middle, its z up, when the fingers begin to close."""
+    opening: Mapping[str, float]
+    """Targets of the joints' servos at first [rad]; 0 for those not named."""
+    closed: Mapping[str, float]
+    """The same at the end."""
+    reach: float = 1.0
+    """How far a finger closes at most, in parts of the way from opening to closed."""
+    enough: float = np.inf
+    """Force at the tip at which a finger closes no further [N]."""
+
+
+def _joints(**of_finger: Mapping[int, float]) -> dict[str, float]:
+    return {
+        f"robot0:{finger}J{number}": angle
+        for finger, angles in of_finger.items()
+        for number, angle in angles.items()
+    }
+
+
+_UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+"""R_palm_object with the object's z along the palm's x, which is up."""
+
+CAN = Grasp(
+    T_palm_middle=se3.compose(_UPRIGHT, np.array([0.0142, -0.0884, 0.0923])),
+    opening=_joints(TH={4: -0.45, 3: 1.22, 2: 0.18, 1: -0.2, 0: -1.3}),
+    closed=_joints(
+        FF={3: 0.35, 2: 0.87, 1: 0.53},
+        MF={3: 0.01, 2: 0.94, 1: 0.63},
+        RF={3: -0.04, 2: 1.22, 1: 0.24},
+        LF={4: 0.35, 3: -0.28, 2: 0.77, 1: 0.39},
+        TH={4: 0.31, 3: 1.22, 2: 0.18, 1: -0.52, 0: -1.36},
+    ),
+)
+BOX = Grasp(
+    T_palm_middle=se3.compose(
+        _UPRIGHT @ se3.rotation_exp(np.array([0.0, 0.0, -0.315])), np.array([-0.0023, -0.0897, 0.1001])
+    ),
+    opening=_joints(TH={4: -0.6, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61}),
+    closed=_joints(
+        FF={3: 0.0, 2: 0.68, 1: 0.61},
+        MF={3: 0.0, 2: 0.74, 1: 0.57},
+        TH={4: 0.0, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61},
+    ),
+)
+MESH = replace(CAN, opening=_joints(TH={4: -0.7, 3: 1.22, 2: 0.18, 1: 0.0, 0: -0.9}), reach=1.6, enough=1.5)
+"""Any other object: as the can, each finger until it feels the object."""
+
+
+def drawn(grasp: Grasp, rng: np.random.Generator) -> Grasp:
+    """The same grasp, a little elsewhere: each number uniform within its half width."""
+    shift, turn = rng.uniform(-SHIFT, SHIFT, 3), rng.uniform(-TURN, TURN, 3)
+    aim = rng.uniform(-AIM, AIM, len(grasp.closed))
+    return replace(
+        grasp,
+        T_palm_middle=se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn])),
+        closed={joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)},
+    )

@@ -1,0 +1,182 @@
+"""Pictures of the scene, drawn without a screen."""
+
+import os
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.errors import InvalidInput, MissingExtra
+from handsight.simulation.camera import believed_camera
+from handsight.simulation.scenario import Sample, Scenario
+from handsight.simulation.scene import FINER, IMAGE_SIZE, Scene, mujoco_module, scene
+
+Color = NDArray[np.uint8]
+Depth = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ghost:
+    """A second object in a picture."""
+
+    T_palm_object: Array
+    """(4, 4)"""
+    rgba: tuple[float, float, float, float]
+    """Opacity last, each 0 to 1."""
+
+
+class Pictures:
+    """Draws one scene from any camera pose; to be closed before the next is opened."""
+
+    def __init__(self, built: Scene) -> None:
+        """Raises MissingExtra where neither EGL nor OSMesa can draw."""
+        mujoco = self._mujoco = mujoco_module()
+        self._scene, self._data = built, mujoco.MjData(built.model)
+        # A context of our own, not mujoco.Renderer's: that one's kind is fixed when mujoco is first imported.
+        self._context = _context()
+        self._context.make_current()
+        self._drawn, self._option = mujoco.MjvScene(built.model, maxgeom=400), mujoco.MjvOption()
+        self._option.geomgroup[:] = [
+            1,
+            1,
+            0,
+            0,
+            0,
+            0,
+        ]  # the hand's collision shapes are in 4, what is hidden in 5
+        self._camera = mujoco.MjvCamera()
+        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, built.camera
+        self._device = mujoco.MjrContext(built.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._device)
+        self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+
+    def close(self) -> None:
+        """Frees the device; nothing can be drawn after."""
+        self._context.make_current()
+        self._device.free()
+        self._context.free()
+
+    def take(self, configuration: Array, T_world_camera: Array) -> tuple[Color, Depth]:
+        """Color (h, w, 3) and depth (h, w) along the optical axis [m] of the scene in that configuration."""
+        self._pose(configuration, T_world_camera)
+        self._drawn.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0  # half of the time
+        return self._color(), self._depth()
+
+    def draw(
+        self, configuration: Array, T_world_camera: Array, *, ghost: Ghost | None, show_object: bool
+    ) -> Color:
+        """Color (h, w, 3); `ghost` is a second object, seen through the hand where it is less than opaque."""
+        self._pose(configuration, T_world_camera)
+        geom = self._scene.model.geom("object").id
+        for drawn in self._drawn.geoms[: self._drawn.ngeom]:
+            if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
+                drawn.rgba[3] = 0.0
+        if ghost is not None:
+            self._add(geom, ghost)
+        return self._color(finer=FINER)
+
+    def _pose(self, configuration: Array, T_world_camera: Array) -> None:
+        model, data = self._scene.model, self._data
+        data.qpos[:] = configuration
+        self._mujoco.mj_kinematics(model, data)
+        self._mujoco.mj_camlight(model, data)
+        data.cam_xpos[self._scene.camera] = T_world_camera[:3, 3]
+        # OpenGL looks along -z, y up.
+        data.cam_xmat[self._scene.camera] = (T_world_camera[:3, :3] * [1, -1, -1]).ravel()
+        self._mujoco.mjv_updateScene(
+            model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
+        )
+
+    def _add(self, geom: int, ghost: Ghost) -> None:
+        model, data = self._scene.model, self._data
+        body = self._scene.bodies["palm"]
+        T_world_palm = se3.compose(data.xmat[body].reshape(3, 3), data.xpos[body])
+        # MuJoCo moves a mesh's frame into its own axes of inertia.
+        T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], np.roll(model.geom_quat[geom], -1))
+        T = T_world_palm @ ghost.T_palm_object @ T_object_geom
+        drawn = self._drawn.geoms[self._drawn.ngeom]
+        self._mujoco.mjv_initGeom(
+            drawn, int(model.geom_type[geom]), model.geom_size[geom], T[:3, 3], T[:3, :3].ravel(),
+            np.array(ghost.rgba, dtype=np.float32),
+        )  # fmt: skip
+        if model.geom_dataid[geom] >= 0:
+            drawn.dataid = 2 * model.geom_dataid[geom]  # the mesh itself; its hull is the next
+        self._drawn.ngeom += 1
+
+    def _color(self, *, finer: int = 1) -> Color:
+        """At so many times the image's size, averaged: smooth edges."""
+        width, height = finer * IMAGE_SIZE[0], finer * IMAGE_SIZE[1]
+        color = np.empty((height, width, 3), dtype=np.uint8)
+        self._mujoco.mjr_readPixels(color, None, self._rendered(width, height), self._device)
+        blocks = np.flipud(color).reshape(IMAGE_SIZE[1], finer, IMAGE_SIZE[0], finer, 3)
+        return blocks.mean(axis=(1, 3)).astype(np.uint8) if finer > 1 else np.flipud(color).copy()
+
+    def _depth(self) -> Depth:
+        buffer = np.empty((IMAGE_SIZE[1], IMAGE_SIZE[0]), dtype=np.float32)
+        self._mujoco.mjr_readPixels(None, buffer, self._rendered(*IMAGE_SIZE), self._device)
+        planes = self._scene.model.vis.map  # in multiples of the scene's extent, which is 1
+        # The buffer holds 1 at the near plane and 0 at the far one, even in 1 / z.
+        span = planes.zfar - planes.znear
+        z: Array = planes.znear * planes.zfar / (planes.znear + buffer.astype(np.float64) * span)
+        return np.flipud(z).astype(np.float32)
+
+    def _rendered(self, width: int, height: int) -> Any:
+        """Draws; the part of the buffer where it is."""
+        self._context.make_current()
+        rectangle = self._mujoco.MjrRect(0, 0, width, height)
+        self._mujoco.mjr_render(rectangle, self._drawn, self._device)
+        return rectangle
+
+
+def render(
+    scenario: Scenario,
+    sample: Sample,
+    *,
+    ghost: ArrayLike | None = None,
+    color: tuple[float, float, float, float] = (0.95, 0.75, 0.1, 0.6),
+    show_object: bool = True,
+    T_world_camera: ArrayLike | None = None,
+) -> Color:
+    """A picture (480, 640, 3) of hand, object and table as they are in a sample.
+
+    `ghost`: T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1);
+    `show_object`: whether the true one is drawn; `T_world_camera` (4, 4): from where, optical frame, else from the
+    robot's own camera. Raises InvalidInput, MissingExtra where nothing can draw.
+    """
+    built = scene(scenario.object)
+    if sample.configuration.shape != (built.model.nq,):
+        raise InvalidInput(f"sample: expected one of the scenario's ({scenario.object}), got another scene's")
+    T = believed_camera() if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
+    wanted = None if ghost is None else Ghost(se3.check(ghost, "ghost"), color)
+    pictures = Pictures(built)
+    try:
+        return pictures.draw(sample.configuration, T, ghost=wanted, show_object=show_object)
+    finally:
+        pictures.close()
+
+
+def _context() -> Any:
+    """An OpenGL context without a screen: the one $MUJOCO_GL names, else EGL, else OSMesa."""
+    named = os.environ.get("MUJOCO_GL", "").strip().lower()
+    kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")
+    platform, said = os.environ.get("PYOPENGL_PLATFORM"), []
+    for kind in kinds:
+        try:
+            return import_module(f"mujoco.{kind}").GLContext(*IMAGE_SIZE)
+        except (
+            ImportError,
+            RuntimeError,
+            AttributeError,
+            OSError,
+        ) as error:  # PyOpenGL's for a missing library
+            said.append(f"{kind}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
+            os.environ.pop("PYOPENGL_PLATFORM", None)  # which importing it has set
+            if platform is not None:
+                os.environ["PYOPENGL_PLATFORM"] = platform
+    raise MissingExtra(
+        f"images need software rendering, expected EGL or OSMesa (Debian: libegl1 or libosmesa6), got {'; '.join(said)}"
+    )

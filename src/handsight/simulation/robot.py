@@ -1,0 +1,155 @@
+"""What the robot believes of itself and of the object: the rig and the model that a user would write down."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact import Ellipsoid, WrenchCalibration
+from handsight.hand import Hand
+from handsight.objects import ObjectModel
+from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight.simulation.camera import INTRINSICS, believed_camera
+from handsight.simulation.scenario import Nuisances, Scenario
+from handsight.simulation.scene import (
+    BOX_SIZE,
+    CAN_SIZE,
+    FINGERS,
+    GRAVITY,
+    HAND_FILE,
+    IMAGE_SIZE,
+    PALM,
+    SENSOR_Z,
+    TIP_MASS,
+    convex_hull,
+    hand_file,
+    tip_shape,
+)
+from handsight.simulation.senses import UNLOADED
+
+SCANNED, SCAN_SEED = 4000, 7
+"""Points of a scanned object's cloud."""
+DENT_WIDTH = 0.02
+"""Of a dent, where it is exp(-½) as deep [m]."""
+DENTED_EDGE = 0.008
+"""Longest edge of a mesh that can be dented smoothly [m]."""
+
+
+def rig_of(scenario: Scenario) -> Rig:
+    """The rig as the robot knows it: calibrated sensors, the believed camera, sigmas of usual size.
+
+    The same for all seeds and nuisances: what is wrong with a robot is not in its rig file. Raises MissingExtra without
+    mujoco or gymnasium-robotics.
+    """
+    usual = Nuisances()
+    return Rig(
+        hand=_hand(),
+        fingers={
+            finger: _finger(finger, unloaded) for finger, unloaded in zip(FINGERS, UNLOADED, strict=True)
+        },
+        sigma_joint_offset=usual.joint_offset,
+        sigma_joint=usual.joint_noise,
+        camera=_camera(usual),
+        table=Table(height=0.0),
+        gravity=GRAVITY,
+        topics=Topics(
+            wrenches={finger: f"/{finger}/wrench" for finger in FINGERS},
+            color="/camera/color" if scenario.images else None,
+            depth="/camera/depth" if scenario.images else None,
+            camera_info="/camera/camera_info" if scenario.images else None,
+            truth="/truth/object",
+        ),
+        objects={"can": ObjectEntry(cylinder=CAN_SIZE), "box": ObjectEntry(box=BOX_SIZE)},
+    )
+
+
+def model_of(scenario: Scenario) -> ObjectModel:
+    """The object as the robot knows it: scaled, dented or scanned as the scenario's nuisances say.
+
+    A mesh's is its convex hull, which is what is simulated. Raises InvalidFile or InvalidObject for a mesh that cannot
+    be used.
+    """
+    n = scenario.nuisances
+    model = _exact(scenario.object, n.object_scale)
+    if n.object_dent > 0:
+        model = _dented(model, n.object_dent, int(scenario.seed))
+    if n.object_scan > 0:
+        points, normals = model.sample(SCANNED, SCAN_SEED)
+        rng = np.random.default_rng((int(scenario.seed), 8))
+        noisy = points + n.object_scan * rng.normal(size=points.shape)
+        return ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
+    return model
+
+
+@cache
+def _hand() -> Hand:
+    hand_file()  # its absence is told as what it is
+    return Hand.from_file(
+        f"package://gymnasium_robotics/{HAND_FILE}",
+        palm=PALM,
+        tips={finger: f"robot0:{finger}distal" for finger in FINGERS},
+    )
+
+
+def _finger(name: str, unloaded: Array) -> Finger:
+    semi_axes, center_z = tip_shape(name)
+    center = np.array([0.0, 0.0, center_z])
+    calibration = WrenchCalibration(
+        bias_force=unloaded[:3],
+        bias_torque=unloaded[3:],
+        mass=TIP_MASS,
+        center_of_mass=center,
+        residual_force=np.zeros(3),
+        residual_torque=np.zeros(3),
+        condition=1.0,
+        reading="on_tip",
+    )
+    tip = Ellipsoid(
+        semi_axes, cap=-semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=se3.compose(np.eye(3), -center)
+    )
+    return Finger(
+        frame=f"robot0:{name}distal",
+        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SENSOR_Z + center_z])),
+        tip=tip,
+        calibration=calibration,
+        sigma_force=Nuisances().force_noise,
+        sigma_torque=Nuisances().torque_noise,
+        full_scale=(50.0, 0.5),
+    )
+
+
+def _camera(usual: Nuisances) -> Camera:
+    return Camera(
+        T_mount_camera=believed_camera(),
+        intrinsics=INTRINSICS,
+        size=IMAGE_SIZE,
+        sigma_position=usual.vision_position,
+        sigma_rotation=usual.vision_rotation,
+        sigma_position_constant=usual.camera_height,
+        sigma_rotation_constant=usual.camera_rotation,
+    )
+
+
+def _exact(name: str, scale: float) -> ObjectModel:
+    if name == "can":
+        return ObjectModel.cylinder(scale * CAN_SIZE[0], scale * CAN_SIZE[1])
+    if name == "box":
+        return ObjectModel.box(scale * np.array(BOX_SIZE))
+    vertices, faces = convex_hull(name)
+    return ObjectModel.from_mesh(scale * vertices, faces.astype(np.int64))
+
+
+def _dented(model: ObjectModel, depth: float, seed: int) -> ObjectModel:
+    """The same with a round dent in its side, where the seed says."""
+    import trimesh
+
+    remesh: Any = trimesh.remesh
+    vertices, faces = remesh.subdivide_to_size(model.vertices, model.faces, DENTED_EDGE, max_iter=20)
+    points, normals = model.sample(SCANNED, seed)
+    sides = np.flatnonzero(np.abs(normals[:, 2]) < 0.5)
+    k = int(np.random.default_rng((seed, 7)).choice(sides if len(sides) else len(points)))
+    away = np.linalg.norm(vertices - points[k], axis=1)
+    inwards = depth * np.exp(-0.5 * (away / DENT_WIDTH) ** 2)
+    return ObjectModel.from_mesh(vertices - inwards[:, None] * normals[k], faces)

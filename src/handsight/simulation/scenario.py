@@ -1,0 +1,163 @@
+"""What is simulated, what spoils it, and what comes out: the values of this room."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.observation import Observation
+
+Motion = Literal["grasp", "manipulate"]
+Phase = Literal["close", "hold", "move"]
+STEPS_PER_SECOND = 500
+"""Of the simulator: two milliseconds are as accurate as one."""
+MESHES = (".stl", ".obj", ".ply", ".off")
+LARGEST = 0.5
+"""Of a mesh [m]; a larger one is not in metres, and in no hand."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nuisances:
+    """All that a real robot's readings are wrong by; zero switches one off, `none` all of them.
+
+    Each sigma is one standard deviation per axis. What is called constant is drawn once from the scenario's seed, and
+    a setting changes the size of its own error only, never the draws of another.
+    """
+
+    joint_offset: float = float(np.deg2rad(1.0))
+    """Constant, of each joint: sigma [rad]."""
+    joint_noise: float = float(np.deg2rad(0.1))
+    """From reading to reading: sigma [rad]."""
+    force_noise: float = 0.01
+    """Sigma [N]."""
+    torque_noise: float = 5e-5
+    """Sigma [N m]."""
+    force_bias: float = 0.0
+    """Constant: what calibration has left, sigma [N]."""
+    torque_bias: float = 0.0
+    """[N m]"""
+    force_drift: float = 1e-4
+    """A constant rate at which the bias grows from the first sample on: sigma [N/s]."""
+    torque_drift: float = 5e-7
+    """[N m/s]"""
+    tip_compliance: float = 2e-5
+    """How far a tip gives way to the force on it, which the joints do not tell [m/N]."""
+    camera_position: float = 0.08
+    """Constant: by how much the extrinsic calibration displaces the scene in the table's plane, on average [m]."""
+    camera_height: float = 0.064
+    """Constant: the same along the vertical, sigma [m]; 0 leaves the error in the plane."""
+    camera_rotation: float = float(np.deg2rad(6.0))
+    """Constant: by how much it turns the scene, about the scene's middle, sigma [rad]."""
+    vision_position: float = 0.005
+    """From one seen pose to the next: sigma [m]."""
+    vision_rotation: float = float(np.deg2rad(3.0))
+    """[rad]"""
+    vision_delay: float = 0.02
+    """How much older a seen pose, or an image, is than its stamp says [s]."""
+    depth_noise: float = 1.0
+    """Noise, quantisation, dropout and lost edges of a Kinect's depth, in multiples of what is usual."""
+    object_scale: float = 1.0
+    """Size of the object the robot believes in, in parts of the true one."""
+    object_dent: float = 0.0
+    """Depth of a dent that only the robot's model has [m]."""
+    object_scan: float = 0.0
+    """Above zero, the robot's model is a scanned cloud of 4 000 points with that noise: sigma [m]."""
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            value = float(checks.finite(getattr(self, item.name), item.name, ()))
+            if value < 0:
+                raise InvalidInput(f"{item.name}: expected a number of at least 0, got {value:g}")
+        if not 0.5 <= self.object_scale <= 2:
+            raise InvalidInput(f"object_scale: expected 0.5 to 2, got {self.object_scale:g}")
+
+    @classmethod
+    def none(cls) -> "Nuisances":
+        """Everything as it is."""
+        off = {item.name: 0.0 for item in dataclasses.fields(cls)}
+        return cls(**{**off, "object_scale": 1.0})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """One grasp or manipulation: what, which draw of it, how it is recorded."""
+
+    object: str = "can"
+    """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres, standing along z: its convex hull
+    is what is simulated, closed on until the tips feel it."""
+    seed: int = 0
+    """Of everything that is drawn."""
+    motion: Motion = "grasp"
+    """`grasp`: close, let go of the object, hold for half a second; `manipulate`: then move it over the table, lift it,
+    turn it."""
+    rate: float = 100.0
+    """Observations per second; 500 must be a multiple of it."""
+    images: bool = False
+    """Whether the camera's images come too, 30 a second."""
+    nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
+
+    def __post_init__(self) -> None:
+        if self.object not in ("can", "box"):
+            _check_mesh(self.object)
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
+            raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
+        if self.motion not in get_args(Motion):
+            raise InvalidInput(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
+        rate = checks.positive(self.rate, "rate")
+        steps = STEPS_PER_SECOND / rate
+        if steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+            raise InvalidInput(f"rate: expected a divisor of {STEPS_PER_SECOND} per second, got {rate:g}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipTouch:
+    """A contact of a fingertip as the simulator has it: truth to test with, nothing a robot knows."""
+
+    finger: str
+    point_palm: Array
+    """(3,) on the tip's surface [m]."""
+    force_palm: Array
+    """(3,) of the other body on the tip [N]."""
+    other: str
+    """The geom that touches it: `object`, `table`, or one of the hand's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One instant: what the robot measured, and what is true."""
+
+    observation: Observation
+    T_palm_object: Array
+    """(4, 4) true."""
+    T_world_object: Array
+    """(4, 4) true."""
+    contacts_truth: tuple[TipTouch, ...]
+    """Of all fingertips, with whatever they touch."""
+    phase: Phase
+    """`close`: the fingers close and the object is held in place; `hold`: it is free and the palm is still; `move`."""
+    dropped: bool
+    """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
+    configuration: Array
+    """The simulator's generalized positions, for `render`."""
+
+    @property
+    def forces_object(self) -> Mapping[str, float]:
+        """By finger: how hard the object pushes it [N]."""
+        total: dict[str, Array] = {}
+        for touch in self.contacts_truth:
+            if touch.other == "object":
+                total[touch.finger] = total.get(touch.finger, np.zeros(3)) + touch.force_palm
+        return {finger: float(np.linalg.norm(force)) for finger, force in total.items()}
+
+
+def _check_mesh(name: object) -> None:
+    if not isinstance(name, str) or Path(name).suffix.lower() not in MESHES:
+        raise InvalidInput(
+            f"object: expected can, box or a mesh file ({', '.join(MESHES)}), got {name!r:.80}"
+        )

@@ -1,0 +1,272 @@
+"""The scene in MuJoCo: Shadow hand with ellipsoidal fingertips on six-axis sensors, object, table, camera.
+
+World: the table's top is at height 0, z up; the object stands at the origin until it is moved. The forearm comes from
+-x, so the table ends shortly before the object on that side.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.errors import InvalidObject, MissingExtra
+from handsight.simulation.scenario import LARGEST, STEPS_PER_SECOND
+
+HAND_FILE = "envs/assets/hand/reach.xml"
+"""Within gymnasium-robotics; the only scene of it without an object."""
+PALM = "robot0:palm"
+T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
+"""With the wrist straight."""
+FINGERS = ("ff", "mf", "rf", "lf", "th")
+SENSOR_Z = 0.002
+"""Of a sensor's frame along its distal link [m]."""
+TIP_MASS = 0.004
+"""[kg]"""
+GRAVITY = np.array([0.0, 0.0, -9.81])
+CAN_SIZE, BOX_SIZE, OBJECT_MASS = (0.033, 0.122), (0.060, 0.090, 0.140), 0.15
+"""Radius and height; sides [m]; [kg]."""
+TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
+"""From and to along x, y, z [m]."""
+IMAGE_SIZE, FOCAL_LENGTH = (640, 480), 525.0
+"""Of the camera's images, as a Kinect's [pixels]."""
+FINER = 2
+"""How many times larger, each way, a picture for people is drawn before it is averaged."""
+STIFF = {"solref": [0.01, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
+"""MuJoCo's own softness sinks tips by 0.5 mm and moves what is sensed by 0.2 mm; much stiffer ones drop objects."""
+ON_TABLE = 2
+"""The collision bit of what the table stops: object and fingertips. A draw may lower the palm's edge by some mm into
+the table; it passes through, for it would bend the wrist."""
+HIDDEN = 5
+"""The group of geoms that are not drawn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A compiled scene and where to find things in it; the same for all draws of one object."""
+
+    model: Any
+    """mujoco.MjModel, never changed after this."""
+    joints: dict[str, int]
+    """The hand's, by name: where in qpos."""
+    dofs: dict[str, int]
+    """The same: where in qvel."""
+    servos: dict[str, int]
+    """By the joint's name: where in ctrl."""
+    object_q: int
+    """Where in qpos the object's position and quaternion begin; its velocity in qvel at `object_v`."""
+    object_v: int
+    mount_q: int
+    bodies: dict[str, int]
+    """palm, object, and each finger's tip."""
+    tips: dict[int, str]
+    """Finger by geom."""
+    readings: dict[str, int]
+    """By finger: where in sensordata force and torque begin."""
+    camera: int
+    size_object: Array
+    """(3,) of its bounds [m]."""
+    center_object: Array
+    """(3,) their middle in the object's frame [m]."""
+
+
+def tip_shape(finger: str) -> tuple[Array, float]:
+    """Semi-axes (3,) of a fingertip and its centre's z from the sensor's frame [m]."""
+    if finger == "th":
+        return np.array([0.0105, 0.0105, 0.016]), 0.0175 - SENSOR_Z
+    return np.array([0.009, 0.009, 0.0145]), 0.0165 - SENSOR_Z
+
+
+def mujoco_module() -> Any:
+    """mujoco; raises MissingExtra."""
+    try:
+        import mujoco
+    except ImportError:
+        raise MissingExtra("simulation needs mujoco: pip install 'handsight[sim]'") from None
+    return mujoco
+
+
+@lru_cache(maxsize=8)
+def scene(name: str) -> Scene:
+    """The scene with that object (`can`, `box` or a mesh file).
+
+    Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be
+    used.
+    """
+    mujoco = mujoco_module()
+    spec = mujoco.MjSpec.from_file(str(hand_file()))
+    spec.delete(spec.geom("floor0"))
+    spec.delete(spec.body("floor0"))  # it carries marks of the task that the file is for
+    _set_options(mujoco, spec)
+    _make_tips(mujoco, spec)
+    _let_mount_move(mujoco, spec)
+    _add_table_and_camera(mujoco, spec)
+    bounds = _add_object(mujoco, spec, name)
+    return _addressed(spec.compile(), bounds)
+
+
+def hand_file() -> Path:
+    """Where gymnasium-robotics keeps the hand; raises MissingExtra."""
+    found = find_spec("gymnasium_robotics")  # importing it would print
+    if found is None or found.origin is None:
+        raise MissingExtra("simulation needs gymnasium-robotics: pip install 'handsight[sim]'")
+    return Path(found.origin).parent / HAND_FILE
+
+
+def _set_options(mujoco: Any, spec: Any) -> None:
+    spec.option.gravity = GRAVITY
+    spec.option.timestep = 1 / STEPS_PER_SECOND
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    spec.option.iterations, spec.option.tolerance = 100, 1e-10
+    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+    spec.visual.quality.shadowsize = 1024
+    spec.visual.quality.offsamples = 0  # smoothing by the driver costs five times as much
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = (FINER * side for side in IMAGE_SIZE)
+    spec.stat.extent = 1.0  # what near and far plane are multiples of
+    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
+
+
+def _make_tips(mujoco: Any, spec: Any) -> None:
+    """An ellipsoid on a sensor for each distal link's collision shape: all force on the link goes through it."""
+    worn = {f"robot0:C_{finger}distal" for finger in FINGERS}
+    for pair in list(spec.pairs):
+        if pair.geomname1 in worn or pair.geomname2 in worn:
+            spec.delete(pair)
+    for finger in FINGERS:
+        semi_axes, center_z = tip_shape(finger)
+        spec.delete(spec.geom(f"robot0:C_{finger}distal"))
+        spec.geom(f"robot0:V_{finger}distal").group = HIDDEN
+        tip = spec.body(f"robot0:{finger}distal").add_body(name=f"{finger}_tip", pos=[0, 0, SENSOR_Z])
+        tip.add_geom(
+            name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes,
+            pos=[0, 0, center_z], mass=TIP_MASS, contype=1 | ON_TABLE, conaffinity=0, condim=4,
+            friction=[1.0, 0.005, 0.0001], priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1], **STIFF,
+        )  # fmt: skip
+        tip.add_site(name=f"{finger}_ft")
+        for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
+            name = f"{finger}_{'force' if kind == mujoco.mjtSensor.mjSENS_FORCE else 'torque'}"
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{finger}_ft")
+    # Tips that are no neighbours never meet; the hand's geoms do not collide with one another by themselves.
+    for a, b in (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4])):
+        spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
+
+
+def _let_mount_move(mujoco: Any, spec: Any) -> None:
+    """The hand floats, welded to a mocap body that stands for the arm."""
+    mount = spec.body("robot0:hand mount")
+    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its euler angles win over what is set
+    mount.pos, mount.quat = [0, 0, 0], [1, 0, 0, 0]
+    mount.add_freejoint(name="mount")
+    spec.worldbody.add_body(name="arm", mocap=True)
+    data = np.zeros(mujoco.mjNEQDATA)
+    data[6] = data[10] = 1.0  # identity pose, full weight of the torque
+    spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="arm", name2="robot0:hand mount",
+        data=data, solref=[0.004, 1.0], solimp=[0.99, 0.999, 0.001, 0.5, 2.0],
+    )  # fmt: skip
+    # Arm and hand carry their own weight, as a robot's controller sees to; the tips keep theirs, which sensors feel.
+    for body in spec.bodies:
+        if body.name.startswith("robot0:"):
+            body.gravcomp = 1.0
+
+
+def _add_table_and_camera(mujoco: Any, spec: Any) -> None:
+    for texture in list(spec.textures):
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            spec.delete(texture)
+    spec.add_texture(
+        name="background", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=[0.85, 0.87, 0.9], width=64, height=64,
+    )  # fmt: skip
+    low, high = np.array(TABLE).T
+    spec.worldbody.add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(low + high) / 2, size=(high - low) / 2,
+        contype=0, conaffinity=ON_TABLE, friction=[0.4, 0.005, 0.0001], priority=1,
+        rgba=[0.85, 0.76, 0.64, 1], **STIFF,
+    )  # fmt: skip
+    spec.worldbody.add_camera(
+        name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / FOCAL_LENGTH)))
+    )
+    # Together less than full, or white parts lose their shape.
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
+    spec.light("light0").ambient, spec.light("light0").diffuse = [0.0] * 3, [0.25] * 3
+    spec.worldbody.add_light(
+        pos=[-0.5, 0.6, 1.2], dir=[0.35, -0.45, -0.82], diffuse=[0.4] * 3, castshadow=True
+    )
+
+
+def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
+    """Adds it; its bounds (2, 3) [m]."""
+    body = spec.worldbody.add_body(name="object")
+    body.add_freejoint(name="object")
+    looks: dict[str, Any] = {"rgba": [0.75, 0.12, 0.12, 1]}
+    if name == "can":
+        radius, height = CAN_SIZE
+        bounds = np.array([radius, radius, height / 2]) * np.array([[-1.0], [1.0]])
+        looks |= {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, height / 2, 0]}
+    elif name == "box":
+        bounds = np.array(BOX_SIZE) / 2 * np.array([[-1.0], [1.0]])
+        looks |= {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
+        looks |= {"rgba": [0.15, 0.45, 0.2, 1]}
+    else:
+        vertices, faces = convex_hull(name)
+        bounds = np.asarray([vertices.min(axis=0), vertices.max(axis=0)])
+        spec.add_mesh(name="object", uservert=vertices.ravel(), userface=faces.ravel())
+        looks |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
+    body.add_geom(
+        name="object", mass=OBJECT_MASS, condim=4, friction=[1.0, 0.005, 0.0001], contype=1 | ON_TABLE,
+        conaffinity=1, **looks, **STIFF,
+    )  # fmt: skip
+    return np.asarray(bounds)
+
+
+@lru_cache(maxsize=8)
+def convex_hull(path: str) -> tuple[Array, Any]:
+    """Vertices (k, 3) [m] and faces (m, 3) of a mesh file's convex hull, in the file's frame."""
+    from handsight.objects.files import read_shape
+
+    vertices: Array = read_shape(path).vertices
+    extent = float(np.ptp(vertices, axis=0).max())
+    if not extent <= LARGEST:
+        raise InvalidObject(f"{Path(path).name}: expected metres, at most {LARGEST:g}, got {extent:.3g}")
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError as error:
+        raise InvalidObject(f"{Path(path).name}: expected a body with a volume, got none") from error
+    number = np.zeros(len(vertices), dtype=np.int32)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    corners = vertices[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inside_out = (normals * hull.equations[:, :3]).sum(axis=1) < 0
+    faces = number[np.where(inside_out[:, None], hull.simplices[:, ::-1], hull.simplices)]
+    return vertices[hull.vertices], faces
+
+
+def _addressed(model: Any, bounds: Array) -> Scene:
+    hinges = [model.joint(i) for i in range(model.njnt) if model.joint(i).name.startswith("robot0:")]
+    return Scene(
+        model=model,
+        joints={joint.name: int(joint.qposadr[0]) for joint in hinges},
+        dofs={joint.name: int(joint.dofadr[0]) for joint in hinges},
+        servos={model.actuator(i).name.replace("A_", ""): i for i in range(model.nu)},
+        object_q=int(model.joint("object").qposadr[0]),
+        object_v=int(model.joint("object").dofadr[0]),
+        mount_q=int(model.joint("mount").qposadr[0]),
+        bodies={
+            "palm": model.body(PALM).id,
+            "object": model.body("object").id,
+            **{finger: model.body(f"{finger}_tip").id for finger in FINGERS},
+        },
+        tips={model.geom(f"{finger}_tip").id: finger for finger in FINGERS},
+        readings={finger: int(model.sensor(f"{finger}_force").adr[0]) for finger in FINGERS},
+        camera=model.camera("camera").id,
+        size_object=np.ptp(bounds, axis=0),
+        center_object=bounds.mean(axis=0),
+    )

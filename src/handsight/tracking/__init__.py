@@ -1,0 +1,7 @@
+"""Time: observations to the object's pose in the palm, again and again."""
+
+from handsight.tracking.belief import Belief
+from handsight.tracking.touch import Skin, Touch
+from handsight.tracking.tracker import State, Tracker, TrackerSettings
+
+__all__ = ["Belief", "Skin", "State", "Touch", "Tracker", "TrackerSettings"]

@@ -1,0 +1,190 @@
+"""Images in all encodings become red, green, blue and metres; what is no image is counted, never raised."""
+
+import io
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from recording.bags import START, Messages, read, rig, save, touched
+
+M = Messages()
+RNG = np.random.default_rng(0)
+COLOR = RNG.integers(0, 255, (6, 5, 3), dtype=np.uint8)
+DEPTH_MM = RNG.integers(300, 2000, (6, 5)).astype("<u2")
+DEPTH_MM[2, 3] = 0
+DEPTH = np.where(DEPTH_MM > 0, DEPTH_MM / 1000, np.nan).astype("<f4")
+
+
+def with_images(tmp_path, *messages):
+    """Observations that have an image, and the report."""
+    rows = touched(50)
+    rows += [(topic, START + 0.105, message) for topic, message in messages]
+    observations, recording = read(save(tmp_path, sorted(rows, key=lambda row: row[1])))
+    assert len(observations) == 50
+    return [s for s in observations if s.color is not None or s.depth is not None], recording.report
+
+
+def file_of(pixels, kind="PNG"):
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, kind)
+    return stream.getvalue()
+
+
+def padded(pixels, extra):
+    """Rows with bytes behind them, and their step."""
+    rows = pixels.reshape(len(pixels), -1).view(np.uint8)
+    rows = np.hstack([rows, np.full((len(rows), extra), 77, np.uint8)])
+    return rows.ravel(), rows.shape[1]
+
+
+def stamp():
+    return START + 0.105
+
+
+@pytest.mark.parametrize("extra", [0, 7])
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
+def test_colour_is_red_green_blue(tmp_path, encoding, extra):
+    data, step = padded(COLOR if encoding == "rgb8" else np.ascontiguousarray(COLOR[..., ::-1]), extra)
+    (seen,), _ = with_images(tmp_path, ("/color", M.image(stamp(), COLOR, encoding, data=data, step=step)))
+    np.testing.assert_array_equal(seen.color, COLOR)
+    assert seen.color.dtype == np.uint8
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("extra", [0, 5])
+@pytest.mark.parametrize(
+    ("encoding", "pixels"), [("16UC1", DEPTH_MM), ("mono16", DEPTH_MM), ("32FC1", DEPTH)]
+)
+def test_depth_is_in_metres_with_nan_where_there_is_none(tmp_path, encoding, pixels, big, extra):
+    data, step = padded(pixels.byteswap() if big else pixels, extra)
+    message = M.image(stamp(), pixels, encoding, data=data, step=step, big=big)
+    (seen,), report = with_images(tmp_path, ("/depth", message))
+    np.testing.assert_allclose(seen.depth, DEPTH, atol=1e-6)
+    assert seen.depth.dtype == np.float32
+    assert report.topics["/depth"].used == 1
+
+
+def test_what_is_not_a_distance_is_nan(tmp_path):
+    pixels = np.array([[1.0, 0.0, -1.0, np.inf, -np.inf, np.nan]], "<f4")
+    (seen,), _ = with_images(tmp_path, ("/depth", M.image(stamp(), pixels, "32FC1")))
+    np.testing.assert_array_equal(seen.depth, [[1.0] + [np.nan] * 5])
+
+
+def test_an_image_without_any_depth_is_one(tmp_path):
+    (seen,), _ = with_images(tmp_path, ("/depth", M.image(stamp(), np.zeros((3, 4), "<u2"), "16UC1")))
+    assert np.isnan(seen.depth).all()
+
+
+def test_compressed_colour(tmp_path):
+    (seen,), _ = with_images(
+        tmp_path, ("/color", M.compressed(stamp(), file_of(COLOR), "rgb8; png compressed bgr8"))
+    )
+    np.testing.assert_array_equal(seen.color, COLOR)
+    smooth = np.full((16, 16, 3), (200, 100, 50), np.uint8)
+    (seen,), _ = with_images(tmp_path, ("/color", M.compressed(stamp(), file_of(smooth, "JPEG"), "jpeg")))
+    np.testing.assert_allclose(seen.color.astype(int), smooth, atol=3)
+
+
+def test_compressed_depth(tmp_path):
+    png = file_of(DEPTH_MM)
+    (seen,), _ = with_images(tmp_path, ("/depth", M.compressed(stamp(), png, "16UC1; png")))
+    np.testing.assert_allclose(seen.depth, DEPTH, atol=1e-6)
+    header = struct.pack("<iff", 0, 0, 0)
+    (seen,), _ = with_images(
+        tmp_path, ("/depth", M.compressed(stamp(), header + png, "16UC1; compressedDepth png"))
+    )
+    np.testing.assert_allclose(seen.depth, DEPTH, atol=1e-6)
+
+
+def test_compressed_depth_of_floats_is_the_inverse_of_what_was_stored(tmp_path):
+    """depth = A / (value - B), as compressed_depth_image_transport quantises it."""
+    a, b = 1000.0, -50.0
+    values = np.where(DEPTH_MM > 0, np.round(a / np.nan_to_num(DEPTH, nan=1.0) + b), 0).astype(np.uint16)
+    data = struct.pack("<iff", 0, a, b) + file_of(values)
+    (seen,), _ = with_images(tmp_path, ("/depth", M.compressed(stamp(), data, "32FC1; compressedDepth png")))
+    np.testing.assert_allclose(seen.depth, DEPTH, rtol=2e-3)
+
+
+def huge_png():
+    """A PNG that says it is 60 000 pixels wide and high, in a few bytes."""
+
+    def chunk(kind, body):
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(bytes(100)))
+        + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize(
+    ("topic", "message", "reason"),
+    [
+        (
+            "/depth",
+            M.image(START, (DEPTH * 1000).astype("<f4"), "32FC1"),
+            r"expected depth in metres \(32FC1\), got a median of \d+ \(millimetres\?\)|expected depth in metres .*",
+        ),
+        (
+            "/depth",
+            M.image(START, np.full((6, 5), 2, "<u2"), "16UC1"),
+            r"expected depth in millimetres \(16UC1\), got a median of 2 \(another unit\?\)",
+        ),
+        ("/depth", M.image(START, COLOR, "rgb8"), "expected encoding 16UC1, mono16, 32FC1, got 'rgb8'"),
+        ("/color", M.image(START, DEPTH_MM, "16UC1"), "expected encoding rgb8, bgr8, got '16UC1'"),
+        (
+            "/color",
+            M.image(START, COLOR, "rgb8", data=np.zeros(50, np.uint8), step=15),
+            "expected 6 rows of 15 bytes for 5 x 6 rgb8, got 50 bytes",
+        ),
+        (
+            "/color",
+            M.image(START, COLOR, "rgb8", step=14),
+            "expected 6 rows of 14 bytes for 5 x 6 rgb8, got 90 bytes",
+        ),
+        ("/color", M.compressed(START, b"nothing", "jpeg"), "expected a PNG or JPEG, got: .*"),
+        ("/color", M.compressed(START, file_of(COLOR)[:60], "png"), "expected a PNG or JPEG, got: .*"),
+        ("/color", M.compressed(START, file_of(COLOR, "BMP"), "bmp"), "expected a PNG or JPEG, got: .*"),
+        ("/color", M.compressed(START, huge_png(), "png"), "expected (a PNG or JPEG|at most).*"),
+        (
+            "/depth",
+            M.compressed(START, file_of(COLOR), "png"),
+            "expected a PNG of 16 bits for depth, got mode RGB",
+        ),
+        (
+            "/depth",
+            M.compressed(START, b"12", "16UC1; compressedDepth png"),
+            "expected a header of 12 bytes, got 2 bytes",
+        ),
+        (
+            "/depth",
+            M.compressed(START, b"12", "16UC1; compressedDepth rvl"),
+            "expected compressed depth as PNG, got RVL",
+        ),
+    ],
+)
+def test_an_image_that_cannot_be_used_is_told(tmp_path, topic, message, reason):
+    import re
+
+    observations, report = with_images(tmp_path, (topic, message))
+    assert observations == []
+    assert (report.topics[topic].bad, report.topics[topic].used) == (1, 0)
+    (told,) = report.topics[topic].reasons
+    assert re.fullmatch(reason, told)
+
+
+def test_the_newest_of_several_images_is_taken(tmp_path):
+    rows = touched(20, rate=10.0)
+    rows += [
+        ("/color", START + i / 30, M.image(START + i / 30, np.full((2, 2, 3), i, np.uint8), "rgb8"))
+        for i in range(30)
+    ]
+    observations, _ = read(save(tmp_path, sorted(rows, key=lambda row: row[1])), rig())
+    shown = [int(seen.color[0, 0, 0]) for seen in observations[:10] if seen.color is not None]
+    assert shown == [3 * i for i in range(10)]

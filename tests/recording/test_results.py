@@ -1,0 +1,160 @@
+"""What was tracked, in three formats that others read."""
+
+import csv
+
+import numpy as np
+import pytest
+from rosbags.rosbag2.storage_mcap import McapReader
+from scipy.spatial.transform import Rotation
+
+from handsight import se3
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.observation import Observation, SeenPose
+from handsight.recording import RecordingWriter, TrackRow, write_track_csv, write_track_mcap, write_track_tum
+from recording.bags import START, Messages, rig
+
+RNG = np.random.default_rng(0)
+SIGMAS = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])
+ROWS = [
+    TrackRow(START, None, None, "lost", "no first pose"),
+    TrackRow(START + 0.01, se3.random(RNG), np.diag(SIGMAS**2), "tracking"),
+    TrackRow(START + 0.02, se3.random(RNG), None, "uncertain", "two contacts, no sight"),
+]
+
+
+def check_poses(numbers):
+    """Rows of x y z qx qy qz qw are those of ROWS, by SciPy's reading of the quaternion."""
+    for row, values in zip(ROWS[1:], numbers, strict=True):
+        np.testing.assert_allclose(values[:3], row.T_palm_object[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(
+            Rotation.from_quat(values[3:]).as_matrix(), row.T_palm_object[:3, :3], atol=1e-8
+        )
+
+
+def test_tum(tmp_path):
+    write_track_tum(tmp_path / "a.txt", ROWS)
+    table = np.loadtxt(tmp_path / "a.txt")
+    np.testing.assert_allclose(table[:, 0], [START + 0.01, START + 0.02], atol=1e-6)
+    check_poses(table[:, 1:])
+
+
+def test_csv(tmp_path):
+    write_track_csv(tmp_path / "a.csv", ROWS)
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["state"] for row in rows] == ["lost", "tracking", "uncertain"]
+    assert [row["reason"] for row in rows] == ["no first pose", "", "two contacts, no sight"]
+    assert rows[0]["x"] == ""
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    check_poses([[float(row[name]) for name in names] for row in rows[1:]])
+    sigmas = [float(rows[1][f"sigma_{name}"]) for name in ("x", "y", "z", "rx", "ry", "rz")]
+    np.testing.assert_allclose(sigmas, SIGMAS, rtol=1e-5)
+    assert rows[2]["sigma_x"] == ""
+
+
+def test_mcap(tmp_path):
+    write_track_mcap(tmp_path / "a.mcap", ROWS, frame="hand_palm")
+    reader = McapReader(tmp_path / "a.mcap")
+    reader.open()
+    (connection,) = reader.connections
+    assert (connection.topic, connection.msgtype) == (
+        "/handsight/pose",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+    )
+    found = [
+        Messages().store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages([connection])
+    ]
+    reader.close()
+    assert {message.header.frame_id for message in found} == {"hand_palm"}
+    poses = [message.pose.pose for message in found]
+    check_poses(
+        [
+            [
+                p.position.x,
+                p.position.y,
+                p.position.z,
+                p.orientation.x,
+                p.orientation.y,
+                p.orientation.z,
+                p.orientation.w,
+            ]
+            for p in poses
+        ]
+    )
+    np.testing.assert_allclose(found[0].pose.covariance.reshape(6, 6), np.diag(SIGMAS**2))
+    assert not found[1].pose.covariance.any()
+
+
+@pytest.mark.parametrize("write", [write_track_mcap, write_track_tum, write_track_csv])
+def test_a_folder_that_is_not_there_is_told(tmp_path, write):
+    with pytest.raises(InvalidFile, match=r"none/a: cannot be written: No such file or directory"):
+        write(tmp_path / "none" / "a", ROWS)
+
+
+@pytest.mark.parametrize("write", [write_track_mcap, write_track_tum, write_track_csv])
+def test_no_rows_are_a_file_too(tmp_path, write):
+    write(tmp_path / "a", [])
+    assert (tmp_path / "a").is_file()
+
+
+def test_a_row_is_checked():
+    with pytest.raises(InvalidInput, match="row.stamp: expected a finite number, got nan"):
+        TrackRow(np.nan, None, None, "lost")
+    with pytest.raises(InvalidInput, match="row.T_palm_object: expected shape"):
+        TrackRow(0.0, np.eye(3), None, "tracking")
+    with pytest.raises(InvalidInput, match="row.covariance: expected a positive"):
+        TrackRow(0.0, np.eye(4), -np.eye(6), "tracking")
+
+
+@pytest.mark.parametrize(
+    ("observation", "said"),
+    [
+        (Observation(-1.0), r"stamp: expected seconds from 0 to 2147483648, got -1.0"),
+        (Observation(np.nan), r"stamp: expected seconds"),
+        (Observation(1.0, wrenches={"lf": np.zeros(6)}), r"wrenches: expected fingers ff, th, got 'lf'"),
+        (
+            Observation(1.0, wrenches={"ff": np.full(6, np.nan)}),
+            r"wrenches\['ff'\]: expected 6 finite numbers",
+        ),
+        (
+            Observation(1.0, T_world_palm=np.eye(4)),
+            r"topics.tf: expected a topic in the rig to write to, got none",
+        ),
+        (Observation(1.0, seen=SeenPose(np.eye(4))), r"topics.vision: expected a topic"),
+        (Observation(1.0, depth=np.ones((2, 2), np.float32)), r"topics.depth: expected a topic"),
+        (Observation(1.0, color=np.ones((2, 2, 3), np.uint8)), r"topics.color: expected a topic"),
+    ],
+)
+def test_what_the_rig_has_no_place_for_is_not_written(tmp_path, observation, said):
+    robot = rig(tf=None, vision=None, color=None, depth=None, truth=None)
+    with RecordingWriter(tmp_path / "a.mcap", robot) as writer, pytest.raises(InvalidInput, match=said):
+        writer.write(observation)
+    with (
+        RecordingWriter(tmp_path / "a.mcap", robot) as writer,
+        pytest.raises(InvalidInput, match="topics.truth"),
+    ):
+        writer.write_truth(1.0, np.eye(4))
+
+
+def test_what_was_written_before_an_error_is_kept(tmp_path):
+    with RecordingWriter(tmp_path / "a.mcap", rig()) as writer:
+        writer.write(Observation(1.0, {"j0": 0.0}))
+        with pytest.raises(InvalidInput):
+            writer.write(Observation(-1.0))
+    reader = McapReader(tmp_path / "a.mcap")
+    reader.open()
+    assert reader.metadata.message_count == 1
+    reader.close()
+
+
+def test_a_closed_writer_says_so(tmp_path):
+    writer = RecordingWriter(tmp_path / "a.mcap", rig())
+    writer.close()
+    writer.close()
+    with pytest.raises(InvalidInput, match="expected an open file to write to, got a closed one"):
+        writer.write(Observation(1.0, {"j0": 0.0}))
+
+
+def test_a_folder_is_not_replaced_by_a_file(tmp_path):
+    with pytest.raises(InvalidFile, match="expected a file to write, got a folder"):
+        RecordingWriter(tmp_path, rig())

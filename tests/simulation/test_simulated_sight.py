@@ -1,0 +1,154 @@
+import numpy as np
+import pytest
+
+from handsight import se3
+from handsight.errors import InvalidInput, MissingExtra
+from handsight.simulation import Nuisances, Scenario, looking, model_of, picture, render, rig_of, simulate
+from handsight.simulation.camera import EDGE, FAR, LOOKS_AT, NEAR, STEP, displacement, kinect
+from simulation.simulated import NONE, only, samples
+
+
+def seen_world(sample):
+    """(4, 4) where the robot takes the object to be."""
+    return rig_of(Scenario()).camera.T_mount_camera @ sample.observation.seen.T_frame_object
+
+
+def test_without_nuisances_vision_is_right():
+    for sample in samples():
+        np.testing.assert_allclose(seen_world(sample), sample.T_world_object, atol=1e-12)
+
+
+def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
+    moved = np.array(
+        [se3.apply(displacement(Nuisances(), seed), LOOKS_AT[None])[0] - LOOKS_AT for seed in range(1000)]
+    )
+    np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1).mean(), 0.08, rtol=0.05)
+    np.testing.assert_allclose(moved[:, 2].std(), 0.064, rtol=0.1)
+    turns = [se3.rotation_log(displacement(Nuisances(), seed)[:3, :3]) for seed in range(1000)]
+    np.testing.assert_allclose(np.std(turns), np.deg2rad(6), rtol=0.05)
+
+
+def test_a_wrong_camera_is_wrong_by_one_rigid_motion_of_the_world():
+    nuisances = only(camera_position=0.08, camera_height=0.064, camera_rotation=0.1)
+    T_believed_true = displacement(nuisances, 4)
+    for sample in samples("can", 4, "manipulate", 5.0, nuisances):
+        if sample.observation.seen is not None:
+            np.testing.assert_allclose(
+                seen_world(sample), T_believed_true @ sample.T_world_object, atol=1e-12
+            )
+
+
+def test_white_noise_of_vision_has_the_size_it_is_told():
+    run = samples("can", 0, "manipulate", 10.0, only(vision_position=0.005, vision_rotation=0.05))
+    camera = se3.inverse(rig_of(Scenario()).camera.T_mount_camera)
+    wrong = np.array(
+        [se3.difference(s.observation.seen.T_frame_object, camera @ s.T_world_object) for s in run]
+    )
+    np.testing.assert_allclose(wrong[:, :3].std(axis=0), 0.005, rtol=0.2)
+    np.testing.assert_allclose(wrong[:, 3:].std(axis=0), 0.05, rtol=0.2)
+
+
+def test_a_late_pose_is_that_of_a_moment_ago():
+    run = samples("can", 0, "manipulate", 10.0, only(vision_delay=0.3))
+    for now, then in zip(run[3:], run, strict=False):
+        np.testing.assert_allclose(seen_world(now), then.T_world_object, atol=1e-12)
+
+
+def test_poses_come_ten_times_a_second_and_images_thirty_times():
+    run = list(simulate(Scenario(rate=50.0, nuisances=NONE)))
+    seen = [s.observation.stamp for s in run if s.observation.seen is not None]
+    np.testing.assert_allclose(np.diff(seen), 0.1, atol=1e-9)
+    stream, stamps = simulate(Scenario(rate=50.0, images=True, nuisances=NONE)), []
+    for sample, _ in zip(stream, range(11), strict=False):
+        if sample.observation.color is not None:
+            stamps.append(sample.observation.stamp)
+    stream.close()
+    assert len(stamps) == 7  # within 0.2 s
+    assert np.diff(stamps).max() < 0.05
+
+
+def test_depth_images_show_the_object_where_it_is():
+    nuisances = only(camera_position=0.05, camera_height=0.03, camera_rotation=0.05)
+    scenario = Scenario(object="box", rate=1.0, images=True, nuisances=nuisances)
+    sample = list(simulate(scenario))[-1]
+    rig, model = rig_of(scenario), model_of(scenario)
+    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ displacement(nuisances, 0)
+    T_camera_object = T_camera_world @ sample.T_world_object
+    points, normals = model.sample(4000)
+    points_camera, facing = se3.apply(T_camera_object, points), normals @ T_camera_object[:3, :3].T
+    pixels = points_camera @ rig.camera.intrinsics.T
+    u, v = np.round(pixels[:, :2] / pixels[:, 2:]).astype(int).T
+    bare = (facing * points_camera).sum(axis=1) < -0.3 * points_camera[:, 2]
+    off = sample.observation.depth[v, u] - points_camera[:, 2]
+    assert bare.sum() > 500
+    # The rest is behind fingers, or shares a pixel with an edge.
+    assert np.mean(np.abs(off[bare]) < 0.002) > 0.8
+    assert abs(np.nanmedian(off[bare])) < 1e-4
+    greener = sample.observation.color[v, u][bare].astype(float)
+    assert np.mean(greener[:, 1] > greener[:, 0]) > 0.8
+
+
+def test_depth_of_a_kinect_is_noisy_quantised_and_lost_behind_edges():
+    rng = np.random.default_rng(0)
+    wall = np.full((200, 300), 1.5, dtype=np.float32)
+    wall[60:120, 100:180] = 0.9
+    depth = kinect(wall, 1.0, rng)
+    for z, part in ((1.5, depth[130:]), (0.9, depth[62:118, 102:178])):
+        values = part[np.isfinite(part)]
+        sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2
+        assert np.std(values) == pytest.approx(np.hypot(sigma, STEP * z * z / np.sqrt(12)), rel=0.1)
+        assert 0 < np.isnan(part).mean() < 0.01
+    near = np.unique(depth[62:118, 102:178])
+    np.testing.assert_allclose(np.diff(near[np.isfinite(near)]), STEP * 0.9**2, rtol=0.1)
+    assert np.isnan(depth[62:118, 98:100]).all(), "behind the left edge"
+    assert np.isnan(depth[62:118, 180]).all(), "behind the right edge"
+    assert np.isfinite(depth[62:118, 100]).mean() > 0.95, "the edge itself"
+    assert EDGE < 0.6
+
+
+def test_depth_beyond_its_range_is_none_and_without_noise_exact():
+    depth = np.array([[NEAR / 2, 1.0, 2 * FAR]], dtype=np.float32)
+    np.testing.assert_array_equal(kinect(depth, 0.0, np.random.default_rng(0)), [[np.nan, 1.0, np.nan]])
+
+
+def test_a_picture_shows_the_object_and_a_second_one_where_it_is_told():
+    scenario, sample = Scenario(nuisances=NONE), samples()[-1]
+    view = looking([-0.3, 0.4, 0.3], [0, 0, 0.06])
+    plain = render(scenario, sample, T_world_camera=view).astype(int)
+    assert plain.shape == (480, 640, 3)
+    red = (plain[..., 0] > 2 * plain[..., 1]) & (plain[..., 0] > 60)
+    bare = render(scenario, sample, show_object=False, T_world_camera=view).astype(int)
+    assert red.sum() > 3000
+    assert ((bare[..., 0] > 2 * bare[..., 1]) & (bare[..., 0] > 60)).sum() < 0.02 * red.sum()
+    ghost = se3.moved(sample.T_palm_object, np.array([0.1, 0, 0, 0, 0, 0]))
+    both = render(scenario, sample, ghost=ghost, color=(0.1, 0.1, 0.9, 1.0), T_world_camera=view).astype(int)
+    blue = both[..., 2] > both[..., 0] + 40
+    assert blue.sum() > 3000
+    # The palm's x is up: the second one is higher in the picture.
+    assert np.nonzero(blue)[0].mean() < np.nonzero(red)[0].mean() - 50
+
+
+def test_what_cannot_be_drawn_is_an_error(monkeypatch):
+    sample = samples()[-1]
+    with pytest.raises(InvalidInput, match=r"^at - eye: expected a direction, got a zero vector"):
+        looking([0, 0, 1], [0, 0, 1])
+    short = type(sample)(
+        **{f: getattr(sample, f) for f in sample.__slots__ if f != "configuration"}, configuration=np.zeros(3)
+    )
+    with pytest.raises(
+        InvalidInput, match=r"^sample: expected one of the scenario's \(can\), got another scene's"
+    ):
+        render(Scenario(), short)
+
+    def absent(name):
+        raise ImportError(f"no library for {name}")
+
+    monkeypatch.setattr(picture, "import_module", absent)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    with pytest.raises(
+        MissingExtra, match=r"expected EGL or OSMesa .* got egl: no library for mujoco.egl; osmesa: no"
+    ):
+        render(Scenario(), sample)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(MissingExtra, match=r"got osmesa: no library for mujoco.osmesa$"):
+        next(simulate(Scenario(images=True)))

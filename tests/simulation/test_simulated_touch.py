@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+
+from handsight.contact import compensate
+from handsight.simulation import Nuisances, Scenario, rig_of
+from simulation.simulated import NONE, felt, location_errors, only, samples
+
+SENSOR = {"force_noise": 0.01, "torque_noise": 5e-5}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "tips", "clean", "noisy"), [("can", 5, 60e-6, 200e-6), ("box", 3, 30e-6, 200e-6)]
+)
+def test_a_wrench_tells_where_the_tip_is_touched(kind, tips, clean, noisy):
+    for most, draws, nuisances in ((clean, 20, NONE), (noisy, 8, only(**SENSOR))):
+        errors = [location_errors(samples(kind, seed, nuisances=nuisances)[-1]) for seed in range(draws)]
+        assert np.mean([len(e) for e in errors]) > tips - 0.5
+        assert np.mean(np.concatenate(errors)) < most
+
+
+@pytest.mark.parametrize("kind", ["can", "box"])
+def test_at_rest_a_sensor_feels_the_sum_of_the_forces_on_its_tip(kind):
+    sample = samples(kind)[-1]
+    for finger, (_, force_palm) in felt(sample.observation).items():
+        true = sum((t.force_palm for t in sample.contacts_truth if t.finger == finger), np.zeros(3))
+        np.testing.assert_allclose(force_palm, true, atol=2e-3)
+
+
+def test_an_open_hand_reads_bias_and_weight_alone():
+    rig, first = rig_of(Scenario()), samples()[0]
+    assert not first.contacts_truth
+    for finger, raw in first.observation.wrenches.items():
+        calibration = rig.fingers[finger].calibration
+        # Whatever way gravity points, its force is the tip's weight.
+        unloaded = np.linalg.norm(raw[:3] - calibration.bias_force)
+        assert unloaded == pytest.approx(calibration.mass * 9.81, rel=0.02)
+    assert all(np.linalg.norm(force) < 2e-3 for _, force in felt(first.observation).values())
+
+
+@pytest.mark.parametrize(("kind", "tips"), [("can", 5), ("box", 3)])
+def test_in_the_air_the_tips_carry_the_objects_weight(kind, tips):
+    sample = samples(kind, motion="manipulate")[-1]
+    assert len(sample.forces_object) == tips
+    total_palm = sum(force for _, force in felt(sample.observation).values())
+    total_world = sample.observation.T_world_palm[:3, :3] @ total_palm
+    np.testing.assert_allclose(total_world, [0, 0, -0.15 * 9.81], atol=0.02)
+
+
+def test_bias_and_drift_add_to_what_a_sensor_reads():
+    clean = samples()
+    biased = samples(nuisances=only(force_bias=0.05, torque_bias=2.5e-4))
+    drifting = samples(nuisances=only(force_drift=0.1, torque_drift=1e-3))
+    for finger in "ff", "th":
+        of = [[s.observation.wrenches[finger] for s in run] for run in (clean, biased, drifting)]
+        bias, drift = np.array(of[1]) - of[0], np.array(of[2]) - of[0]
+        np.testing.assert_allclose(bias, np.broadcast_to(bias[0], bias.shape), atol=1e-12)
+        assert 0.005 < np.abs(bias[0, :3]).max() < 0.25
+        stamps = np.array([s.observation.stamp for s in clean])
+        np.testing.assert_allclose(drift, stamps[:, None] * drift[-1] / stamps[-1], atol=1e-12)
+        assert 0.01 < np.abs(drift[-1, :3]).max() < 1
+
+
+def test_sensor_noise_has_the_size_it_is_told():
+    clean, noisy = (samples(rate=100.0, nuisances=n) for n in (NONE, only(**SENSOR)))
+    noise = np.array(
+        [
+            [b.observation.wrenches[f] - a.observation.wrenches[f] for f in a.observation.wrenches]
+            for a, b in zip(clean, noisy, strict=True)
+        ]
+    )
+    np.testing.assert_allclose(noise[..., :3].std(), 0.01, rtol=0.05)
+    np.testing.assert_allclose(noise[..., 3:].std(), 5e-5, rtol=0.05)
+
+
+def test_a_tip_gives_way_to_the_force_on_it_and_the_joints_do_not_tell():
+    compliance = 1e-4
+    hard, soft = samples("can")[-1], samples("can", nuisances=only(tip_compliance=compliance))[-1]
+    rig = rig_of(Scenario())
+    away = [rig.hand.Ts_palm_tip(s.observation.joint_positions) for s in (hard, soft)]
+    for i, (finger, (_, force_palm)) in enumerate(felt(hard.observation).items()):
+        center = rig.fingers[finger].T_frame_surface[:, 3]
+        moved = ((away[0][i] - away[1][i]) @ center)[:3]
+        np.testing.assert_allclose(
+            moved, compliance * force_palm, atol=0.15 * compliance * np.linalg.norm(force_palm)
+        )
+
+
+def test_joints_are_exact_without_nuisances_and_off_by_a_constant_and_noise_with_them():
+    offset, noise = np.deg2rad(1.0), np.deg2rad(0.1)
+    clean = samples(rate=100.0)
+    wrong = samples(rate=100.0, nuisances=only(joint_offset=offset, joint_noise=noise))
+    a, b = (np.array([list(s.observation.joint_positions.values()) for s in run]) for run in (clean, wrong))
+    assert np.abs((b - a).mean(axis=0)).max() < 4 * offset
+    np.testing.assert_allclose((b - a).mean(axis=0).std(), offset, rtol=0.4)
+    np.testing.assert_allclose((b - a).std(axis=0).mean(), noise, rtol=0.1)
+    names = list(clean[0].observation.joint_positions)
+    assert len(names) == 24
+    assert set(names) == set(rig_of(Scenario()).hand.joint_names)
+
+
+def test_a_setting_changes_its_own_error_and_no_other():
+    usual = samples(nuisances=Nuisances())
+    blind = samples(nuisances=Nuisances(joint_offset=0, joint_noise=0, force_noise=0, torque_noise=0))
+    for a, b in zip(usual, blind, strict=True):
+        np.testing.assert_array_equal(a.observation.seen.T_frame_object, b.observation.seen.T_frame_object)
+        np.testing.assert_array_equal(a.T_palm_object, b.T_palm_object)
+    quiet = samples(nuisances=Nuisances(camera_position=0, vision_position=0, vision_delay=0))
+    for a, b in zip(usual, quiet, strict=True):
+        assert a.observation.joint_positions == b.observation.joint_positions
+        np.testing.assert_array_equal(a.observation.wrenches["th"], b.observation.wrenches["th"])
+
+
+def test_compensation_with_the_other_reading_is_far_off():
+    rig, sample = rig_of(Scenario()), samples("can")[-1]
+    calibration = rig.fingers["th"].calibration
+    assert calibration.reading == "on_tip"
+    raw = sample.observation.wrenches["th"]
+    force, _ = compensate(raw[:3], raw[3:], np.zeros(3), calibration)
+    # The thumb is pushed away from the fingers: towards the palm's side, not out of it.
+    assert np.linalg.norm(force) == pytest.approx(sample.forces_object["th"], rel=0.02)
