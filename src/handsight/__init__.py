@@ -80,7 +80,18 @@ _ROOMS = {
     "Rig": "rig",
     "Tracker": "tracking",
 }
-_MODULES = ("checks", "contact", "correction", "errors", "hand", "objects", "observation", "rig", "se3", "tracking")
+_MODULES = (
+    "checks",
+    "contact",
+    "correction",
+    "errors",
+    "hand",
+    "objects",
+    "observation",
+    "rig",
+    "se3",
+    "tracking",
+)
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,6 @@
 """The commands for a robot's recordings: parse, call, print."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -160,10 +161,25 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     Vision's error stays where it is in the world while the palm turns with the object; so the two come apart, and touch
     says where the object is. Printed: the camera's corrected pose for the rig file, and how well it is known.
     """
-    from handsight.track_job import calibrate_camera
+    from handsight.calibrate_job import LITTLE_TURN, calibrate_camera
+    from handsight.rig.writing import pose_text
 
     found, model = _rig_and_object(recording, rig, object)
-    calibrate_camera(recording, found, model).print()
+    calibrated = calibrate_camera(recording, found, model)
+    shift, turn = 1e3 * calibrated.correction[:3], calibrated.correction[3:]
+    sigma = calibrated.covariance.diagonal() ** 0.5
+    print("camera:")
+    print(f"  pose: {pose_text(calibrated.T_mount_camera)}")
+    print(
+        f"# shifted by [{shift[0]:.1f}, {shift[1]:.1f}, {shift[2]:.1f}] mm at the object, turned by", end=" "
+    )
+    print("[{:.2f}, {:.2f}, {:.2f}]°".format(*map(math.degrees, turn)))
+    print("# known to ± [{:.1f}, {:.1f}, {:.1f}] mm,".format(*(1e3 * sigma[:3])), end=" ")
+    print("[{:.2f}, {:.2f}, {:.2f}]° (one standard deviation)".format(*map(math.degrees, sigma[3:])))
+    if calibrated.turned < LITTLE_TURN:
+        say(
+            f"the palm turned by {math.degrees(calibrated.turned):.0f}° only: error and pose are hardly told apart"
+        )
 
 
 def _rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":

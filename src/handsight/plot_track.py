@@ -1,7 +1,8 @@
 """A tracked recording as figure 8 of the paper: where vision saw the object, where it was tracked, where it was."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -10,30 +11,27 @@ from handsight.checks import Array
 from handsight.errors import HandsightError
 from handsight.objects import ObjectModel
 from handsight.plot import require_matplotlib
-from handsight.replay import base_center
-
-if TYPE_CHECKING:
-    from handsight.track_job import Run
+from handsight.replay import Step, Truths, base_center
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000
 STATES = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
 
 
-def draw_track(ended: "Run", model: ObjectModel, path: Path) -> None:
+def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Truths, path: Path) -> None:
     """Writes x, y and z of the base's centre over time to an image file; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
-    times, tracked, seen, true, sigma = _curves(ended, model)
+    times, tracked, seen, true, sigma = _curves(model, steps, truths)
     figure, axes = plt.subplots(
         4, 1, figsize=(9, 9), sharex=True, height_ratios=[3, 3, 3, 0.5], layout="constrained"
     )
-    for k, name in enumerate("xyz"):
+    for k, axis in enumerate("xyz"):
         _coordinate(axes[k], times, tracked[:, k], seen[:, k], true[:, k], sigma)
-        axes[k].set_ylabel(f"{name} [cm]")
-    _states(axes[3], ended)
+        axes[k].set_ylabel(f"{axis} [cm]")
+    _states(axes[3], steps)
     axes[3].set_xlabel("time [s]")
-    world = any(step.T_world_palm is not None for step in ended.steps)
-    axes[0].set_title(f"{ended.name}: centre of the base in the {'world' if world else 'palm'}'s frame")
+    world = any(step.T_world_palm is not None for step in steps)
+    axes[0].set_title(f"{name}: centre of the base in the {'world' if world else 'palm'}'s frame")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     try:
@@ -44,15 +42,17 @@ def draw_track(ended: "Run", model: ObjectModel, path: Path) -> None:
         plt.close(figure)
 
 
-def _curves(ended: "Run", model: ObjectModel) -> tuple[Array, Array, Array, Array, Array]:
+def _curves(
+    model: ObjectModel, all_steps: Sequence[Step], truths: Truths
+) -> tuple[Array, Array, Array, Array, Array]:
     """Times (n,) [s], and (n, 3) [cm] each: base tracked, seen and true (NaN where not known); sigma (n,) [cm]."""
-    every = max(1, len(ended.steps) // MOST_POINTS)
-    steps = [step for k, step in enumerate(ended.steps) if k % every == 0 or step.T_palm_seen is not None]
+    every = max(1, len(all_steps) // MOST_POINTS)
+    steps = [step for k, step in enumerate(all_steps) if k % every == 0 or step.T_palm_seen is not None]
     first = steps[0].stamp if steps else 0.0
     tracked, seen, true = (np.full((len(steps), 3), np.nan) for _ in range(3))
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
-        truth = ended.truths.at(step.stamp)
+        truth = truths.at(step.stamp)
         base = base_center(model, T_world_palm @ (step.estimate.T_palm_object if truth is None else truth))
         for row, T in ((tracked, step.estimate.T_palm_object), (seen, step.T_palm_seen), (true, truth)):
             if T is not None:
@@ -76,15 +76,15 @@ def _coordinate(axes: Any, times: Array, tracked: Array, seen: Array, true: Arra
     axes.grid(alpha=0.3)
 
 
-def _states(axes: Any, ended: "Run") -> None:
+def _states(axes: Any, steps: Sequence[Step]) -> None:
     """A strip in the state's colour."""
-    if not ended.steps:
+    if not steps:
         return
-    first = ended.steps[0].stamp
-    begin, state = first, ended.steps[0].state
-    for step in [*ended.steps[1:], None]:
+    first = steps[0].stamp
+    begin, state = first, steps[0].state
+    for step in [*steps[1:], None]:
         if step is None or step.state != state:
-            end = ended.steps[-1].stamp if step is None else step.stamp
+            end = steps[-1].stamp if step is None else step.stamp
             axes.axvspan(begin - first, end - first, color=STATES[state], lw=0)
             begin, state = end, state if step is None else step.state
     axes.set_yticks([])

@@ -48,7 +48,7 @@ class Tally:
     answered: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     """Observations that were wrong in themselves, by what was said of them."""
-    states: Counter[str] = field(default_factory=Counter)
+    states: dict[str, float] = field(default_factory=dict)
     """Seconds in each state."""
     first: float | None = None
     last: float | None = None
@@ -84,7 +84,7 @@ def replay(
             tally.refused[str(error)] += 1
             continue
         if before is not None:
-            tally.states[tracker.state] += tally.last - before
+            tally.states[tracker.state] = tally.states.get(tracker.state, 0.0) + tally.last - before
         tally.wall = time.perf_counter() - began
         if estimate is None:
             continue

@@ -82,7 +82,9 @@ class Run:
             f"{tally.answered} poses of {tally.observations} observations, {self.corrections} corrections; "
             f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
         ]
-        spent = ", ".join(f"{state} {seconds:.1f} s" for state, seconds in tally.states.most_common())
+        spent = ", ".join(
+            f"{state} {seconds:.1f} s" for state, seconds in sorted(tally.states.items(), key=lambda s: -s[1])
+        )
         if spent:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += [
@@ -180,7 +182,7 @@ def write(ended: Run, rig: Rig, model: ObjectModel, folder: Path) -> Iterator[st
     try:
         from handsight.plot_track import draw_track
 
-        draw_track(ended, model, folder / "track.png")
+        draw_track(ended.name, model, ended.steps, ended.truths, folder / "track.png")
         yield f"wrote {folder / 'track.png'}"
     except MissingExtra as error:
         yield f"no picture: {error}"

@@ -14,6 +14,14 @@ from handsight.hand import Hand
 GOOD = {"knuckle": 0.5, "jaw": 0.01}
 
 
+def depths_in_convex(mesh, points):
+    """How far points are beneath the nearest of a convex mesh's planes."""
+    corners = mesh.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return -np.einsum("mfi,fi->mf", points[:, None] - corners[None, :, 0], normals).max(axis=1)
+
+
 def test_points_lie_as_deep_in_the_shapes_as_asked(robot):
     found = robot.surface(400, shrink=0.002)
     assert found.bodies == ("mount", "turning", "sliding")
@@ -26,12 +34,14 @@ def test_points_lie_as_deep_in_the_shapes_as_asked(robot):
     for i, shape in enumerate(shapes):
         mine = found.body_of == i
         surface = found.points_body[mine] + 0.002 * found.normals[mine]
-        _, off, _ = trimesh.proximity.closest_point(shape, surface)
-        np.testing.assert_allclose(off, 0, atol=1e-12)
-        inside = trimesh.proximity.signed_distance(shape, found.points_body[mine])
-        assert (inside > 0).all()
+        np.testing.assert_allclose(
+            depths_in_convex(shape, surface), 0, atol=1e-8
+        )  # MuJoCo's meshes are float32
+        depths = depths_in_convex(shape, found.points_body[mine])
         # Nearer than asked for only by an edge.
-        assert inside.max() < 0.002 + 1e-7
+        assert depths.min() > 0
+        assert depths.max() < 0.002 + 1e-8
+        assert np.median(depths) > 0.0019
 
 
 def test_points_are_spread_evenly_by_area(robot):
@@ -95,18 +105,19 @@ def test_the_shadow_hands_points_are_inside_its_collision_shapes(shadow_hand, rn
     for name, value in positions.items():
         data.joint(name).qpos[:] = value
     points = se3.apply(shadow_hand.T_world_palm(positions), found.points_palm(positions))
-    wrong = 0
+    depths = []
     for i in range(0, 300, 5):
         data.mocap_pos[0] = points[i]
         mujoco.mj_kinematics(model, data)
         body = model.body(found.bodies[found.body_of[i]])
         geoms = range(body.geomadr[0], body.geomadr[0] + body.geomnum[0])
         touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]] or geoms
-        least = min(
-            mujoco.mj_geomDistance(model, data, model.geom("probe").id, g, 1.0, None) for g in touching
-        )
-        wrong += not -0.02 < least < -0.0008
-    assert wrong == 0
+        probe = model.geom("probe").id
+        depths.append(-min(mujoco.mj_geomDistance(model, data, probe, g, 1.0, None) for g in touching))
+    # By an edge the side is nearer; shapes overlap, and facets are a little inside what is round.
+    assert min(depths) > 0
+    assert np.mean(np.array(depths) > 0.0009) > 0.9
+    assert np.median(depths) == pytest.approx(0.001, abs=1e-4)
 
 
 def test_the_seed_fixes_the_points(robot):

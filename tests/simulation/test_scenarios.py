@@ -20,6 +20,7 @@ from simulation.simulated import only
         ({"seed": -1}, "seed: expected a whole number of at least 0, got -1"),
         ({"seed": 1.5}, "seed: expected a whole number of at least 0, got 1.5"),
         ({"motion": "throw"}, "motion: expected one of grasp, manipulate, got 'throw'"),
+        ({"nuisances": {"force_noise": 0}}, "nuisances: expected Nuisances, got dict"),
         ({"rate": 0}, "rate: expected a number above 0, got 0"),
         ({"rate": 30}, "rate: expected a divisor of 500 per second, got 30"),
         ({"rate": 1000}, "rate: expected a divisor of 500 per second, got 1000"),

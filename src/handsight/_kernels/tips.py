@@ -1,5 +1,7 @@
 """How far fingertips are from one another. Its meaning in NumPy: `handsight.tracking.gaps`."""
 
+from typing import Any
+
 import numpy as np
 
 from handsight._kernels.compiled import entry, inner
@@ -9,7 +11,7 @@ STEPS = 12
 
 
 @inner
-def _support(T, axes, ux, uy, uz):
+def _support(T: Any, axes: Any, ux: float, uy: float, uz: float) -> Any:
     """The point of an ellipsoid that is farthest along u."""
     a = axes[0] * axes[0] * (T[0, 0] * ux + T[1, 0] * uy + T[2, 0] * uz)
     b = axes[1] * axes[1] * (T[0, 1] * ux + T[1, 1] * uy + T[2, 1] * uz)
@@ -24,7 +26,7 @@ def _support(T, axes, ux, uy, uz):
 
 
 @inner
-def _gap(T, axes, T_other, axes_other):
+def _gap(T: Any, axes: Any, T_other: Any, axes_other: Any) -> Any:
     """The widest slab between two ellipsoids: their distance, or minus how far they must be moved apart."""
     ux, uy, uz = T_other[0, 3] - T[0, 3], T_other[1, 3] - T[1, 3], T_other[2, 3] - T[2, 3]
     length = max(np.sqrt(ux * ux + uy * uy + uz * uz), 1e-12)
@@ -45,7 +47,7 @@ def _gap(T, axes, T_other, axes_other):
 
 
 @entry
-def gaps(Ts, semi_axes):
+def gaps(Ts: Any, semi_axes: Any) -> Any:
     """(n,) distance of each ellipsoid (pose (n, 4, 4), semi-axes (n, 3) [m]) to the nearest other one [m]."""
     n = len(Ts)
     out = np.full(n, np.inf)
@@ -54,3 +56,8 @@ def gaps(Ts, semi_axes):
             gap = _gap(Ts[i], semi_axes[i], Ts[j], semi_axes[j])
             out[i], out[j] = min(out[i], gap), min(out[j], gap)
     return out
+
+
+def warm() -> None:
+    """Compiles the kernel, or loads it."""
+    gaps(np.eye(4)[None], np.ones((1, 3)))

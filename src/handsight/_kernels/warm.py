@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import (
+    chain,
     correct,
     field,
     layout,
@@ -16,6 +17,7 @@ from handsight._kernels import (
     nearest_triangle,
     sensing,
     spreading,
+    tips,
     winding,
 )
 
@@ -65,12 +67,18 @@ def _objects() -> None:
         kernels.warm()
 
 
+def _hands() -> None:
+    chain.warm()
+    tips.warm()
+
+
 GROUPS: dict[str, Callable[[], None]] = {
     "corrections from a near pose": _corrections,
     "corrections from many starts": _starts,
     "distance fields": _fields,
     "objects from meshes": _objects,
     "contact sensing": sensing.warm,
+    "hands": _hands,
 }
 
 

@@ -96,7 +96,9 @@ class Recording:
         """What the messages say, as they lie in the file; those that say nothing are counted."""
         wanted, quick = frozenset(self._channels), QuickReader()
         for raw in self._source.messages(wanted):
-            report = self.report.topics[raw.topic]
+            report = self.report.topics.get(raw.topic)
+            if report is None:  # a damaged file may name a topic only where its messages are
+                report = self.report.topics[raw.topic] = TopicReport(raw.topic, raw.type)
             channel = self._channels[raw.topic]
             try:
                 events = decoded(raw, channel, self._rig.frames, quick)
@@ -169,8 +171,9 @@ class Recording:
         expected = TYPES[self._channels[topic].role]
         if there[topic] not in expected:
             return [f"{what} on {topic}: expected {' or '.join(expected)}, got {there[topic] or 'no type'}"]
-        report = self.report.topics[topic]
-        return [f"{what} on {topic}: no message"] if self.report.ended and not report.messages else []
+        report = self.report.topics.get(topic)
+        silent = report is None or not report.messages
+        return [f"{what} on {topic}: no message"] if self.report.ended and silent else []
 
     def _missing_frames(self) -> list[str]:
         topic = str(self._rig.topics.tf)

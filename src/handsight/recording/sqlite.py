@@ -8,6 +8,8 @@ from handsight.errors import InvalidFile
 from handsight.recording.blocks import LARGEST_BLOCK, Raw, Source, normal_type, seconds
 
 MAGIC = b"SQLite format 3\0"
+BROKEN = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file raises; its error messages may themselves be no text."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
 """A view or a virtual table may compute for ever."""
 
@@ -25,7 +27,7 @@ class SqliteSource(Source):
         self._base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
         try:
             self._open()
-        except (sqlite3.Error, InvalidFile) as error:
+        except (*BROKEN, InvalidFile) as error:
             self._base.close()
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
         self.topics = {topic: kind for topic, kind, _ in self._topics.values()}
@@ -54,7 +56,7 @@ class SqliteSource(Source):
             for key, log, data in self._base.execute(query):
                 if isinstance(log, int) and isinstance(data, bytes):
                     yield Raw(*self._topics[key], seconds(log), data)
-        except sqlite3.Error as error:
+        except BROKEN as error:
             self.truncated = self.truncated or f"the file cannot be read to its end ({error})"
 
     def close(self) -> None:

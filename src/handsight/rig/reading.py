@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -205,9 +206,9 @@ def _gravity(world: Node) -> np.ndarray:
     return np.asarray(gravity)
 
 
-def _world_from(world: Node) -> str | None:
-    source = world.one_of("palm_from", ("tf", "joints", "nowhere"), "tf")
-    return None if source == "nowhere" else str(source)
+def _world_from(world: Node) -> Literal["tf", "joints"] | None:
+    known: dict[str, Literal["tf", "joints"] | None] = {"tf": "tf", "joints": "joints", "nowhere": None}
+    return known[world.one_of("palm_from", known, "tf")]
 
 
 def _frames(node: Node | None) -> dict[str, str]:

@@ -63,12 +63,12 @@ def _finger(finger: Finger) -> list[str]:
     T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
     lines = [
         f"frame: {_quoted(finger.frame)}   # the body the tip moves with",
-        f"surface: {_pose(finger.T_frame_surface)}   # the shape's centre in it; the tip points along +z",
+        f"surface: {pose_text(finger.T_frame_surface)}   # the shape's centre in it; the tip points along +z",
         f"tip: {_tip(tip)}",
         f"sigma_point: {_number(finger.sigma_point)}   # calibration, softness: what joints and sensor do not explain",
         f"sigma_normal_deg: {_number(np.rad2deg(finger.sigma_normal))}",
         "sensor:",
-        f"  pose: {_pose(finger.T_frame_surface @ T_surface_sensor)}   # in the frame",
+        f"  pose: {pose_text(finger.T_frame_surface @ T_surface_sensor)}   # in the frame",
         f"  reading: {known.reading}   # a tip at rest reads its weight along gravity: on_sensor; against it: on_tip",
         f"  noise: {{force: {_number(finger.sigma_force)}, torque: {_number(finger.sigma_torque)}}}",
         f"  bias: {{force: {_vector(known.bias_force)}, torque: {_vector(known.bias_torque)}}}",
@@ -98,7 +98,7 @@ def _camera(camera: Camera) -> list[str]:
     position, rotation = camera.sigma_position_constant, np.rad2deg(camera.sigma_rotation_constant)
     lines = [
         f"fixed_to: {camera.on}   # world or palm",
-        f"pose: {_pose(camera.T_mount_camera)}   # of its optical frame (x right, y down, z forward)",
+        f"pose: {pose_text(camera.T_mount_camera)}   # of its optical frame (x right, y down, z forward)",
         f"noise: {{position: {_number(camera.sigma_position)}, "
         f"rotation_deg: {_number(np.rad2deg(camera.sigma_rotation))}}}   # of a seen pose, each time anew",
         f"constant_error: {{position: {_number(position)}, rotation_deg: {_number(rotation)}}}"
@@ -140,7 +140,8 @@ def _object(entry: ObjectEntry) -> str:
     return f"{{mesh: {_quoted(str(entry.mesh))}, scale: {_number(entry.scale)}}}"
 
 
-def _pose(T: Array) -> str:
+def pose_text(T: Array) -> str:
+    """A pose (4, 4) as the rig file writes it."""
     quaternion = se3.quaternion_from_rotation(T[:3, :3])
     return f"{{position: {_vector(T[:3, 3])}, quaternion_xyzw: {_vector(quaternion)}}}"
 

@@ -109,6 +109,8 @@ class Scenario:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
         if self.motion not in get_args(Motion):
             raise InvalidInput(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
+        if not isinstance(self.nuisances, Nuisances):
+            raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
         rate = checks.positive(self.rate, "rate")
         steps = STEPS_PER_SECOND / rate
         if steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:

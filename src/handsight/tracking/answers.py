@@ -15,7 +15,7 @@ EYE_6 = np.eye(6)
 def by_belief(belief: Belief) -> PoseEstimate:
     """The pose without any touch: every direction is open to it."""
     covariance = belief.pose_covariance
-    information = np.linalg.inv(covariance)
+    information: Array = np.linalg.inv(covariance).astype(np.float64)
     none = np.empty(0)
     return PoseEstimate(
         T_palm_object=belief.T_palm_object,

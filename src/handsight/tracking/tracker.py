@@ -239,6 +239,16 @@ class Tracker:
             self.estimate = answers.held(self._last, self._walk * (self._now - self._corrected_at))
             self._held, self._held_at = self._last, self._now
 
+    def vision_error(self) -> tuple[Array, Array] | None:
+        """Vision's constant error (6,) and its covariance (6, 6), by sights and touch together; see `Joint.error`.
+
+        None before anything was seen and touched.
+        """
+        if self.belief is None or self._last is None or self.sight.mount is None:
+            return None
+        joint = self.belief.now.touched(self._last.T_palm_object, self._last.information)
+        return joint.error, joint.covariance[6:, 6:]
+
     @property
     def sigma(self) -> float:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""

@@ -1,0 +1,79 @@
+"""The camera's constant error from a recording: what is left when the palm has turned and touch has spoken."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.recording import open_recording
+from handsight.replay import Tally, replay
+from handsight.rig import Rig
+from handsight.tracking import Tracker
+
+LITTLE_TURN = np.deg2rad(20)
+"""A palm that turned less leaves error and pose mixed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """Where the camera is, by touch."""
+
+    T_mount_camera: Array
+    """(4, 4) its corrected pose in what it is fixed to."""
+    correction: Array
+    """(6,) shift [m] and turn [rad] from the rig's pose to this one, along the mount's axes, about `pivot`."""
+    covariance: Array
+    """(6, 6) of the correction."""
+    pivot: Array
+    """(3,) where the object was first seen, in the mount's frame [m]: there the correction is known best."""
+    turned: float
+    """How far the palm turned in the mount while the object was held [rad]."""
+
+
+def calibrate_camera(path: Path, rig: Rig, model: ObjectModel) -> CameraCalibration:
+    """The constant error of the rig's camera, estimated with the object's pose while the palm turns.
+
+    Raises InvalidInput where the rig has no camera, or the recording no held object that was seen.
+    """
+    if rig.camera is None:
+        raise InvalidInput("camera: expected one in the rig, got none")
+    tracker = Tracker(rig, model)
+    turns: list[Array] = []
+    error: tuple[Array, Array] | None = None
+    with open_recording(path, rig) as recording:
+        for step in replay(recording.observations(), tracker, Tally()):
+            if not step.fingers or not step.estimate.consistent or step.T_palm_seen is None:
+                continue
+            found = tracker.vision_error()
+            if found is not None:
+                error = found
+                T = step.T_world_palm
+                turns.append(np.eye(3) if T is None or rig.camera.on == "palm" else T[:3, :3])
+    if error is None or tracker.belief is None:
+        raise InvalidInput(f"{path}: expected an object that is held and seen, got none")
+    return _calibration(rig.camera.T_mount_camera, error, tracker.belief.pivot, turns)
+
+
+def _calibration(
+    T_mount_camera: Array, error: tuple[Array, Array], pivot: Array, turns: list[Array]
+) -> CameraCalibration:
+    wrong, covariance = error
+    # Vision is off by E, so the camera is where E took it from.
+    E = se3.compose(se3.rotation_exp(wrong[3:]), np.zeros(3))
+    E[:3, 3] = pivot + wrong[:3] - E[:3, :3] @ pivot
+    turned = max(float(np.linalg.norm(se3.rotation_log(turns[0].T @ R))) for R in turns)
+    back = E[:3, :3].T
+    correction = np.concatenate([-back @ wrong[:3], -wrong[3:]])
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = -back
+    return CameraCalibration(
+        T_mount_camera=se3.inverse(E) @ T_mount_camera,
+        correction=correction,
+        covariance=J @ covariance @ J.T,
+        pivot=pivot,
+        turned=turned,
+    )
