@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from hand.hands import SHADOW
+from hand.hands import SHADOW, shadow_file
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 

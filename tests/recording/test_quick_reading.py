@@ -81,7 +81,7 @@ def test_what_is_damaged_is_left_to_the_general_reader_or_is_well_formed(message
 
 def test_memory_does_not_grow_with_the_recording(tmp_path):
     peaks = []
-    for count in (6000, 18000):  # one chunk and a bit, and three
+    for count in (5000, 12000):  # one chunk and a bit, and three
         path = save(tmp_path, touched(count, fingers=("ff",)))
         with open_recording(path, rig()) as recording:
             tracemalloc.start()

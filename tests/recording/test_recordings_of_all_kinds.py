@@ -1,9 +1,13 @@
 """What rosbags' writers wrote is what comes out."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from handsight import se3
+from handsight.errors import MissingExtra
 from handsight.observation import Observation, SeenPose
 from handsight.recording import RecordingWriter, open_recording
 from recording.bags import FINGERS, JOINTS, START, Messages, alone, read, rig, save, sights, touched
@@ -182,3 +186,25 @@ def test_a_stamp_of_today_survives_to_the_last_bit(tmp_path):
             writer.write(Observation(stamp, {"j0": 0.0}))
     observations, _ = read(tmp_path / "a.mcap")
     assert [seen.stamp for seen in observations] == sorted(stamps.tolist())
+
+
+def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
+    from handsight.recording import messages
+
+    path = save(tmp_path, sights(Messages()))
+    messages._typestore.cache_clear()
+    for name in ("rosbags.typesys", "rosbags.rosbag2"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with told(), open_recording(path, rig()) as recording:
+        next(recording.observations())
+    with told():
+        RecordingWriter(tmp_path / "a.mcap", rig())
+
+
+def told():
+    return pytest.raises(MissingExtra, match=r"recordings need rosbags: pip install 'handsight\[robot\]'")
+
+
+def test_importing_brings_nothing_of_ros():
+    code = "import sys, handsight.recording; sys.exit('rosbags' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

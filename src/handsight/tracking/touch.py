@@ -26,6 +26,8 @@ class Touch:
     contacts: Contacts | None
     """In the palm frame; None where no finger touches. Their covariance holds the sensor's noise, the finger's sigmas
     and the joints' errors through the hand's Jacobian."""
+    pressed: tuple[str, ...]
+    """The fingers that something presses, also those whose reading is not trusted as one contact."""
     reasons: Mapping[str, str]
     """Why each of the other fingers has no contact: silent (no reading), near_tip, or a `Reason` of its wrench."""
 
@@ -58,7 +60,7 @@ class Skin:
     def touch(self, observation: Observation) -> Touch:
         """What is felt; nothing where joints are missing. Raises InvalidInput for joints that are wrong."""
         if observation.joint_positions is None:
-            return Touch((), None, dict.fromkeys(self.names, "no joint positions"))
+            return Touch((), None, (), dict.fromkeys(self.names, "no joint positions"))
         pose = self.rig.hand.kinematics(observation.joint_positions)
         Ts_palm_surface = pose.Ts_palm_tip[self._tips] @ self._Ts_tip_surface
         forces, torques = self._loads(observation, Ts_palm_surface)
@@ -77,12 +79,15 @@ class Skin:
                 felt.append((i, found))
             else:
                 reasons[name] = found.reason
+        pressed = tuple(self.names[i] for i, _ in felt)
         if felt:
             felt = self._apart(felt, Ts_palm_surface, reasons)
         if not felt:
-            return Touch((), None, reasons)
+            return Touch((), None, pressed, reasons)
         rows = [i for i, _ in felt]
-        return Touch(tuple(self.names[i] for i in rows), self._placed(felt, Ts_palm_surface, pose), reasons)
+        return Touch(
+            tuple(self.names[i] for i in rows), self._placed(felt, Ts_palm_surface, pose), pressed, reasons
+        )
 
     def _loads(self, observation: Observation, Ts_palm_surface: Array) -> tuple[Array, Array]:
         """What the object exerts on each tip, (n, 3) each, in its sensor's frame; NaN where a sensor is silent.

@@ -1,0 +1,173 @@
+"""Simulated grasps as problems of one instant: what the robot knows at the end of a grasp, and the truth.
+
+Contacts come from raw wrenches and joints, through the rig's own calibration; vision is the seen pose carried
+into the palm, as uncertain as the rig says (its constant error and its noise). A grasp that dropped the object, or
+touches it with no finger, is counted and told; nothing else is left out, and never for what a correction made
+of it.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import count
+
+import numpy as np
+
+import handsight as hs
+from handsight import se3
+from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
+from handsight.tracking import Belief, Skin, Touch
+from handsight.tracking.table import on_table
+
+OBJECTS = ("can", "box")
+OUTSIDE = 220
+"""Points of the hand's surface, shrunk by 1.5 mm, that cannot be inside the object."""
+INSTANTS = 10.0
+"""Observations a second of a grasp: only its last one is used."""
+SEEDS_APART = 10_000
+"""Between the grasps of one `--seed` and the next."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One grasp at its last instant."""
+
+    scenario: Scenario
+    sample: Sample
+    model: hs.ObjectModel
+    """What the robot takes the object for."""
+    touch: Touch
+    vision: hs.PosePrior
+    standing: hs.PosePrior
+    """The same, given that the object stands on the table."""
+    outside: np.ndarray
+    """(220, 3) points of the hand in the palm [m]."""
+
+    @property
+    def contacts(self):
+        """In the palm."""
+        return self.touch.contacts
+
+
+@cache
+def rig():
+    """The robot as it knows itself; the same for both objects and all nuisances."""
+    return rig_of(Scenario())
+
+
+@cache
+def skin():
+    """Its fingertips."""
+    return Skin(rig())
+
+
+@cache
+def surface():
+    """Its links, without the tips, which touch the object."""
+    return rig().hand.surface(OUTSIDE, without=skin().frames)
+
+
+def last_instant(scenario):
+    """The sample at the end of a grasp."""
+    *_, last = simulate(scenario)
+    return last
+
+
+def seen_in_palm(observation):
+    """T_palm_object (4, 4) as vision has it."""
+    T_world_object = rig().camera.T_mount_camera @ observation.seen.T_frame_object
+    return se3.inverse(observation.T_world_palm) @ T_world_object
+
+
+def vision_prior(observation):
+    """The seen pose with the camera's constant error and noise as its covariance."""
+    camera = rig().camera
+    position = camera.sigma_position**2 + camera.sigma_position_constant**2
+    rotation = camera.sigma_rotation**2 + camera.sigma_rotation_constant**2
+    return hs.PosePrior(seen_in_palm(observation), np.diag([position] * 3 + [rotation] * 3))
+
+
+def standing(prior, model, T_world_palm):
+    """The prior given that the object stands on the table; as it was where that contradicts it."""
+    no_error = 1e-6 * np.eye(6)
+    joint = Belief.begun(prior.T_palm_object, prior.covariance, no_error, np.zeros(3)).now
+    stood = on_table(joint, model, rig().table, T_world_palm)
+    return prior if stood is None else hs.PosePrior(stood.T_palm_object, stood.covariance[:6, :6])
+
+
+def trial_of(scenario, sample, model=None):
+    """The problem of a sample; None where no finger touches. `model`: as the robot has it, if it is at hand."""
+    observation = sample.observation
+    touch = skin().touch(observation)
+    if touch.contacts is None:
+        return None
+    model = model_of(scenario) if model is None else model
+    vision = vision_prior(observation)
+    stood = standing(vision, model, observation.T_world_palm)
+    outside = surface().points_palm(observation.joint_positions)
+    return Trial(scenario, sample, model, touch, vision, stood, outside)
+
+
+@cache
+def exact_model(name):
+    """The object as it is."""
+    return model_of(Scenario(object=name))
+
+
+def grasps(name, number, first, left_out):
+    """`number` trials of that object with usual nuisances, by seeds from `first` on.
+
+    `left_out` counts why a seed gave none.
+    """
+    found = 0
+    for seed in count(first):
+        if found == number or seed - first > 3 * number:
+            return
+        scenario = Scenario(object=name, seed=seed, rate=INSTANTS)
+        sample = last_instant(scenario)
+        trial = None if sample.dropped else trial_of(scenario, sample, exact_model(name))
+        if trial is None:
+            left_out["dropped" if sample.dropped else "untouched"] += 1
+            continue
+        found += 1
+        yield trial
+
+
+def again(trial, **nuisances):
+    """The same grasp with other nuisances; None where no finger touches."""
+    changed = replace(trial.scenario, nuisances=replace(trial.scenario.nuisances, **nuisances))
+    return trial_of(changed, last_instant(changed), trial.model)
+
+
+def silent(trial):
+    """How many fingers of the truth were left out of the contacts, by reason."""
+    pushed = trial.sample.forces_object
+    return Counter(reason for name, reason in trial.touch.reasons.items() if pushed.get(name, 0.0) > 0.1)
+
+
+def sensing_errors(scenario, draws, rng):
+    """How far contacts are from the simulator's [m]: without any noise, and with 10 mN and 0.05 mN m.
+
+    Of tips that touch the object and nothing else and that no other tip may touch, joints exact: sensing alone.
+    """
+    sample = last_instant(replace(scenario, nuisances=Nuisances.none()))
+    usual = Nuisances()
+    sigma = np.repeat([usual.force_noise, usual.torque_noise], 3)
+    clean = _misplaced(sample, sample.observation)
+    noisy = []
+    for _ in range(draws):
+        wrenches = {
+            name: wrench + sigma * rng.normal(size=6) for name, wrench in sample.observation.wrenches.items()
+        }
+        noisy += _misplaced(sample, replace(sample.observation, wrenches=wrenches))
+    return clean, noisy
+
+
+def _misplaced(sample, observation):
+    touch = skin().touch(observation)
+    found = []
+    for i, finger in enumerate(touch.fingers):
+        truths = [t for t in sample.contacts_truth if t.finger == finger]
+        if len(truths) == 1 and truths[0].other == "object":
+            found.append(float(np.linalg.norm(touch.contacts.points_palm[i] - truths[0].point_palm)))
+    return found
