@@ -1,0 +1,84 @@
+"""The corrections that section III compares, each run on a simulated grasp: a row of errors a method."""
+
+import functools
+
+import handsight as hs
+import report
+from grasp_errors import open_sigma, pose_errors, region
+from grasp_trials import exact_model
+
+SAMPLES = 4000
+WEIGHTS_CM = (1, 2, 5, 10)
+"""Of the paper's normals, w_n."""
+LEAST_FINGERS = 2
+"""The paper's method asks for; with fewer vision's pose stays."""
+PAPER = {
+    "paper-gd, w_n 10 cm": hs.PaperMethod(optimizer="gd"),
+    "paper-lm, no normals": hs.PaperMethod(normals=False),
+    **{f"paper-lm, w_n {w} cm": hs.PaperMethod(w_n=w / 100) for w in WEIGHTS_CM},
+}
+OURS = {
+    f"{name}{', outside' * outside}{', table' * table}": (samples, outside, table)
+    for name, samples in (("maximum", 0), ("mean", SAMPLES))
+    for outside in (False, True)
+    for table in (False, True)
+}
+"""Samples, whether points of the hand are evidence, whether the table is."""
+
+
+@functools.cache
+def warm():
+    """Compiles what is compiled at its first call, so that times are of corrections."""
+    model = hs.ObjectModel.box((0.06, 0.09, 0.14))
+    points, normals = model.sample(4)
+    contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
+    prior = hs.PosePrior.from_sigmas([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], 0.05, 0.1)
+    for outside in (None, points):
+        hs.correct_pose(model, contacts, vision=prior, outside=outside, samples=100)
+        hs.correct_pose(model, contacts, vision=prior, outside=outside)
+    hs.correct_pose(model, contacts, vision=prior, method="paper-lm")
+
+
+def rows_of(trial, methods):
+    """A row for each of the methods (names of `PAPER` and `OURS`), vision's errors beside its own."""
+    warm()
+    return [_row(trial, name, *_answered(trial, name)) for name in methods]
+
+
+def _answered(trial, name):
+    """Estimate and seconds; None where the paper's method has too few fingers."""
+    if name in PAPER:
+        if len(trial.contacts) < LEAST_FINGERS:
+            return None, 0.0
+        return report.timed(
+            lambda: hs.correct_pose(trial.model, trial.contacts, vision=trial.vision, method=PAPER[name])
+        )
+    samples, outside, table = OURS[name]
+    return report.timed(
+        lambda: hs.correct_pose(
+            trial.model,
+            trial.contacts,
+            vision=trial.standing if table else trial.vision,
+            outside=trial.outside if outside else None,
+            samples=samples,
+        )
+    )
+
+
+def _row(trial, name, estimate, seconds):
+    exact, sample = (
+        exact_model(trial.scenario.object),
+        trial.sample,
+    )  # whatever the robot takes the object for
+    key = {"object": trial.scenario.object, "seed": trial.scenario.seed, "method": name}
+    key |= {"contacts": len(trial.contacts), "answered": estimate is not None}
+    if estimate is None:
+        errors = pose_errors(exact, trial.vision.T_palm_object, sample)
+        return key | errors | {f"vision {k}": v for k, v in errors.items()}
+    row = key | pose_errors(exact, estimate.T_palm_object, sample, estimate.unobservable)
+    seen = pose_errors(exact, trial.vision.T_palm_object, sample, estimate.unobservable)
+    row |= {f"vision {k}": v for k, v in seen.items()}
+    row |= {"iterations": estimate.iterations, "ms": 1e3 * seconds, "consistent": estimate.consistent}
+    if name in OURS:
+        row |= {"open sigma": open_sigma(exact, estimate)} | region(exact, estimate, sample.T_palm_object)
+    return row

@@ -1,0 +1,104 @@
+"""An object that is moved, lifted and turned in the hand: the pose over time, as the paper's Fig. 8 has it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import handsight as hs
+from grasp_errors import pose_errors
+from grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
+from grasp_trials import OUTSIDE, exact_model, rig, seen_in_palm, skin, vision_prior
+from handsight import se3
+from handsight.replay import Step, Tally, replay
+from handsight.simulation import Sample, Scenario, simulate
+from handsight.tracking import Tracker, TrackerSettings
+
+RATE = 50.0
+"""Observations a second; vision sees ten times a second."""
+LAST = 2 / 3
+"""Errors are taken from this share of a run on: by then the palm has turned by 75 degrees."""
+PAPER_TRACKED = "paper-lm, w_n 5 cm"
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """How a tracker is set up."""
+
+    outside: bool = False
+    samples: int = 0
+    table: bool = True
+
+
+TRACKED = {
+    "maximum": Tracked(table=False),
+    "maximum, table": Tracked(),
+    "maximum, outside, table": Tracked(outside=True),
+}
+WITH_MEAN = TRACKED | {"mean, outside, table": Tracked(outside=True, samples=SAMPLES)}
+"""The mean takes 20 s a run."""
+
+
+def recorded(name, seed):
+    """All samples of a manipulation."""
+    return list(simulate(Scenario(object=name, seed=seed, motion="manipulate", rate=RATE)))
+
+
+def tracked(name, samples, how) -> list[Step]:
+    """The tracker's answers to a run."""
+    robot = rig() if how.table else replace(rig(), table=None)
+    settings = TrackerSettings(outside=OUTSIDE if how.outside else 0, samples=how.samples)
+    tracker = Tracker(robot, exact_model(name), settings=settings)
+    return list(replay((sample.observation for sample in samples), tracker, Tally()))
+
+
+def turned(samples: list[Sample]):
+    """The largest turn of the palm between two instants of a run [°], as far as its first one tells."""
+    first = samples[0].observation.T_world_palm[:3, :3]
+    turns = [se3.rotation_log(s.observation.T_world_palm[:3, :3] @ first.T) for s in samples]
+    return float(np.rad2deg(np.linalg.norm(turns, axis=1).max()))
+
+
+def run_rows(name, seed, ways):
+    """A row a method: mean errors over the last third of a run, where vision saw; None where it was dropped."""
+    samples = recorded(name, seed)
+    if samples[-1].dropped:
+        return None
+    model, turn = exact_model(name), turned(samples)
+    late = {s.observation.stamp: s for s in samples[int(LAST * len(samples)) :] if s.observation.seen}
+    rows = []
+    for method, how in ways.items():
+        steps = [step for step in tracked(name, samples, how) if step.stamp in late]
+        found = [
+            (step.estimate.T_palm_object, step.estimate.unobservable, late[step.stamp]) for step in steps
+        ]
+        rows.append(_run_row(model, method, found, [step.fingers for step in steps]))
+    found, iterations = by_paper(model, samples)
+    last = [one for one in found if one[2].observation.stamp in late]
+    rows.append(_run_row(model, PAPER_TRACKED, last, []) | {"iterations": float(np.mean(iterations))})
+    return [{"object": name, "seed": seed, "palm turned": turn, **row} for row in rows]
+
+
+def by_paper(model, samples):
+    """The paper's method whenever vision sees: (pose in the palm, no directions, sample) each, and the iterations."""
+    found, iterations = [], []
+    for sample in samples:
+        if sample.observation.seen is None:
+            continue
+        T = seen_in_palm(sample.observation)
+        contacts = skin().touch(sample.observation).contacts
+        if contacts is not None and len(contacts) >= LEAST_FINGERS:
+            vision = vision_prior(sample.observation)
+            estimate = hs.correct_pose(model, contacts, vision=vision, method=PAPER[PAPER_TRACKED])
+            T = estimate.T_palm_object
+            iterations.append(estimate.iterations)
+        found.append((T, (), sample))
+    return found, iterations
+
+
+def _run_row(model, method, found, fingers):
+    """Mean errors of (pose, open directions, sample) each, and of vision's."""
+    ours = [pose_errors(model, T, sample, directions) for T, directions, sample in found]
+    seen = [pose_errors(model, seen_in_palm(s.observation), s, directions) for _, directions, s in found]
+    row = {"method": method, **{key: float(np.mean([e[key] for e in ours])) for key in ours[0]}}
+    row |= {f"vision {key}": float(np.mean([e[key] for e in seen])) for key in seen[0]}
+    return row | {"contacts": float(np.mean([len(f) for f in fingers])) if fingers else float("nan")}

@@ -1,0 +1,79 @@
+"""What section III's repetition should reach, and whether it did."""
+
+import numpy as np
+
+REMOVED = (
+    # object, experiment, method, least share removed [%], most error as read [mm]
+    ("can", "instant", "maximum", 95, 4.0),
+    ("box", "instant", "mean, outside, table", 90, None),
+    ("box", "instant", "mean, outside", 87, None),
+    ("box", "time", "mean, outside, table", 94, None),
+)
+SEEN = 95
+"""Least share of vision's error removed in the directions that contacts can see [%]."""
+SENSING = {("can", "clean"): 60, ("box", "clean"): 30, ("can", "noisy"): 200, ("box", "noisy"): 200}
+"""Most mean error of a contact's location [µm]."""
+REGIONS = {"in 50%": (45, 60), "in 95%": (90, 98)}
+"""Share of truths in the stated regions [%]."""
+HONEST = {"can": ("maximum", "maximum, table"), "box": ("maximum", "mean, outside", "mean, outside, table")}
+WHEN = {"instant": "one instant", "time": "over time"}
+
+
+def judged(found):
+    """A line a target: what, what was wanted, what was found, whether it is met."""
+    return [*_paper(found), *_removed(found), *_seen(found), *_sensing(found), *_regions(found)]
+
+
+def _line(target, wanted, value, met):
+    return {"target": target, "wanted": wanted, "found": value, "met": bool(met)}
+
+
+def _of(lines, method):
+    return next((line for line in lines if line["method"] == method), None)
+
+
+def _paper(found):
+    for key, vision in (("instant", "vision wrong in 3-D"), ("plane", "vision right in height")):
+        line = _of(found[key]["can"], "paper-lm, w_n 5 cm")
+        if line:
+            mm = line["read"][0]
+            yield _line(f"can, paper-lm, w_n 5 cm, {vision}", "20-30 mm", f"{mm:.1f} mm", 20 <= mm <= 30)
+
+
+def _removed(found):
+    for name, when, method, least, most in REMOVED:
+        line = _of(found[when][name], method)
+        if line is None:
+            continue
+        share, mm = line["read removed"][0], line["read"][0]
+        wanted = f"≥ {least} %" + (f", ≤ {most:g} mm" if most else "")
+        met = share >= least and (most is None or mm <= most)
+        yield _line(f"{name}, {WHEN[when]}, {method}", wanted, f"{share:.1f} %, {mm:.1f} mm", met)
+
+
+def _seen(found):
+    for name in found["instant"]:
+        share = _of(found["instant"][name], "maximum")["seen removed"][0]
+        yield _line(
+            f"{name}, one instant, observable directions", f"≥ {SEEN} %", f"{share:.1f} %", share >= SEEN
+        )
+
+
+def _sensing(found):
+    for (name, noise), most in SENSING.items():
+        um = 1e6 * float(np.mean(found["sensing"][name][noise]))
+        yield _line(f"{name}, contact sensing, {noise}", f"≤ {most} µm", f"{um:.0f} µm", um <= most)
+
+
+def _regions(found):
+    for name, methods in HONEST.items():
+        for method in methods:
+            line = _of(found["instant"][name], method)
+            for key, (low, high) in REGIONS.items():
+                share = 100 * line[key]
+                yield _line(
+                    f"{name}, one instant, {method}, truths {key.replace('%', ' %')}",
+                    f"{low}-{high} %",
+                    f"{share:.0f} %",
+                    low <= share <= high,
+                )

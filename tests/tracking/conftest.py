@@ -1,0 +1,28 @@
+"""Short grasps, simulated once for all tests of tracking."""
+
+import pytest
+
+pytest.importorskip("gymnasium_robotics", reason="the simulated hand needs handsight[sim]")
+
+from handsight.simulation import Scenario, model_of, rig_of, simulate
+
+
+class Grasp:
+    """A scenario's samples with what the robot believes of itself and the object."""
+
+    def __init__(self, scenario):
+        self.samples = list(simulate(scenario))
+        self.rig, self.model = rig_of(scenario), model_of(scenario)
+        self.observations = [sample.observation for sample in self.samples]
+        self.held = [sample.observation for sample in self.samples if sample.phase == "hold"]
+        self.T_palm_object = self.samples[-1].T_palm_object
+
+
+@pytest.fixture(scope="session")
+def can():
+    return Grasp(Scenario(object="can", seed=11, motion="grasp", rate=50))
+
+
+@pytest.fixture(scope="session")
+def box():
+    return Grasp(Scenario(object="box", seed=12, motion="grasp", rate=50))

@@ -1,0 +1,294 @@
+"""A tracker holds, corrects when there is something new, and says when it does not know."""
+
+import gc
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.observation import SeenPose
+from handsight.replay import error_of
+from handsight.tracking import Skin, Tracker, TrackerSettings
+
+
+def tracked(grasp, **settings):
+    tracker = Tracker(grasp.rig, grasp.model, settings=TrackerSettings(**settings))
+    for seen in grasp.observations:
+        tracker.update(seen)
+    return tracker
+
+
+def later(observation, by, **changes):
+    return replace(observation, stamp=observation.stamp + by, seen=None, **changes)
+
+
+def base_error(grasp, T):
+    return error_of(grasp.model, T, grasp.T_palm_object, grasp.observations[-1].T_world_palm)[0]
+
+
+def test_a_can_is_where_touch_says_it_is(can):
+    tracker = tracked(can)
+    sights = [o for o in can.observations if o.seen is not None]
+    seen = [base_error(can, tracker.sight.in_palm(o, o.T_world_palm)) for o in sights]
+    assert tracker.state == "tracking", tracker.reason
+    assert base_error(can, tracker.estimate.T_palm_object) < min(0.004, np.mean(seen))
+
+
+def test_a_box_between_two_faces_is_said_to_be_uncertain(box):
+    """Its slide along the gripped faces is open; the rest is known."""
+    tracker = tracked(box)
+    assert tracker.state == "uncertain"
+    assert "known to" in tracker.reason
+    off = se3.difference(tracker.estimate.T_palm_object, box.T_palm_object)
+    assert off @ np.linalg.solve(tracker.estimate.covariance, off) < 22.5  # 99.9 % of six numbers
+
+
+def test_nothing_is_answered_before_anything_is_known(can):
+    tracker = Tracker(can.rig, can.model)
+    assert tracker.state == "lost"
+    assert tracker.update(replace(can.observations[0], seen=None)) is None
+    assert (tracker.state, tracker.reason) == ("lost", "no pose yet: neither a start nor vision")
+
+
+def test_a_start_named_by_the_user_needs_no_vision(can):
+    off = se3.moved(can.T_palm_object, np.array([0.02, -0.01, 0.02, 0.1, 0.1, 0]))
+    start = hs.PosePrior.from_sigmas(off, 0.03, 0.2)
+    tracker = Tracker(can.rig, can.model, start=start)
+    for seen in can.held:
+        tracker.update(replace(seen, seen=None))
+    assert tracker.state == "tracking", tracker.reason
+    assert base_error(can, tracker.estimate.T_palm_object) < 0.004
+
+
+def test_the_pose_is_held_while_nothing_changes_and_is_less_and_less_sure(box):
+    tracker = tracked(box)
+    last, corrections = box.observations[-1], tracker.corrections
+    before = tracker.estimate
+    for k in range(1, 20):
+        after = tracker.update(later(last, 0.1 * k))
+    assert tracker.corrections == corrections
+    np.testing.assert_array_equal(after.T_palm_object, before.T_palm_object)
+    growth = np.diagonal(after.covariance - before.covariance)
+    np.testing.assert_allclose(growth[:3], 1.9 * tracker.settings.walk_position**2, rtol=0.05)
+    np.testing.assert_allclose(after.covariance @ after.information, np.eye(6), atol=1e-6)
+
+
+def test_a_finger_that_lets_go_is_a_reason_to_correct(can):
+    tracker = tracked(can)
+    last, corrections = can.observations[-1], tracker.corrections
+    tracker.update(later(last, 0.02))
+    assert tracker.corrections == corrections
+    finger = tracker.touch.fingers[0]
+    silent = {name: value for name, value in last.wrenches.items() if name != finger}
+    tracker.update(later(last, 0.04, wrenches=silent))
+    assert tracker.corrections == corrections + 1
+    assert tracker.touch.reasons[finger] == "silent"
+
+
+def test_vision_is_a_reason_to_correct(can):
+    tracker = tracked(can)
+    last, corrections = can.observations[-1], tracker.corrections
+    sight = next(o.seen for o in reversed(can.observations) if o.seen is not None)
+    tracker.update(replace(later(last, 0.02), seen=sight))
+    assert tracker.corrections == corrections + 1
+
+
+def test_a_set_rate_is_kept(can):
+    tracker = tracked(can, rate=10.0)
+    last, corrections = can.observations[-1], tracker.corrections
+    for k in range(1, 101):
+        tracker.update(later(last, 0.01 * k))
+    assert tracker.corrections - corrections in (10, 11)
+
+
+def test_a_lifted_finger_is_remembered_for_a_while(can):
+    tracker = tracked(can, memory=1.0)
+    last, finger = can.observations[-1], tracker.touch.fingers[0]
+    silent = {name: value for name, value in last.wrenches.items() if name != finger}
+    tracker.update(later(last, 0.5, wrenches=silent))
+    assert [kept.finger for kept in tracker._memory.besides(tracker.touch)] == [finger]
+    assert len(tracker.estimate.residuals.distance) == len(tracker.touch.fingers) + 1
+    tracker.update(later(last, 1.6, wrenches=silent))
+    assert tracker._memory.besides(tracker.touch) == []
+    tracker.update(later(last, 1.7))
+    assert finger in tracker.touch.fingers
+
+
+def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
+    tracker = tracked(can, memory=100.0)
+    last, finger = can.observations[-1], tracker.touch.fingers[0]
+    kept = tracker._memory._felt[finger]
+    i = kept.touch.fingers.index(finger)
+    points = kept.touch.contacts.points_palm.copy()
+    points[i] += 0.03 * kept.touch.contacts.normals_palm[i]
+    wrong = hs.Contacts(points, kept.touch.contacts.normals_palm, covariance=kept.touch.contacts.covariance)
+    silent = {name: value for name, value in last.wrenches.items() if name != finger}
+    tracker._memory._felt[finger] = replace(kept, touch=replace(kept.touch, contacts=wrong))
+    tracker.update(later(last, 0.1, wrenches=silent))
+    assert tracker._memory.besides(tracker.touch) == []
+
+
+def test_an_object_that_nothing_holds_stays_where_it_is_in_the_world(can):
+    tracker = Tracker(can.rig, can.model)
+    first = can.observations[0]
+    free = {name: can.rig.fingers[name].calibration for name in can.rig.fingers}
+    unloaded = {name: np.concatenate([c.bias_force, c.bias_torque]) for name, c in free.items()}
+    tracker.update(replace(first, wrenches=unloaded))
+    before = first.T_world_palm @ tracker.estimate.T_palm_object
+    T = se3.moved(first.T_world_palm, np.array([0.1, -0.05, 0.2, 0.3, 0.1, -0.2]))
+    tracker.update(later(first, 0.1, T_world_palm=T, wrenches=unloaded))
+    np.testing.assert_allclose(T @ tracker.estimate.T_palm_object, before, atol=1e-9)
+    assert tracker.reason == "nothing is touched: the pose is vision's"
+
+
+def test_an_observation_that_comes_late_changes_nothing_and_is_counted(can):
+    tracker = tracked(can)
+    before = tracker.estimate
+    assert tracker.update(can.observations[3]) is before
+    assert tracker.late == 1
+
+
+def test_a_wrong_object_is_uncertain_and_then_lost(can):
+    tracker = Tracker(can.rig, hs.ObjectModel.sphere(0.015))
+    for seen in can.observations:
+        tracker.update(seen)
+    assert tracker.state == "uncertain"
+    assert tracker.reason == "the contacts do not fit the object where it is believed to be"
+    for k in range(1, 8):
+        tracker.update(later(can.observations[-1], 0.5 * k))
+    assert tracker.state == "lost"
+    assert "have fitted no pose for" in tracker.reason
+
+
+def test_nothing_heard_for_long_is_lost(can):
+    tracker = tracked(can, lost_after=3.0, memory=0.0)
+    tracker.update(later(can.observations[-1], 4.0, wrenches={}))
+    assert tracker.state == "lost"
+    assert tracker.reason.startswith("nothing touched and nothing seen for 4.0 s")
+
+
+def test_sights_that_cannot_be_true_are_left_out_until_they_insist(can):
+    tracker = tracked(can)
+    last = can.observations[-1]
+    sight = next(o.seen for o in reversed(can.observations) if o.seen is not None)
+    far = SeenPose(se3.moved(sight.T_frame_object, np.array([0.5, 0, 0, 0, 0, 0])), sight.frame)
+    before = tracker.belief.T_palm_object
+    for k in range(1, 5):
+        tracker.update(replace(later(last, 0.1 * k), seen=far))
+        np.testing.assert_array_equal(tracker.belief.T_palm_object, before)
+    assert tracker.sight.rejected == 4
+    tracker.update(replace(later(last, 0.5), seen=far))
+    assert np.abs(tracker.belief.T_palm_object - before).max() > 0.1
+
+
+def test_a_sight_without_a_place_is_counted(can):
+    tracker = Tracker(can.rig, can.model)
+    tracker.update(replace(can.observations[0], T_world_palm=None))
+    assert tracker.sight.unplaced == 1
+    assert tracker.estimate is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"stamp": np.nan}, "observation.stamp: expected a finite number, got nan"),
+        ({"joint_positions": {"robot0:FFJ3": 0.0}}, "joint_positions: expected a position for robot0:FFJ2"),
+    ],
+)
+def test_what_is_wrong_with_an_observation_is_said(can, change, message):
+    with pytest.raises(InvalidInput) as error:
+        Tracker(can.rig, can.model).update(replace(can.observations[0], **change))
+    assert message in str(error.value)
+
+
+def test_a_camera_the_rig_does_not_have_is_said(can):
+    tracker = Tracker(replace(can.rig, camera=None), can.model)
+    with pytest.raises(InvalidInput, match="the rig has no camera"):
+        tracker.update(can.observations[0])
+    with pytest.raises(InvalidInput, match="tracker: expected a Rig and an ObjectModel, got str and str"):
+        Tracker("rig", "can")
+
+
+def test_memory_stays_flat(can):
+    tracker = tracked(can, rate=20.0)
+    last, sight = can.observations[-1], can.observations[0].seen
+
+    def run(first, count):
+        for k in range(first, first + count):
+            seen = sight if k % 10 == 0 else None
+            tracker.update(replace(later(last, 0.01 * k), seen=seen))
+
+    run(1, 300)
+    gc.collect()
+    tracemalloc.start()
+    run(301, 50)
+    before = tracemalloc.get_traced_memory()[0]
+    run(351, 1000)
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 50_000
+
+
+def test_one_degree_of_every_joint_is_in_each_contacts_covariance(can):
+    """Against drawing the joint errors: covariance of where the same point of each tip comes to lie."""
+    skin, last = Skin(can.rig), can.held[-1]
+    none = replace(can.rig, sigma_joint=0.0, sigma_joint_offset=1e-9)
+    felt, alone = skin.touch(last), Skin(none).touch(last)
+    rng = np.random.default_rng(0)
+    hand, names = can.rig.hand, list(last.joint_positions)
+    order = list(hand.tips)
+    Ts = hand.Ts_palm_tip(last.joint_positions)
+    draws = []
+    for _ in range(2000):
+        off = rng.normal(scale=np.hypot(can.rig.sigma_joint_offset, can.rig.sigma_joint), size=len(names))
+        moved = {name: last.joint_positions[name] + d for name, d in zip(names, off, strict=True)}
+        draws.append(hand.Ts_palm_tip(moved))
+    draws = np.array(draws)
+    for i, finger in enumerate(felt.fingers):
+        k = order.index(finger)
+        local = se3.apply(se3.inverse(Ts[k]), felt.contacts.points_palm[i][None])
+        points = se3.apply(draws[:, k], local)[:, 0]
+        added = (felt.contacts.covariance[i] - alone.contacts.covariance[i])[:3, :3]
+        np.testing.assert_allclose(added, np.cov(points.T), atol=0.12 * np.trace(added))
+        assert 0.5e-3 < np.sqrt(np.trace(added) / 3) < 3e-3
+
+
+def test_tips_that_may_touch_each_other_are_not_trusted(can):
+    skin, last = Skin(can.rig), can.held[-1]
+    felt = skin.touch(last)
+    joints = dict(last.joint_positions)
+    assert {"ff", "mf"} <= set(felt.pressed)
+    # The forefinger's spread and bend are made the middle finger's, tilted towards it.
+    for joint in ("J2", "J1", "J0"):
+        joints[f"robot0:FF{joint}"] = joints[f"robot0:MF{joint}"]
+    joints["robot0:FFJ3"], joints["robot0:MFJ3"] = -0.1, 0.1
+    near = skin.touch(replace(last, joint_positions=joints))
+    assert near.reasons["ff"] == near.reasons["mf"] == "near_tip"
+    assert {"ff", "mf"} <= set(near.pressed)
+    assert not {"ff", "mf"} & set(near.fingers)
+
+
+def test_without_joints_nothing_is_touched(can):
+    felt = Skin(can.rig).touch(replace(can.held[-1], joint_positions=None))
+    assert felt.contacts is None
+    assert set(felt.reasons.values()) == {"no joint positions"}
+
+
+def test_loads_are_what_compensate_makes_of_each_reading(can):
+    skin, last = Skin(can.rig), can.held[-1]
+    Ts = can.rig.hand.Ts_palm_tip(last.joint_positions)
+    order = list(can.rig.hand.tips)
+    surfaces = np.array([Ts[order.index(n)] @ can.rig.fingers[n].T_frame_surface for n in skin.names])
+    forces, torques = skin._loads(last, surfaces)
+    for i, name in enumerate(skin.names):
+        finger = can.rig.fingers[name]
+        R = last.T_world_palm[:3, :3] @ surfaces[i][:3, :3] @ finger.tip.T_surface_sensor[:3, :3]
+        raw = last.wrenches[name]
+        f, m = hs.compensate(raw[:3], raw[3:], R.T @ can.rig.gravity, finger.calibration)
+        np.testing.assert_allclose(forces[i], f, atol=1e-12)
+        np.testing.assert_allclose(torques[i], m, atol=1e-14)
