@@ -42,26 +42,26 @@ def warm():
 def rows_of(trial, methods):
     """A row for each of the methods (names of `PAPER` and `OURS`), vision's errors beside its own."""
     warm()
-    return [_row(trial, name, *_answered(trial, name)) for name in methods]
+    rows = []
+    for name in methods:
+        estimate, seconds = None, 0.0
+        if name in OURS or len(trial.contacts) >= LEAST_FINGERS:
+            estimate, seconds = report.timed(lambda name=name: corrected(trial, name))
+        rows.append(_row(trial, name, estimate, seconds))
+    return rows
 
 
-def _answered(trial, name):
-    """Estimate and seconds; None where the paper's method has too few fingers."""
+def corrected(trial, name):
+    """The estimate of one of the methods."""
     if name in PAPER:
-        if len(trial.contacts) < LEAST_FINGERS:
-            return None, 0.0
-        return report.timed(
-            lambda: hs.correct_pose(trial.model, trial.contacts, vision=trial.vision, method=PAPER[name])
-        )
+        return hs.correct_pose(trial.model, trial.contacts, vision=trial.vision, method=PAPER[name])
     samples, outside, table = OURS[name]
-    return report.timed(
-        lambda: hs.correct_pose(
-            trial.model,
-            trial.contacts,
-            vision=trial.standing if table else trial.vision,
-            outside=trial.outside if outside else None,
-            samples=samples,
-        )
+    return hs.correct_pose(
+        trial.model,
+        trial.contacts,
+        vision=trial.standing if table else trial.vision,
+        outside=trial.outside if outside else None,
+        samples=samples,
     )
 
 

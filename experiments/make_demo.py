@@ -1,6 +1,7 @@
-"""Writes the built-in demo: a can and a box held by five fingers, vision 8 cm off (synthetic, seeded).
+"""Writes the built-in demo: a can and a box held by five fingers, vision 8 cm off, and a recording of each (synthetic).
 
-Run once; its output, `src/handsight/data/demo.jsonl` and `demo_truth.jsonl`, is in the repository.
+Run once; its output in `src/handsight/data` is in the repository: `demo.jsonl`, `demo_truth.jsonl`, and, simulated
+with seed 0 as `handsight simulate can` does, `can.mcap`, `box.mcap` and their rigs.
 """
 
 import json
@@ -9,11 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
+from handsight.simulate_job import record
+from handsight.simulation import Scenario
 from scenes import BOX, CAN, tilted
 
 FOLDER = Path(__file__).parent.parent / "src/handsight/data"
 NOISE_POINT, NOISE_NORMAL_DEG = 0.001, 4.0
 SIGMA_POSITION, SIGMA_ROTATION_DEG = 0.05, 15.0
+RECORDED_SEED = 0
 
 
 def can_grasp():
@@ -75,5 +79,13 @@ def pose(T):
     return {"position": np.round(T[:3, 3], 6).tolist(), "quaternion_xyzw": np.round(quaternion, 7).tolist()}
 
 
+def record_both():
+    """What `handsight simulate can` and `handsight simulate box` write."""
+    for name in ("can", "box"):
+        scenario = Scenario(object=name, seed=RECORDED_SEED, motion="manipulate")
+        record(scenario, FOLDER / f"{name}.mcap", print)
+
+
 if __name__ == "__main__":
     write()
+    record_both()

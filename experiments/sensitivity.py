@@ -128,7 +128,7 @@ def print_table(rows, trials):
 def draw(rows, path):
     """A panel a nuisance: mean error against its size."""
     plt = report.pyplot()
-    figure, panels = plt.subplots(3, 4, figsize=(12, 7.5), layout="constrained")
+    figure, panels = plt.subplots(3, 4, figsize=(12, 7.5), sharey=True, layout="constrained")
     chosen = settings()
     for axes, (nuisance, (unit, values)) in zip(panels.flat, chosen.items(), strict=False):
         for name in OBJECTS:

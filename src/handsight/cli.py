@@ -1,7 +1,6 @@
 """The command `handsight`: parse, call, print."""
 
 import json
-import math
 import os
 import sys
 import time
@@ -13,8 +12,8 @@ import typer
 from typer.core import TyperCommand
 
 # Help and version are to be there at once: what computes is imported by the command that needs it.
-from handsight import cli_robot
-from handsight.errors import HandsightError, InvalidInput, MissingExtra
+from handsight import cli_demo, cli_robot
+from handsight.errors import HandsightError, InvalidInput
 from handsight.job import MOST_PANELS, Tally, answered
 from handsight.terminal import one_line_warning, opened_output, progress, say
 
@@ -25,6 +24,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
+cli_demo.register(app)
 cli_robot.register(app)
 INTERRUPTED, NOBODY_READS = 130, 141
 """Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
@@ -190,54 +190,6 @@ def contact(
     )
     said = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count) or "no rows"
     say(f"{'' if output is None else f'wrote {output}: '}{said}")
-
-
-@app.command()
-def demo(
-    plot: Annotated[Path, typer.Option(help="Where the picture goes: PNG, PDF or SVG by its name.")] = Path(
-        "handsight-demo.png"
-    ),
-) -> None:
-    """Correct the built-in example: a can and a box held by five fingers, vision 8 cm off (synthetic)."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from handsight.demo import examples
-
-    table = Table(title="Error against the truth, vision → corrected (synthetic example)")
-    for column in (
-        "object",
-        "position",
-        "of it, seen by touch",
-        "rotation",
-        "contacts off the surface",
-        "open",
-    ):
-        table.add_column(column, justify="left" if column == "object" else "right")
-    found = list(examples())
-    for row in found:
-        table.add_row(
-            row.name,
-            *(f"{1e3 * a:.1f} → {1e3 * b:.1f} mm" for a, b in (row.shift, row.shift_seen)),
-            "{:.1f} → {:.1f}°".format(*map(math.degrees, row.turn)),
-            f"{1e3 * row.gap[0]:.1f} → {1e3 * row.gap[1]:.2f} mm",
-            f"{len(row.answered['unobservable'])} of 6",
-        )
-    out = Console(width=None if sys.stdout.isatty() else 110)
-    out.print(table)
-    out.print(
-        "open: directions that these contacts cannot see (a can slides along its axis and spins about it);\n"
-        "there the answer is vision's, and the estimate says so.",
-        highlight=False,
-    )
-    try:
-        from handsight.plot import draw_corrections
-
-        draw_corrections([(row.problem, row.answered) for row in found], plot)
-    except MissingExtra as error:
-        out.print(f"no picture: {error}", highlight=False, markup=False)
-        return
-    out.print(f"wrote {plot}", highlight=False, markup=False)
 
 
 @app.command()

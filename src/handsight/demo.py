@@ -1,5 +1,6 @@
 """The built-in example: a can and a box held by five fingers, vision 8 cm off. Synthetic, with known truth."""
 
+import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -42,6 +43,15 @@ def examples() -> Iterator[Comparison]:
         problem = reader.read(line.encode())
         answered = answer(problem)
         yield compared(name, problem, answered, json.loads(truth))
+
+
+@contextlib.contextmanager
+def recordings() -> Iterator[dict[str, Path]]:
+    """By object, the built-in recordings, each with its rig beside it."""
+    with contextlib.ExitStack() as stack:
+        data = resources.files("handsight").joinpath("data")
+        folder = stack.enter_context(resources.as_file(data))
+        yield {name: folder / f"{name}.mcap" for name in NAMES}
 
 
 def compared(name: str, problem: Problem, answered: dict[str, Any], truth: dict[str, Any]) -> Comparison:

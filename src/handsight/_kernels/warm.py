@@ -15,6 +15,7 @@ from handsight._kernels import (
     linking,
     many,
     nearest_triangle,
+    placing,
     sensing,
     spreading,
     tips,
@@ -70,6 +71,7 @@ def _objects() -> None:
 def _hands() -> None:
     chain.warm()
     tips.warm()
+    placing.warm()
 
 
 GROUPS: dict[str, Callable[[], None]] = {

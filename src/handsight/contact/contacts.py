@@ -79,13 +79,12 @@ class Contacts:
 
     @classmethod
     def trusted(cls, points_palm: Array, normals_palm: Array, covariance: Array) -> "Contacts":
-        """Contacts from what is clean already: float64, finite, unit normals, positive semidefinite; not checked.
+        """Contacts from what is clean already; not checked.
 
-        For loops at control rate whose own inputs were checked; the arrays are kept and made read-only.
+        float64, finite, unit normals, covariances positive semidefinite and with nothing along the normals. For loops
+        at control rate whose own inputs were checked; the arrays are kept and made read-only.
         """
-        everywhere = np.ones(len(points_palm), dtype=bool)
-        clean = _tangent(covariance, normals_palm, everywhere)
-        return _made(points_palm, normals_palm, everywhere, clean)
+        return _made(points_palm, normals_palm, np.ones(len(points_palm), dtype=bool), covariance)
 
     def __len__(self) -> int:
         return len(self.points_palm)

@@ -185,28 +185,21 @@ class Belief:
         return (*self.sights[:k], merged, *self.sights[k + 1 :])
 
     def _averaged(self, kept: Sight, new: Sight) -> Sight:
-        """Two sights as one from the first's palm, each weighed by its information, compared by what was expected."""
+        """Two sights as one now, from the first's palm, each weighed by its information, against what was expected."""
         expected = self.expected(kept.T_mount_palm)
         off_kept = se3.difference(kept.T_mount_object, expected)
         off_new = se3.difference(new.T_mount_object, self.expected(new.T_mount_palm))
-        both = np.linalg.inv(kept.covariance) + np.linalg.inv(new.covariance)
-        covariance = np.linalg.inv(both)
-        share = covariance @ np.linalg.inv(new.covariance)
-        off = off_kept + share @ (off_new - off_kept)
-        weight = float(np.trace(share)) / 6
-        walk = (1 - weight) * kept.walk + weight * new.walk
-        return Sight(kept.T_mount_palm, se3.moved(expected, off), (covariance + covariance.T) / 2, walk)
+        aged = kept.covariance + along(kept.T_mount_palm, new.walk - kept.walk)
+        covariance = np.linalg.inv(np.linalg.inv(aged) + np.linalg.inv(new.covariance))
+        off = off_kept + covariance @ np.linalg.solve(new.covariance, off_new - off_kept)
+        return Sight(kept.T_mount_palm, se3.moved(expected, off), (covariance + covariance.T) / 2, new.walk)
 
     def _solved(self, sights: tuple[Sight, ...]) -> "Belief":
         """The prior and these sights, by Gauss-Newton from what is believed now."""
         Ts = np.array([sight.T_mount_palm for sight in sights])
         seen = np.array([sight.T_mount_object for sight in sights])
-        R = Ts[:, :3, :3]
-        noise = np.array([sight.covariance for sight in sights])
-        crept = np.array([self.walk - sight.walk for sight in sights])
-        for part in (slice(0, 3), slice(3, 6)):
-            noise[:, part, part] += (R * crept[:, None, part]) @ R.swapaxes(1, 2)
-        weights = np.linalg.inv(noise)
+        noise = [s.covariance + along(s.T_mount_palm, self.walk - s.walk) for s in sights]
+        weights = np.linalg.inv(np.array(noise))
         prior = self.prior.walked(self.walk)
         by_prior = np.linalg.inv(prior.covariance)
         joint = self.now
@@ -232,6 +225,13 @@ class Belief:
         H[:, :, 6:] = EYE_6
         H[:, :3, 9:] = -se3.skew(expected[:, :3, 3] - self.pivot - joint.error[:3])
         return H, se3.difference(Ts_mount_object, expected)
+
+
+def along(T_mount_palm: Array, walk: Array) -> Array:
+    """(6, 6) a walk in the palm (6,) along the mount's axes."""
+    R, out = T_mount_palm[:3, :3], np.zeros((6, 6))
+    out[:3, :3], out[3:, 3:] = (R * walk[:3]) @ R.T, (R * walk[3:]) @ R.T
+    return out
 
 
 def displaced(error: Array, pivot: Array, Ts_mount: Array) -> Array:

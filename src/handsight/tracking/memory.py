@@ -70,8 +70,8 @@ def together(touch: Touch, remembered: list[Remembered], walk: Array, stamp: flo
     covariance = np.concatenate([part.covariance for part in parts])
     for i, kept in enumerate(remembered, start=len(touch.contacts)):
         covariance[i] += np.diag(walk * max(stamp - kept.stamp, 0.0))
-    return Contacts.trusted(
+    return Contacts(
         np.concatenate([part.points_palm for part in parts]),
         np.concatenate([part.normals_palm for part in parts]),
-        covariance,
+        covariance=covariance,
     )

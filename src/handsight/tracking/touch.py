@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handsight import se3
+from handsight._kernels import placing
 from handsight._kernels import tips as tips_kernel
 from handsight.checks import Array
 from handsight.contact import Contact, Contacts, contact_from_wrench
@@ -53,8 +53,7 @@ class Skin:
         self._center = np.array([c.center_of_mass for c in known])
         self._semi_axes = np.array([finger.tip.semi_axes for finger in fingers])
         self._variance = rig.sigma_joint_offset**2 + rig.sigma_joint**2
-        own = [[finger.sigma_point**2] * 3 + [finger.sigma_normal**2] * 3 for finger in fingers]
-        self._own = np.array([np.diag(row) for row in own])
+        self._own = np.array([[finger.sigma_point**2, finger.sigma_normal**2] for finger in fingers])
         self._silent = np.full(6, np.nan)
 
     def touch(self, observation: Observation) -> Touch:
@@ -119,20 +118,13 @@ class Skin:
         return kept
 
     def _placed(self, felt: list[tuple[int, Contact]], Ts_palm_surface: Array, pose: HandPose) -> Contacts:
-        """The contacts in the palm frame."""
+        """The contacts in the palm frame, with all that is uncertain about them."""
         rows = np.array([i for i, _ in felt])
-        T = Ts_palm_surface[rows]
-        R = T[:, :3, :3]
-        points = (R @ np.array([c.point for _, c in felt])[..., None])[..., 0] + T[:, :3, 3]
-        normals = (R @ np.array([c.normal for _, c in felt])[..., None])[..., 0]
-        sensed = np.array([c.covariance for _, c in felt]) + self._own[rows]
-        turn = np.zeros((len(rows), 6, 6))
-        turn[:, :3, :3] = turn[:, 3:, 3:] = R
-        covariance = turn @ sensed @ turn.swapaxes(-1, -2)
-        by_joint = pose.jacobians(points, self._tips[rows])
-        # A turn ω of the tip moves its normal by ω × n.
-        by_joint[:, 3:] = -se3.skew(normals) @ by_joint[:, 3:]
-        covariance += self._variance * by_joint @ by_joint.swapaxes(-1, -2)
+        points, normals = np.array([c.point for _, c in felt]), np.array([c.normal for _, c in felt])
+        covariance, Ts = np.array([c.covariance for _, c in felt]), Ts_palm_surface[rows]
+        points_palm = (Ts[:, :3, :3] @ points[..., None])[..., 0] + Ts[:, :3, 3]
+        by_joint = pose.jacobians(points_palm, self._tips[rows])
+        placing.place(points, normals, covariance, Ts, self._own[rows], by_joint, self._variance)
         return Contacts.trusted(points, normals, covariance)
 
 
