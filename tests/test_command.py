@@ -492,5 +492,5 @@ def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
     cli.warmup()
     out, said = capsys.readouterr()
     assert said.splitlines() == ["   1.2 s  fields", "  20.0 s  solver"]
-    assert out.startswith("compiled in 0.0 s; kept in ")
+    assert re.match(r"compiled in \d\.\d s; kept in ", out)
     assert str(compiled.folder()) in out

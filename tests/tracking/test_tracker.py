@@ -122,12 +122,11 @@ def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
     last, finger = can.observations[-1], tracker.touch.fingers[0]
     kept = tracker._memory._felt[finger]
-    i = kept.touch.fingers.index(finger)
-    points = kept.touch.contacts.points_palm.copy()
-    points[i] += 0.03 * kept.touch.contacts.normals_palm[i]
-    wrong = hs.Contacts(points, kept.touch.contacts.normals_palm, covariance=kept.touch.contacts.covariance)
+    points = kept.contacts.points_palm.copy()
+    points[kept.row] += 0.03 * kept.contacts.normals_palm[kept.row]
+    wrong = hs.Contacts(points, kept.contacts.normals_palm, covariance=kept.contacts.covariance)
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
-    tracker._memory._felt[finger] = replace(kept, touch=replace(kept.touch, contacts=wrong))
+    tracker._memory._felt[finger] = replace(kept, contacts=wrong)
     tracker.update(later(last, 0.1, wrenches=silent))
     assert tracker._memory.besides(tracker.touch) == []
 

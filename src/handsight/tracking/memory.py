@@ -14,16 +14,17 @@ class Remembered:
     """One finger's last contact."""
 
     finger: str
-    touch: Touch
-    """The last one it was part of."""
+    contacts: Contacts
+    """Those it was last among, in the palm frame."""
+    row: int
+    """Which of them it is."""
     stamp: float
     """When that was [s]."""
 
     @property
     def contact(self) -> Contacts:
-        """One contact, in the palm frame."""
-        assert self.touch.contacts is not None
-        return self.touch.contacts.select([self.touch.fingers.index(self.finger)])
+        """It alone."""
+        return self.contacts.select([self.row])
 
 
 class Memory:
@@ -39,8 +40,9 @@ class Memory:
         """Takes note of what is touched now; a finger's new contact replaces its old one, and the old expire."""
         if not self._seconds:
             return
-        for finger in touch.fingers:
-            self._felt[finger] = Remembered(finger, touch, stamp)
+        if touch.contacts is not None:
+            for row, finger in enumerate(touch.fingers):
+                self._felt[finger] = Remembered(finger, touch.contacts, row, stamp)
         # A finger that is pressed still, though not by the object alone, has not let go.
         self._pressed_at |= dict.fromkeys(touch.pressed, stamp)
         expired = [finger for finger in self._felt if stamp - self._pressed_at[finger] > self._seconds]

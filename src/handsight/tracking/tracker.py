@@ -128,9 +128,9 @@ class Tracker:
         if self.belief is None:
             return None
         if self._due(seen=seen):
-            self._correct(observation)
-        self._hold()
-        self.state, self.reason = self._judged()
+            self._correct(self.belief, observation)
+        self.estimate = self._held_by(self.belief)
+        self.state, self.reason = self._judged(self.estimate)
         return self.estimate
 
     def _predict(self, observation: Observation, elapsed: float) -> None:
@@ -151,12 +151,11 @@ class Tracker:
         if change == "gripped":
             self._memory.only(self.touch.fingers)
         if self.belief is not None and change:
-            self._regripped(change)
+            self.belief = self._regripped(self.belief, change)
 
-    def _regripped(self, change: Change) -> None:
-        """What a finger that comes or goes does to the belief."""
-        assert self.belief is not None
-        joint = self.belief.now
+    def _regripped(self, belief: Belief, change: Change) -> Belief:
+        """The belief after a finger came or went."""
+        joint = belief.now
         if change == "released":
             # What touch has said outlives the grip, but not where the object is in the palm from now on.
             if self._last is not None:
@@ -171,7 +170,7 @@ class Tracker:
             and self._grip.standing(float(T[2, 3]))
         ):
             joint = on_table(joint, self.model, table, T) or joint
-        self.belief = self.belief.settled(joint)
+        return belief.settled(joint)
 
     def _look(self, observation: Observation) -> bool:
         """Takes in what vision saw; whether there was anything."""
@@ -197,21 +196,20 @@ class Tracker:
         cosine = (now.normals_palm * then.normals_palm).sum(axis=1).min()
         return bool(shift > self.settings.moved or cosine < np.cos(self.settings.turned))
 
-    def _correct(self, observation: Observation) -> None:
+    def _correct(self, belief: Belief, observation: Observation) -> None:
         """The pose from the belief and everything that is touched or remembered, anew."""
-        assert self.belief is not None
         remembered = self._memory.besides(self.touch)
         contacts = together(self.touch, remembered, self._walk, self._now)
-        assert contacts is not None
-        estimate = self._solved(contacts, self.belief.pose_covariance, observation)
+        if contacts is None:
+            return
+        T, covariance = belief.T_palm_object, belief.pose_covariance
+        estimate = self._solved(contacts, PosePrior(T, covariance), observation)
         if not estimate.consistent and self._now - self._recovered_at >= RECOVERY_EVERY:
             self._recovered_at = self._now
-            wider = self._solved(contacts, WIDER * self.belief.pose_covariance, observation)
+            wider = self._solved(contacts, PosePrior(T, WIDER * covariance), observation)
             if wider.consistent:
                 estimate = wider
-                self.belief = self.belief.settled(
-                    self.belief.now.walked((WIDER - 1) * np.diag(self.belief.pose_covariance))
-                )
+                self.belief = belief.settled(belief.now.walked((WIDER - 1) * np.diag(covariance)))
         felt = 0 if self.touch.contacts is None else len(self.touch.contacts)
         for i in estimate.outliers:
             if i >= felt:
@@ -220,24 +218,23 @@ class Tracker:
         self._corrected_fingers, self._corrected_at = self.touch.fingers, self._now
         self.corrections += 1
 
-    def _solved(self, contacts: Contacts, covariance: Array, observation: Observation) -> PoseEstimate:
-        assert self.belief is not None
+    def _solved(self, contacts: Contacts, prior: PosePrior, observation: Observation) -> PoseEstimate:
         outside = None
         if self._surface is not None and observation.joint_positions is not None:
             outside = self._surface.points_palm(observation.joint_positions)
-        prior = PosePrior(self.belief.T_palm_object, covariance)
         return correct_pose(
             self.model, contacts, vision=prior, outside=outside, samples=self.settings.samples
         )
 
-    def _hold(self) -> None:
+    def _held_by(self, belief: Belief) -> PoseEstimate:
         """The last correction as it stands now; without one, the belief."""
-        assert self.belief is not None
         if self._last is None:
-            self.estimate, self._held = answers.by_belief(self.belief), None
-        elif self._held is not self._last or self._now - self._held_at > HOLD:
-            self.estimate = answers.held(self._last, self._walk * (self._now - self._corrected_at))
+            self._held = None
+            return answers.by_belief(belief)
+        if self.estimate is None or self._held is not self._last or self._now - self._held_at > HOLD:
             self._held, self._held_at = self._last, self._now
+            return answers.held(self._last, self._walk * (self._now - self._corrected_at))
+        return self.estimate
 
     def vision_error(self) -> tuple[Array, Array] | None:
         """Vision's constant error (6,) and its covariance (6, 6), by sights and touch together; see `Joint.error`.
@@ -259,19 +256,18 @@ class Tracker:
             self._spread = (self._last, answers.sigma_position(self._last, self.model))
         return float(np.sqrt(self._spread[1] ** 2 + self._walk[0] * (self._now - self._corrected_at)))
 
-    def _judged(self) -> tuple[State, str]:
+    def _judged(self, estimate: PoseEstimate) -> tuple[State, str]:
         """How far the estimate is to be trusted, and why no further."""
-        assert self.estimate is not None
         now = self._now
         if self.touch.contacts is not None:
             self._heard_at = now
-        if self.estimate.consistent or self._fits_at == -np.inf:
+        if estimate.consistent or self._fits_at == -np.inf:
             self._fits_at = now
         if now - self._heard_at > self.settings.lost_after:
             return "lost", f"nothing touched and nothing seen for {now - self._heard_at:.1f} s"
         if now - self._fits_at > LOST_WITHOUT_FIT:
             return "lost", f"the contacts have fitted no pose for {now - self._fits_at:.1f} s"
-        if not self.estimate.consistent:
+        if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object where it is believed to be"
         if self._last is None:
             return "uncertain", "nothing is touched: the pose is vision's"
