@@ -16,7 +16,6 @@ from handsight import se3
 from handsight.errors import MissingExtra
 from handsight.simulation import render
 
-
 MIDDLE = slice(130, 466), slice(200, 600)
 """The part of the camera's image that is shown."""
 

@@ -57,6 +57,7 @@ def curves(name, seed, way):
     row = {
         "object": name,
         "seed": seed,
+        "method": way,
         "vision_mm": float(np.mean(vision)),
         "corrected_mm": float(np.mean(ours)),
     }

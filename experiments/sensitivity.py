@@ -141,10 +141,10 @@ def draw(rows, path):
             mean, low, high = np.array([interval for _, interval in found]).T
             axes.fill_between(x, low, high, color=COLOURS[name], alpha=0.18, linewidth=0)
             axes.plot(x, mean, "o-", color=COLOURS[name], markersize=4, label=f"{name}: {METHODS[name]}")
-        axes.set_ylim(0, None)
         axes.set_xlabel(f"{nuisance} [{unit}]" if unit else nuisance)
         if nuisance == "contacts":
             axes.set_xticks(sorted(values))
+    panels[0, 0].set_ylim(0, None)
     for axes in panels[:, 0]:
         axes.set_ylabel("error [mm]")
     last = panels.flat[len(chosen)]
