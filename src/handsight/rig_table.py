@@ -1,4 +1,4 @@
-"""A rig as a table for the terminal."""
+"""A rig as tables for the terminal, 80 columns wide where names are short."""
 
 import numpy as np
 from rich.console import Console
@@ -10,51 +10,54 @@ from handsight.rig import Finger, Rig
 
 def print_rig(rig: Rig, name: str) -> None:
     """Prints what a rig file says, in millimetres and degrees."""
-    out = Console()
+    # Names are the user's, and [mm] is no markup.
+    out = Console(markup=False, highlight=False)
     hand = rig.hand
     out.print(
-        f"[bold]{name}[/]: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints",
-        highlight=False,
+        f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints\n", soft_wrap=True
     )
-    out.print(_fingers(rig))
-    table = Table(show_header=False, box=None)
+    shapes = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
+    out.print(_table(shapes, [[finger, *_shape(rig.fingers[finger])] for finger in rig.fingers]), "")
+    sensors = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
+    out.print(_table(sensors, [[finger, *_sensor(rig, finger)] for finger in rig.fingers]), "")
+    rest = Table(show_header=False, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for row in _rows(rig):
+        rest.add_row(*row)
+    out.print(rest)
+
+
+def _table(columns: tuple[str, ...], rows: list[list[str]]) -> Table:
+    """Texts on the left, numbers on the right."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold underline")
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="left" if k < 2 else "right", overflow="fold")
+    for row in rows:
         table.add_row(*row)
-    out.print(table)
-
-
-def _fingers(rig: Rig) -> Table:
-    table = Table(title="Fingertips", title_justify="left")
-    columns = (
-        "finger",
-        "moves with",
-        "shape [mm]",
-        "cap [mm]",
-        "friction",
-        "noise",
-        "tip [g]",
-        "± [mm], [°]",
-        "topic",
-    )
-    for column in columns:
-        table.add_column(column)
-    for name, finger in rig.fingers.items():
-        table.add_row(name, finger.frame, *_finger(finger), rig.topics.wrenches.get(name, "-"))
     return table
 
 
-def _finger(finger: Finger) -> list[str]:
+def _shape(finger: Finger) -> list[str]:
     tip = finger.tip
     sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
-    if isinstance(tip, Sphere):
-        sizes = f"sphere {1e3 * tip.radius:g}"
     return [
-        sizes,
+        finger.frame,
+        f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes,
         "whole" if tip.cap is None else f"{1e3 * tip.cap:g}",
         "any" if tip.max_friction is None else f"{tip.max_friction:g}",
-        f"{1e3 * finger.sigma_force:g} mN, {1e3 * finger.sigma_torque:g} mNm",
+        f"{1e3 * finger.sigma_point:g}",
+        f"{np.rad2deg(finger.sigma_normal):.2g}",
+    ]
+
+
+def _sensor(rig: Rig, name: str) -> list[str]:
+    finger = rig.fingers[name]
+    scale = ("?", "?") if finger.full_scale is None else (f"{value:g}" for value in finger.full_scale)
+    return [
+        rig.topics.wrenches.get(name, "none"),
+        f"{1e3 * finger.sigma_force:g}",
+        f"{1e3 * finger.sigma_torque:g}",
+        *scale,
         f"{1e3 * finger.calibration.mass:g}",
-        f"{1e3 * finger.sigma_point:g}, {np.rad2deg(finger.sigma_normal):.2g}",
     ]
 
 
@@ -67,9 +70,9 @@ def _rows(rig: Rig) -> list[tuple[str, str]]:
     ]
     c = rig.camera
     if c is not None:
-        noise = f"{1e3 * c.sigma_position:g} mm, {np.rad2deg(c.sigma_rotation):.2g}°"
+        seen = f"{1e3 * c.sigma_position:g} mm, {np.rad2deg(c.sigma_rotation):.2g}°"
         constant = f"{1e3 * c.sigma_position_constant:g} mm, {np.rad2deg(c.sigma_rotation_constant):.2g}°"
-        rows.append(("camera", f"fixed to the {c.on}; noise {noise}; constant error {constant}"))
+        rows += [("camera", f"fixed to the {c.on}; noise {seen}"), ("", f"constant error {constant}")]
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

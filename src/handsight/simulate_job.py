@@ -7,6 +7,7 @@ from pathlib import Path
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.recording import RecordingWriter
+from handsight.rig import ObjectEntry
 from handsight.rig.writing import write as write_rig
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
 from handsight.terminal import bar
@@ -38,6 +39,9 @@ def record(scenario: Scenario, path: Path, say: Callable[[str], None]) -> None:
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
     rig = rig_of(scenario)
+    # The one object there is need not be named to `track`.
+    entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
+    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: entry})
     rig_path = path.with_name(f"{path.stem}.rig.yaml")
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:

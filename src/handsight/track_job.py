@@ -179,6 +179,9 @@ def write(ended: Run, rig: Rig, model: ObjectModel, folder: Path) -> Iterator[st
     text = json.dumps(ended.summary(), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     yield f"wrote {folder}: track.mcap, track.tum, track.csv, summary.json"
+    if not rows:
+        yield "no picture: there is no pose"
+        return
     try:
         from handsight.plot_track import draw_track
 

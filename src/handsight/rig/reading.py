@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from handsight import se3
+from handsight import checks, se3
 from handsight.checks import among
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.errors import HandsightError, MissingExtra
-from handsight.hand import Hand
+from handsight.hand import Hand, find_file
+from handsight.hand.paths import PACKAGE
 from handsight.rig.tree import Node, load
 from handsight.rig.values import Camera, Finger, ObjectEntry, Rig, Table, Topics
 
@@ -69,11 +70,10 @@ def _at(node: Node, key: str) -> Iterator[None]:
 
 
 def _hand(node: Node, path: Path, fingers: Node, tips: dict[str, str]) -> Hand:
-    file, palm = node.text("file"), node.text("palm")
-    if not file.startswith("package://"):
-        file = str(path.parent / file)
+    named, palm = node.text("file"), node.text("palm")
     try:
-        return Hand.from_file(file, palm=palm, tips=tips)
+        found = find_file(named, beside=path.parent)
+        hand = Hand.from_file(found, palm=palm, tips=tips)
     except MissingExtra:
         raise
     except HandsightError as error:
@@ -85,6 +85,11 @@ def _hand(node: Node, path: Path, fingers: Node, tips: dict[str, str]) -> Hand:
             if what == f"tips[{name!r}]":
                 raise fingers.needed(name).fail("frame", said) from None
         raise node.fail("file", str(error)) from None
+    except OSError as error:
+        raise node.fail("file", f"{checks.brief(named)}: {error.strerror}") from None
+    if named.startswith(PACKAGE):  # its name is as good in a rig file elsewhere
+        hand.file = named
+    return hand
 
 
 def _finger(node: Node) -> Finger:
@@ -123,12 +128,10 @@ def _tip(node: Node, T_surface_sensor: np.ndarray) -> Fingertip:
     if len(shapes) != 1:
         came = " and ".join(shapes) or f"neither{node.misspelt('ellipsoid', 'sphere')}"
         raise node.fail("", f"expected ellipsoid: [a, b, c] or sphere: r, got {came}")
-    tip: Fingertip
+    round_tip = shapes[0] == "sphere"
+    sizes = node.positive("sphere") if round_tip else node.vector("ellipsoid", 3)
     with _at(node, shapes[0]):
-        if shapes[0] == "ellipsoid":
-            tip = Ellipsoid(node.vector("ellipsoid", 3), **options)
-        else:
-            tip = Sphere(node.positive("sphere"), **options)
+        tip: Fingertip = Sphere(sizes, **options) if round_tip else Ellipsoid(sizes, **options)
     node.done()
     return tip
 

@@ -18,6 +18,8 @@ LARGEST_FILE = 1 << 20
 """Bytes; a rig is a page or two."""
 FARTHEST = 100.0
 """Nothing of a rig is farther away than this [m]; beyond it the unit is wrong."""
+MOST_VALUES = 50_000
+"""In a file, aliases written out: of a few lines they can make billions."""
 
 _ABSENT = object()
 
@@ -27,7 +29,7 @@ def load(path: Path) -> "Node":
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.comments import CommentedMap
-        from ruamel.yaml.error import MarkedYAMLError, YAMLError
+        from ruamel.yaml.error import MarkedYAMLError
     except ImportError:
         raise MissingExtra("rig files need ruamel.yaml: pip install 'handsight[robot]'") from None
     try:
@@ -44,13 +46,41 @@ def load(path: Path) -> "Node":
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
         raise InvalidFile(f"{path}{line}: expected YAML, got: {str(error.problem).splitlines()[0]}") from None
-    except (YAMLError, RecursionError, ValueError) as error:
-        raise InvalidFile(
-            f"{path}: expected YAML, got: {(str(error) or 'too deep').splitlines()[0]}"
-        ) from None
+    except Exception as error:  # ruamel's constructors trip over strange tags and merges in many ways
+        said = str(error) or "too deep"
+        raise InvalidFile(f"{path}: expected YAML, got: {said.splitlines()[0]:.200}") from None
     if not isinstance(value, CommentedMap):
-        raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(value)}")
+        raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(plain(value))}")
+    try:
+        size = _size(value, path, {})
+    except RecursionError:
+        raise InvalidFile(f"{path}: expected YAML, got: too deep") from None
+    if size > MOST_VALUES:
+        raise InvalidFile(f"{path}: expected at most {MOST_VALUES} values, got more (aliases of aliases?)")
     return Node(path, value, "", 1)
+
+
+def _size(value: Any, path: Path, known: dict[int, int], line: int = 1) -> int:
+    """How many values it holds, aliases written out; raises InvalidFile for tags, and for keys that are no texts.
+
+    `line`: of what it is in, for single values, of which ruamel keeps none.
+    """
+    if isinstance(value, dict | list):
+        line = int(getattr(getattr(value, "lc", None), "line", line - 1)) + 1
+    tag = getattr(getattr(value, "tag", None), "value", None)
+    if tag is not None:
+        raise InvalidFile(f"{path}:{line}: expected values without tags, got {checks.brief(str(tag))}")
+    if not isinstance(value, dict | list):
+        return 1
+    if id(value) not in known:
+        known[id(value)] = MOST_VALUES  # for as long as it is not known: what holds itself has no end
+        for key in value if isinstance(value, dict) else ():
+            if not isinstance(key, str):
+                said = f"expected names as keys, got {checks.brief(plain(key))} (not quoted?)"
+                raise InvalidFile(f"{path}:{line}: {said}")
+        parts = list(value.values() if isinstance(value, dict) else value)
+        known[id(value)] = 1 + sum(_size(part, path, known, line) for part in parts)
+    return known[id(value)]
 
 
 class Node:
@@ -63,9 +93,8 @@ class Node:
 
     def fail(self, key: str, said: str) -> InvalidFile:
         """An error at a key, or at this mapping where the key is empty."""
-        line = self.line
-        if key in self._value:
-            line = self._value.lc.value(key)[0] + 1
+        place = (self._value.lc.data or {}).get(key)  # what was merged in has none
+        line = self.line if place is None else place[2] + 1
         return InvalidFile(f"{self.file}:{line}: {self._name(key)}: {said}")
 
     def _name(self, key: str) -> str:
@@ -104,6 +133,7 @@ class Node:
             return check(plain(value), self._name(key))
         except HandsightError as error:
             said = str(error).removeprefix(f"{self._name(key)}: ")
+            said += " (a text)" if isinstance(value, str) and check is not _text else ""
             raise self.fail(key, said) from None
 
     def section(self, key: str, *, optional: bool = False) -> "Node | None":
@@ -182,6 +212,8 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, bool):
         return value
+    if isinstance(value, int) and value.bit_length() > 64:
+        return f"a whole number of {value.bit_length()} bits"
     for kind in (int, float, str):
         if isinstance(value, kind):
             return kind(value)

@@ -9,12 +9,20 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
+from handsight.errors import InvalidFile
+from handsight.hand.paths import PACKAGE
 from handsight.rig.values import Camera, Finger, ObjectEntry, Rig
 
 
 def write(rig: Rig, path: Path) -> None:
-    """Writes the rig's text to a file."""
-    path.write_text(text(rig), encoding="utf-8")
+    """Writes the rig's text to a file; raises InvalidFile where that cannot be.
+
+    Files that the rig names are written as they are found from anywhere: with their whole path, or as `package://`.
+    """
+    try:
+        path.write_text(text(rig), encoding="utf-8")
+    except OSError as error:
+        raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def text(rig: Rig) -> str:
@@ -23,7 +31,7 @@ def text(rig: Rig) -> str:
         "# Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.",
         "version: 1",
         "hand:",
-        f"  file: {_quoted(rig.hand.file)}   # URDF or MJCF",
+        f"  file: {_file(rig.hand.file)}   # URDF or MJCF",
         f"  palm: {_quoted(rig.hand.palm)}",
         f"  joint_offset_deg: {_number(np.rad2deg(rig.sigma_joint_offset))}   # constant error of each joint angle",
         f"  joint_noise_deg: {_number(np.rad2deg(rig.sigma_joint))}",
@@ -137,7 +145,7 @@ def _object(entry: ObjectEntry) -> str:
     if entry.cylinder is not None:
         radius, height = entry.cylinder
         return f"{{cylinder: {{radius: {_number(radius)}, height: {_number(height)}}}}}"
-    return f"{{mesh: {_quoted(str(entry.mesh))}, scale: {_number(entry.scale)}}}"
+    return f"{{mesh: {_file(str(entry.mesh))}, scale: {_number(entry.scale)}}}"
 
 
 def pose_text(T: Array) -> str:
@@ -161,6 +169,11 @@ def _number(value: float) -> str:
 def _quoted(name: str) -> str:
     """A name as YAML's double-quoted text, which JSON's is."""
     return json.dumps(name, ensure_ascii=False)
+
+
+def _file(name: str) -> str:
+    """A file's name that does not depend on the folder the rig lies in."""
+    return _quoted(name if name.startswith(PACKAGE) else str(Path(name).absolute()))
 
 
 def _indented(lines: Iterable[str]) -> list[str]:

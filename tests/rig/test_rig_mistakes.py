@@ -1,0 +1,177 @@
+"""What is wrong with a rig file is told with file, line, path, what was expected, and what came."""
+
+import random
+
+import pytest
+
+from handsight.errors import HandsightError, InvalidFile
+from handsight.rig import Rig
+from handsight.rig.tree import LARGEST_FILE
+from rig.rigs import rig_text
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("rigs")
+
+
+@pytest.fixture(scope="module")
+def said(folder):
+    return rig_text(folder)
+
+
+def refused(folder, content):
+    """What is said of a file's content, without the file's name; no line is 0."""
+    path = folder / "rig.yaml"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InvalidFile) as error:
+        Rig.from_file(path)
+    message = str(error.value)
+    assert message.startswith(f"{path}:")
+    line, _, rest = message.removeprefix(f"{path}:").partition(": ")
+    return (int(line), rest) if line.isdigit() else (0, message.removeprefix(f"{path}: "))
+
+
+# What is replaced by what (its first occurrence), and what is said at that line.
+MISTAKES = [
+    ("sigma_height", "sigma_heigth", "table.sigma_heigth: unknown key; the nearest valid one is 'sigma_height'"),
+    ("position: 0.1,", "postion: 0.1,", "camera.noise.postion: unknown key; the nearest valid one is 'position'"),
+    ("table:", "tabel:", "tabel: unknown key; the nearest valid one is 'table'"),
+    ("truth: ", "thruth: ", "topics.thruth: unknown key; the nearest valid one is 'truth'"),
+    ('world: "map"', 'earth: "map"', "frames.earth: unknown key; valid: camera, palm, world"),
+    ("version: 1", "version: 2", "version: expected 1, got 2"),
+    ("version: 1", "version: one", "version: expected a finite number, got one (a text)"),
+    ("fingers:\n", "fingers: {}\nfigners:\n", "fingers: expected at least one finger, got none"),
+    ("fingers:\n", "fingers: 5\nfigners:\n", "fingers: expected keys and values, got 5"),
+    ("fingers:\n", "fingers: [a]\nfigners:\n", "fingers: expected keys and values, got ['a']"),
+    ('palm: "palm"', 'palm: "plam"', "hand.palm: expected a body of pinch.urdf, got 'plam' (did you mean 'palm'?)"),
+    ('palm: "palm"', "palm: [palm]", "hand.palm: expected a text, got ['palm']"),
+    ('palm: "palm"', "palm: ' '", "hand.palm: expected a text, got  "),
+    ("thumb_tip", "thumbtip", "fingers.thumb.frame: expected a body of pinch.urdf, got 'thumbtip' (did you mean 'thumb_tip'?)"),
+    ("joint_offset_deg: ", "joint_offset_deg: '1' #", "hand.joint_offset_deg: expected a finite number, got 1 (a text)"),
+    ("joint_offset_deg: ", "joint_offset_deg: -1 #", "hand.joint_offset_deg: expected a number of at least 0, got -1"),
+    ("joint_offset_deg: ", "joint_offset_deg: .nan #", "hand.joint_offset_deg: expected a finite number, got nan"),
+    ("joint_offset_deg: ", f"joint_offset_deg: 0x{'f' * 5000} #", "hand.joint_offset_deg: expected a finite number, got a whole number of 20000 bits"),
+    ("  height: ", "  height: true #", "table.height: expected a finite number, got True"),
+    ("  height: ", "  height: 0 mm #", "table.height: expected a finite number, got 0 mm (a text)"),
+    ("sigma_height: ", "sigma_height: 0 #", "table.sigma_height: expected a number above 0, got 0"),
+    ("tip_mass: ", "tip_mass: 4 #", "fingers.index.sensor.tip_mass: expected kilograms, got 4 (grams?)"),
+    ("surface: {position: [", "surface: {position: [16.5e+3, 0, 0], rotation: [", "fingers.index.surface.position: expected metres, got [16500.0, 0.0, 0.0] (millimetres?)"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [9, 9, 14.5]", "fingers.index.tip.ellipsoid: semi_axes[0]: expected metres, at most 0.2, got 9 (millimetres?)"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, true, 0.02]", "fingers.index.tip.ellipsoid: expected 3 finite numbers, got [0.009, True, 0.02]"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, '0.01', 0.02]", "fingers.index.tip.ellipsoid: expected 3 finite numbers, got [0.009, '0.01', 0.02]"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "elipsoid: [0.009, 0.01, 0.02]", "fingers.index.tip: expected ellipsoid: [a, b, c] or sphere: r, got neither (is 'elipsoid' meant for it?)"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "sphere: 1, ellipsoid: [1, 1, 1]", "fingers.index.tip: expected ellipsoid: [a, b, c] or sphere: r, got ellipsoid and sphere"),
+    ("full_scale: [30, 0.7]", "full_scale: [30, 0]", "fingers.index.sensor.full_scale: expected newtons and newton metres above 0, got [30.0, 0.0]"),
+    ("reading: on_sensor", "reading: on_senser", "fingers.index.sensor.reading: expected one of on_sensor, on_tip, got 'on_senser'; the nearest valid one is 'on_sensor'"),
+    ("fixed_to: palm", "fixed_to: wrist", "camera.fixed_to: expected one of world, palm, got 'wrist'; valid: palm, world"),
+    ("palm_from: joints", "palm_from: sky", "world.palm_from: expected one of tf, joints, nowhere, got 'sky'"),
+    ("gravity: [0.1, 9.7, 0.004]", "gravity: [0, 0, -981]", "world.gravity: expected a vector of 1.5 to 30 m/s², got length 981"),
+    ("gravity: [0.1, 9.7, 0.004]", "gravity: [0, 0]", "world.gravity: expected 3 finite numbers, got [0, 0]"),
+    ('"index": "/a"', '"indx": "/a"', "topics.wrenches.indx: unknown finger; the nearest valid one is 'index'"),
+    ("{box: [0.1,", "{box: [-0.1,", "objects.a box.box: expected 3 sides above 0, got [-0.1, 0.7, 0.004]"),
+    ("{box: [0.1, 0.7, 0.004]}", "{boks: [1, 1, 1]}", "objects.a box: expected one of box, cylinder, mesh, got none"),
+    ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], mesh: a.stl}", "objects.a box: expected one of box, cylinder, mesh, got box and mesh"),
+    ("{radius: 0.1,", "{radios: 0.1,", "objects.tin.cylinder.radius: expected, got nothing (is 'radios' meant for it?)"),
+    ("scale: 0.004}", "scale: 0}", "objects.mug.scale: expected a number above 0, got 0"),
+    ("pinch.urdf", "none.urdf", "hand.file: {folder}/none.urdf: expected a file, got none of that name"),
+    ("pinch.urdf", "a" * 300, "hand.file: {folder}/aaa"),
+    ("version: 1", "version: 1\nversion: 1", 'expected YAML, got: found duplicate key "version"'),
+    ("version: 1", "1: 2\nversion: 1", "expected names as keys, got 1 (not quoted?)"),
+    ("hand:", "hand: !!python/object:os.system", "expected values without tags, got tag:yaml.org,2002:python/object:os.system"),
+    ("joint_offset_deg: ", "joint_offset_deg: !!python/name:os.system 3 #", "expected values without tags, got tag:yaml.org,2002:python/name:os.system"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"), MISTAKES, ids=[expected[:50] for *_, expected in MISTAKES]
+)
+def test_a_mistake_is_told_where_it_is(folder, said, old, new, expected):
+    assert old in said
+    line, message = refused(folder, said.replace(old, new, 1))
+    assert message.startswith(expected.replace("{folder}", str(folder)))
+    at = said[: said.index(old)].count("\n") + 1
+    # A tag, a key and what is missing are told at the mapping they are in, or begin.
+    assert at - 2 <= line <= at + 1
+
+
+@pytest.mark.parametrize("section", ["version", "hand", "fingers"])
+def test_what_cannot_be_left_out_is_named(folder, said, section):
+    line, message = refused(folder, said.replace(f"\n{section}:", f"\nx{section}:", 1))
+    assert (line, message) == (
+        2 if False else line,
+        f"{section}: expected, got nothing (is 'x{section}' meant for it?)",
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("", "expected a mapping of keys to values, got None"),
+        ("- a\n", "expected a mapping of keys to values, got ['a']"),
+        ("hello", "expected a mapping of keys to values, got hello"),
+        (b"\xff\xfe\x00", "expected YAML in UTF-8, got other bytes"),
+        (b"version: 1 # \xe9", "expected YAML in UTF-8, got other bytes"),
+        ("#" * (LARGEST_FILE + 1), f"expected a rig of at most {LARGEST_FILE} bytes, got {LARGEST_FILE + 1}"),
+        ("version: [1", "expected YAML, got: expected ',' or ']', but got '<stream end>'"),
+        ("version: 1\n---\nversion: 1", "expected YAML, got: but found another document"),
+        ("[" * 1000, "expected YAML, got: maximum recursion depth exceeded"),
+        ("version: \0", "expected YAML, got: "),
+        ("? [a]\n: 1\n", "expected names as keys, got "),
+        ("version: *a", "expected YAML, got: found undefined alias 'a'"),
+    ],
+)
+def test_what_is_no_rig_is_told(folder, content, expected):
+    _, message = refused(folder, content)
+    assert message.startswith(expected)
+
+
+def test_a_few_lines_that_stand_for_billions_are_told_at_once(folder):
+    lines = ["a: &a [1, 2]"]
+    for last, name in zip("abcdefghijkl", "bcdefghijklm", strict=True):
+        lines.append(f"{name}: &{name} [{', '.join([f'*{last}'] * 10)}]")
+    _, message = refused(folder, "\n".join(lines))
+    assert message == "expected at most 50000 values, got more (aliases of aliases?)"
+
+
+def test_no_file_is_told(folder):
+    with pytest.raises(InvalidFile, match=r"none\.yaml: No such file or directory$"):
+        Rig.from_file(folder / "none.yaml")
+    with pytest.raises(InvalidFile, match="Is a directory$"):
+        Rig.from_file(folder)
+
+
+TOKENS = ["!!python/object:os.x ", "&a ", "*a", "<<: *a", "null", "true", "1e400", "-1", "[[1]]", "{a: 1}", "~", "!!set ",
+          "!!omap ", "!!binary ", "!!timestamp ", "2001-01-01", "---\n", "%YAML 1.1\n", "? ", '"\\ud800"', '"\\0"', "\x00",
+          "\x85", "\ufeff", "é", "'", '"', "\t", "\n", "#", "|", ">", "@", "`"]  # fmt: skip
+
+
+def mutated(said, rng):
+    """The text with up to four things put in, left out or moved."""
+    for _ in range(rng.randint(1, 4)):
+        lines, at = said.splitlines(keepends=True), rng.randrange(len(said))
+        kind = rng.random()
+        if kind < 0.6:
+            value = said.find(": ", at) + 2 if kind < 0.4 else at
+            said = said[:value] + rng.choice(TOKENS) + said[value + rng.choice([0, 1, 5]) :]
+        elif kind < 0.75:
+            said = said[:at] + said[at + rng.randint(1, 30) :]
+        elif kind < 0.9:
+            lines.insert(rng.randrange(len(lines)), rng.choice(lines))
+            said = "".join(lines)
+        else:
+            del lines[rng.randrange(len(lines))]
+            said = "".join(lines)
+    return said
+
+
+def test_no_text_brings_the_reader_down(folder, said):
+    path, rng, was_read = folder / "spoilt.yaml", random.Random(0), 0
+    for _ in range(150):
+        path.write_bytes(mutated(said, rng).encode("utf-8", "surrogatepass"))
+        try:
+            Rig.from_file(path)
+        except HandsightError:
+            continue
+        was_read += 1
+    assert 0 < was_read < 75
