@@ -1,8 +1,11 @@
 """Short grasps, simulated once for all tests of tracking."""
 
+from importlib.util import find_spec
+
 import pytest
 
-pytest.importorskip("gymnasium_robotics", reason="the simulated hand needs handsight[sim]")
+if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
+    pytest.skip("the simulated hand needs handsight[sim]", allow_module_level=True)
 
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 

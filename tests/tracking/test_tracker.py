@@ -191,6 +191,15 @@ def test_a_sight_without_a_place_is_counted(can):
     assert tracker.estimate is None
 
 
+def test_an_arm_in_the_hands_file_says_where_the_palm_is(can):
+    """The simulated hand's file has a wrist: two joints of an arm."""
+    rig = replace(can.rig, world_from="joints")
+    tracker = Tracker(rig, can.model)
+    first = replace(can.observations[0], T_world_palm=None)
+    assert tracker.update(first) is not None
+    np.testing.assert_array_equal(tracker.T_world_palm, rig.hand.T_world_palm(first.joint_positions))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -1,4 +1,4 @@
-"""`rig.yaml` to a `Rig`: strict, versioned. `EXAMPLE` shows every key."""
+"""`rig.yaml` to a `Rig`: strict, versioned. docs/robots.md shows every key."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,19 +36,19 @@ def read(path: Path) -> Rig:
     joint_offset = hand_node.angle("joint_offset_deg", np.deg2rad(1.0))
     joint_noise = hand_node.angle("joint_noise_deg", np.deg2rad(0.1))
     hand_node.done()
-    world = root.section("world", optional=True)
+    world = root.section("world")
     rig = Rig(
         hand=hand,
         fingers=fingers,
         sigma_joint_offset=joint_offset,
         sigma_joint=joint_noise,
-        camera=_camera(root.section("camera", optional=True)),
-        table=_table(root.section("table", optional=True)),
+        camera=_camera(root.section("camera")),
+        table=_table(root.section("table")),
         gravity=np.array([0.0, 0.0, -9.81]) if world is None else _gravity(world),
         world_from="tf" if world is None else _world_from(world),
-        frames=_frames(root.section("frames", optional=True)),
-        topics=_topics(root.section("topics", optional=True), tuple(fingers)),
-        objects=_objects(root.section("objects", optional=True), path.parent),
+        frames=_frames(root.section("frames")),
+        topics=_topics(root.section("topics"), tuple(fingers)),
+        objects=_objects(root.section("objects"), path.parent),
     )
     if world is not None:
         world.done()
@@ -95,7 +95,7 @@ def _hand(node: Node, path: Path, fingers: Node, tips: dict[str, str]) -> Hand:
 def _finger(node: Node) -> Finger:
     sensor = node.needed("sensor")
     T_frame_sensor, T_frame_surface = sensor.pose("pose"), node.pose("surface")
-    noise = sensor.section("noise", optional=True)
+    noise = sensor.section("noise")
     full_scale = sensor.vector("full_scale", 2, None)
     if full_scale is not None and not (full_scale > 0).all():
         raise sensor.fail("full_scale", "expected newtons and newton metres above 0, got "
@@ -137,7 +137,7 @@ def _tip(node: Node, T_surface_sensor: np.ndarray) -> Fingertip:
 
 
 def _calibration(sensor: Node) -> WrenchCalibration:
-    bias = sensor.section("bias", optional=True)
+    bias = sensor.section("bias")
     calibration = WrenchCalibration(
         bias_force=np.zeros(3) if bias is None else bias.vector("force", 3, np.zeros(3)),
         bias_torque=np.zeros(3) if bias is None else bias.vector("torque", 3, np.zeros(3)),
@@ -159,15 +159,15 @@ def _camera(node: Node | None) -> Camera | None:
     if node is None:
         return None
     intrinsics = size = None
-    lens = node.section("intrinsics", optional=True)
+    lens = node.section("intrinsics")
     if lens is not None:
         fx, fy, cx, cy = (lens.positive(key) for key in ("fx", "fy", "cx", "cy"))
         intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
         size = (int(lens.positive("width")), int(lens.positive("height")))
         lens.done()
     usual = Camera()
-    noise = node.section("noise", optional=True)
-    constant = node.section("constant_error", optional=True)
+    noise = node.section("noise")
+    constant = node.section("constant_error")
     sigma = [(usual.sigma_position, usual.sigma_rotation)]
     sigma += [(usual.sigma_position_constant, usual.sigma_rotation_constant)]
     for i, part in enumerate((noise, constant)):
@@ -227,7 +227,7 @@ def _topics(node: Node | None, fingers: tuple[str, ...]) -> Topics:
     if node is None:
         return Topics(wrenches={name: f"/{name}/wrench" for name in fingers})
     wrenches = {}
-    heard = node.section("wrenches", optional=True)
+    heard = node.section("wrenches")
     for name in fingers if heard is None else heard.keys:
         if name not in fingers and heard is not None:
             raise heard.fail(name, f"unknown finger{among(name, fingers)}")
@@ -252,7 +252,7 @@ def _object(node: Node, folder: Path) -> ObjectEntry:
         came = " and ".join(kinds) or f"none{node.misspelt('box', 'cylinder', 'mesh')}"
         raise node.fail("", f"expected one of box, cylinder, mesh, got {came}")
     box = node.vector("box", 3, None)
-    cylinder, mesh = node.section("cylinder", optional=True), node.text("mesh", None)
+    cylinder, mesh = node.section("cylinder"), node.text("mesh", None)
     size = None
     if cylinder is not None:
         size = (cylinder.positive("radius"), cylinder.positive("height"))

@@ -136,20 +136,19 @@ class Node:
             said += " (a text)" if isinstance(value, str) and check is not _text else ""
             raise self.fail(key, said) from None
 
-    def section(self, key: str, *, optional: bool = False) -> "Node | None":
-        """A mapping under a key; None where it may be absent and is."""
-        value = self._get(key, None if optional else _ABSENT)
-        if value is None and optional:
-            return None
-        if not hasattr(value, "lc") or not hasattr(value, "keys"):
-            raise self.fail(key, f"expected keys and values, got {checks.brief(plain(value))}")
-        return Node(self.file, value, self._name(key), value.lc.line + 1)
+    def section(self, key: str) -> "Node | None":
+        """A mapping under a key; None where it is absent."""
+        value = self._get(key, None)
+        return None if value is None else self._mapping(key, value)
 
     def needed(self, key: str) -> "Node":
         """A mapping that must be there."""
-        node = self.section(key)
-        assert node is not None
-        return node
+        return self._mapping(key, self._get(key, _ABSENT))
+
+    def _mapping(self, key: str, value: Any) -> "Node":
+        if not hasattr(value, "lc") or not hasattr(value, "keys"):
+            raise self.fail(key, f"expected keys and values, got {checks.brief(plain(value))}")
+        return Node(self.file, value, self._name(key), value.lc.line + 1)
 
     def text(self, key: str, default: Any = _ABSENT) -> Any:
         """A text that is not empty."""
@@ -186,8 +185,8 @@ class Node:
         return self.checked(key, default, lambda v, name: checks.finite(v, name, (size,)))
 
     def pose(self, key: str) -> Array:
-        """`{position, quaternion_xyzw}` or `{position, rotation_deg}` (4, 4), the identity where absent."""
-        node = self.section(key, optional=True)
+        """`{position, quaternion_xyzw}` as (4, 4); the identity where absent."""
+        node = self.section(key)
         if node is None:
             return np.eye(4)
         position = node.vector("position", 3, np.zeros(3))

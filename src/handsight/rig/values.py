@@ -144,7 +144,7 @@ class Rig:
 
     @classmethod
     def from_file(cls, path: str | Path) -> "Rig":
-        """The rig that a YAML file describes; `handsight rig --help` shows one.
+        """The rig that a YAML file describes; docs/robots.md shows one.
 
         Raises InvalidFile with file, line, and the nearest valid name where there is one.
         """

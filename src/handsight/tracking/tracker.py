@@ -1,6 +1,6 @@
 """The object's pose in the palm over time: held between corrections, corrected when there is something new."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -121,6 +121,8 @@ class Tracker:
         if elapsed < 0:
             self.late += 1
             return self.estimate
+        if self.rig.world_from == "joints" and observation.T_world_palm is None:
+            observation = self._standing_by_joints(observation)
         self.touch = self._skin.touch(observation)
         self.stamp = self._now = stamp
         self._predict(observation, elapsed)
@@ -132,6 +134,12 @@ class Tracker:
         self.estimate = self._held_by(self.belief)
         self.state, self.reason = self._judged(self.estimate)
         return self.estimate
+
+    def _standing_by_joints(self, observation: Observation) -> Observation:
+        """The observation with the palm's pose by the arm that the hand's file has."""
+        if observation.joint_positions is None:
+            return observation
+        return replace(observation, T_world_palm=self.rig.hand.T_world_palm(observation.joint_positions))
 
     def _predict(self, observation: Observation, elapsed: float) -> None:
         """Where the object is believed before anything of this instant is used."""
