@@ -478,3 +478,19 @@ def test_a_hand_whose_joint_is_not_in_the_recording_says_so(grasp, tmp_path):
     assert written[0].startswith("wrote ")
     assert written[1:] == ["no picture: there is no pose"]
     assert (tmp_path / "out" / "track.tum").read_text() == ""
+
+
+def test_a_wrong_size_of_the_object_is_in_the_rig_beside_the_recording():
+    from handsight.errors import InvalidInput
+    from handsight.simulate_job import _believed, nuisances
+    from handsight.simulation import Scenario, rig_of
+
+    for name, size in (("can", "cylinder"), ("box", "box")):
+        scenario = Scenario(object=name, nuisances=nuisances(["object_scale=1.03"]))
+        rig = rig_of(scenario)
+        expected = 1.03 * np.array(getattr(rig.objects[name], size))
+        np.testing.assert_allclose(getattr(_believed(scenario, rig), size), expected)
+    with pytest.raises(
+        InvalidInput, match="object_dent: expected one of the recording, got one of the object's model"
+    ):
+        nuisances(["object_dent=0.002"])

@@ -7,10 +7,13 @@ from pathlib import Path
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.recording import RecordingWriter
-from handsight.rig import ObjectEntry
+from handsight.rig import ObjectEntry, Rig
 from handsight.rig.writing import write as write_rig
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
 from handsight.terminal import bar
+
+MODELS_OWN = ("object_dent", "object_scan")
+"""Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
 
 def nuisances(settings: Iterable[str]) -> Nuisances:
@@ -26,6 +29,10 @@ def nuisances(settings: Iterable[str]) -> Nuisances:
             raise InvalidInput(
                 f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.among(name, names)}"
             )
+        if name in MODELS_OWN:
+            raise InvalidInput(
+                f"--nuisance {name}: expected one of the recording, got one of the object's model"
+            )
         try:
             chosen = dataclasses.replace(chosen, **{name: float(value)})
         except ValueError as error:
@@ -40,8 +47,7 @@ def record(scenario: Scenario, path: Path, say: Callable[[str], None]) -> None:
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
     rig = rig_of(scenario)
     # The one object there is need not be named to `track`.
-    entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
-    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: entry})
+    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
     rig_path = path.with_name(f"{path.stem}.rig.yaml")
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
@@ -55,3 +61,16 @@ def record(scenario: Scenario, path: Path, say: Callable[[str], None]) -> None:
     )
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")
+
+
+def _believed(scenario: Scenario, rig: Rig) -> ObjectEntry:
+    """The object in the size that the robot takes it to have."""
+    entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
+    k = scenario.nuisances.object_scale
+    if entry.box is not None:
+        x, y, z = entry.box
+        return ObjectEntry(box=(k * x, k * y, k * z))
+    if entry.cylinder is not None:
+        radius, height = entry.cylinder
+        return ObjectEntry(cylinder=(k * radius, k * height))
+    return dataclasses.replace(entry, scale=k * entry.scale)

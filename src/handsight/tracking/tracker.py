@@ -29,6 +29,8 @@ HOLD = 0.02
 """How old the growth of a held estimate's covariance may be [s]: a micrometre or so."""
 RECOVERY_EVERY = 0.5
 """Seconds between two such searches, and between corrections while nothing fits: each costs a hundred others."""
+RETRY_EVERY = 0.1
+"""The same when the fingers that touch have changed since."""
 LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
 
@@ -194,9 +196,11 @@ class Tracker:
         now, then = self.touch.contacts, self._corrected
         if now is None:
             return False
+        regripped = self.touch.fingers != self._corrected_fingers
         if self._last is not None and not self._last.consistent:
-            return self._now - self._recovered_at >= RECOVERY_EVERY
-        if seen or then is None or self.touch.fingers != self._corrected_fingers:
+            wait = RETRY_EVERY if regripped else RECOVERY_EVERY
+            return self._now - self._corrected_at >= wait
+        if seen or then is None or regripped:
             return True
         if self.settings.rate is not None and self._now - self._corrected_at >= 1 / self.settings.rate - 1e-9:
             return True
