@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,12 +62,7 @@ class Tally:
         return 0.0 if self.first is None or self.last is None else self.last - self.first
 
 
-def replay(
-    observations: Iterable[Observation],
-    tracker: Tracker,
-    tally: Tally,
-    advance: Callable[[Tally, Step], None] | None = None,
-) -> Iterator[Step]:
+def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
     """The tracker's answers, one for each observation it can answer; `tally` is filled as they come.
 
     An observation that is wrong in itself is counted with what is wrong, and the next is taken.
@@ -89,7 +84,7 @@ def replay(
         if estimate is None:
             continue
         tally.answered += 1
-        step = Step(
+        yield Step(
             stamp=seen.stamp,
             estimate=estimate,
             state=tracker.state,
@@ -99,9 +94,6 @@ def replay(
             fingers=tracker.touch.fingers,
             sigma=tracker.sigma,
         )
-        if advance is not None:
-            advance(tally, step)
-        yield step
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,8 +153,9 @@ def run(
     with open_recording(path, rig) as recording:
         try:
             observations = recording.observations()
-            for step in replay(observations, tracker, ended.tally, lambda t, s: watch(t, s, tracker)):
+            for step in replay(observations, tracker, ended.tally):
                 ended.steps.append(step)
+                watch(ended.tally, step, tracker)
         except KeyboardInterrupt:
             ended.interrupted = True
         ended.said = [*recording.report.sentences(), *recording.lacks()]
