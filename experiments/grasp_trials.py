@@ -20,7 +20,7 @@ from handsight.tracking import Belief, Skin, Touch
 from handsight.tracking.table import on_table
 
 OBJECTS = ("can", "box")
-OUTSIDE = 220
+OUTSIDE = 500
 """Points of the hand's surface, shrunk by 1.5 mm, that cannot be inside the object."""
 INSTANTS = 10.0
 """Observations a second of a grasp: only its last one is used."""
@@ -41,7 +41,7 @@ class Trial:
     standing: hs.PosePrior
     """The same, given that the object stands on the table."""
     outside: np.ndarray
-    """(220, 3) points of the hand in the palm [m]."""
+    """(500, 3) points of the hand in the palm [m]."""
 
     @property
     def contacts(self):

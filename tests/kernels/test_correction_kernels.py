@@ -181,7 +181,7 @@ def test_the_quick_way_answers_as_the_general_one(name):
     quick = 0
     for seed in range(12):
         given = problem(name, 100 + seed, bare=seed % 3 == 2)
-        answer = compiled.near(given.model, given.contacts, given.vision)
+        answer = compiled.near(given)
         if answer is None:
             continue
         quick += 1

@@ -70,14 +70,12 @@ def add_outside(
 @inner
 def beside(model: Any, x: Any, at: int, pose: Any) -> bool:
     """Whether the palm point at `x[at]` is outside the box around the object: most of a hand is."""
-    R = pose
-    lx, ly, lz = x[at] - R[9], x[at + 1] - R[10], x[at + 2] - R[11]
-    px = lx * R[0] + ly * R[3] + lz * R[6]
-    py = lx * R[1] + ly * R[4] + lz * R[7]
-    pz = lx * R[2] + ly * R[5] + lz * R[8]
-    x_within = model[BOUNDS] <= px <= model[BOUNDS + 3]
-    y_within = model[BOUNDS + 1] <= py <= model[BOUNDS + 4]
-    return not (x_within and y_within and model[BOUNDS + 2] <= pz <= model[BOUNDS + 5])
+    lx, ly, lz = x[at] - pose[9], x[at + 1] - pose[10], x[at + 2] - pose[11]
+    for k in range(3):
+        p = lx * pose[k] + ly * pose[3 + k] + lz * pose[6 + k]
+        if p < model[BOUNDS + k] or p > model[BOUNDS + 3 + k]:
+            return True
+    return False
 
 
 @inner

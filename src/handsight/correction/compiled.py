@@ -27,15 +27,18 @@ FEW = 128
 NO_HAND = np.array([0.0, 1.0])
 
 
-def near(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> PoseEstimate | None:
+def near(problem: Problem) -> PoseEstimate | None:
     """The answer from vision's own pose; None where one start may not do, or the contacts do not fit there."""
+    model, contacts, vision = problem.model, problem.contacts, problem.vision
+    if vision is None:
+        return None
     numbers, singles = packed(model)
     if numbers[at.SYMMETRY] == at.OTHER:
         return None
     n = len(contacts.points_palm)
     out, rows, prior = np.empty((1, at.RESIDUALS + 2 * n)), packed_contacts(contacts), packed_prior(vision)
-    begins = np.array((0, len(rows)))
-    many.correct_all(numbers, singles, rows, begins, prior, NO_HAND, WIDEST_OF_ONE, out, 0, 1)
+    begins, hand = np.array((0, len(rows))), packed_hand(problem)
+    many.correct_all(numbers, singles, rows, begins, prior, hand, WIDEST_OF_ONE, out, 0, 1)
     return answer_of_one(contacts, out[0])
 
 
@@ -95,6 +98,8 @@ class _Packed:
 
 def packed_hand(problem: Problem) -> Array:
     """The hand's points with their slack and sigma."""
+    if not len(problem.outside_palm):
+        return NO_HAND
     terms = problem.hand(problem.model.fine)
     if not terms:
         return NO_HAND

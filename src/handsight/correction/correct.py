@@ -59,11 +59,11 @@ def correct_pose(
         hand = checks.finite(outside, "outside", (None, 3))
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
         raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
-    if options is USUAL and vision is not None and hand is NO_POINTS and not samples:
-        estimate: PoseEstimate | None = compiled_solver().near(model, contacts, vision)
+    problem = Problem(model, contacts, vision, hand)
+    if options is USUAL and not samples:
+        estimate: PoseEstimate | None = compiled_solver().near(problem)
         if estimate is not None:
             return estimate
-    problem = Problem(model, contacts, vision, hand)
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     return _by_two_phases(problem, options, int(samples))

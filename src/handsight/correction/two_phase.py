@@ -99,13 +99,14 @@ class Problem:
     def hand(self, surface: Field) -> list[Outside]:
         """The hand's points as evidence; nothing where there are none or the object has no inside.
 
-        Their place is as uncertain as the contacts', through the same kinematics.
+        Their place is as uncertain as the contacts', through the same kinematics, and those of one link are wrong
+        together, hence more than that.
         """
         if not len(self.outside_palm) or not self.model.closed:
             return []
         sigma = float(np.median(np.sqrt(np.trace(self.contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3)))
         sigma = max(sigma, 1e-3 * self.model.diameter)
-        return [Outside(surface, self.outside_palm, 1.5 * sigma, 2 * sigma)]
+        return [Outside(surface, self.outside_palm, 0.5 * sigma, 1.5 * sigma)]
 
     def matches(self, used: Mask) -> Matches:
         """The contacts as phase 1 sees them."""
@@ -216,6 +217,16 @@ def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Ar
     unlikely = (stacked(problem.held(), Ts)[0] ** 2).sum(axis=1)
     chi2 = chi2 + chi2_other
     return by_touch + by_other, by_touch, chi2, chi2 + log_spread + unlikely
+
+
+def without_walls(problem: Problem, T_palm_object: Array, used: Mask) -> Array:
+    """Information (6, 6) at a pose of all that counts on both sides of it: what stops it on one side is left out.
+
+    The directions in which a posterior is long are those of this information, not of one that has a wall in it.
+    """
+    residuals, jacobian, _ = problem.touch(problem.model.fine, used).density(T_palm_object[None])
+    others = normal_equations(*stacked(problem.sight, T_palm_object[None]))[0]
+    return np.asarray((normal_equations(residuals, jacobian)[0] + others)[0])
 
 
 def cost(problem: Problem, Ts: Array, used: Mask) -> Array:

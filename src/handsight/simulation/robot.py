@@ -52,7 +52,7 @@ def rig_of(scenario: Scenario) -> Rig:
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
         camera=_camera(usual),
-        table=Table(height=0.0),
+        table=Table(height=0.0, sigma_height=usual.table_height, sigma_tilt=usual.table_tilt),
         gravity=GRAVITY,
         topics=Topics(
             wrenches={finger: f"/{finger}/wrench" for finger in FINGERS},
@@ -114,6 +114,9 @@ def _finger(name: str, unloaded: Array) -> Finger:
         T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SENSOR_Z + center_z])),
         tip=tip,
         calibration=calibration,
+        # Of a tip that is where its file has it, and bends by what `tip_compliance` says.
+        sigma_point=2e-4,
+        sigma_normal=float(np.deg2rad(0.3)),
         sigma_force=Nuisances().force_noise,
         sigma_torque=Nuisances().torque_noise,
         full_scale=(50.0, 0.5),

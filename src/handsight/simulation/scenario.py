@@ -60,6 +60,10 @@ class Nuisances:
     """[rad]"""
     vision_delay: float = 0.02
     """How much older a seen pose, or an image, is than its stamp says [s]."""
+    table_height: float = 0.003
+    """Constant: how much higher the table is than the robot has it, sigma [m]."""
+    table_tilt: float = float(np.deg2rad(1.0))
+    """Constant: by how much it is tilted, about each of its sides, sigma [rad]."""
     depth_noise: float = 1.0
     """Noise, quantisation, dropout and lost edges of a Kinect's depth, in multiples of what is usual."""
     object_scale: float = 1.0

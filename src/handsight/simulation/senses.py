@@ -10,7 +10,7 @@ from handsight.checks import Array
 from handsight.observation import Observation, SeenPose
 from handsight.simulation.camera import believed_camera, displacement, kinect
 from handsight.simulation.picture import Pictures
-from handsight.simulation.scenario import Scenario
+from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, TIP_MASS, mujoco_module, tip_shape
 from handsight.simulation.world import World
 
@@ -43,6 +43,8 @@ class Senses:
         self._noise = np.random.default_rng((seed, 3))
         self._vision = np.random.default_rng((seed, 5))
         self._grain = np.random.default_rng((seed, 6))
+        # The scene stands on its table; the world is the robot's, which has the table elsewhere.
+        self.T_world_scene = _table(n, np.random.default_rng((seed, 9)))
         self._T_camera_world = se3.inverse(believed_camera()) @ displacement(n, seed)
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._pictures = Pictures(world.scene) if scenario.images else None
@@ -58,7 +60,7 @@ class Senses:
 
     def observe(self) -> Observation:
         """What is measured now; the world must have been looked at."""
-        self._past.append((self.world.pose("object"), self.world.data.qpos.copy()))
+        self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         seen = self._seen(T_world_object) if self._due(SEEN_PER_SECOND) else None
         images = {}
@@ -74,7 +76,7 @@ class Senses:
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
             wrenches=self._wrenches(),
             seen=seen,
-            T_world_palm=self.world.pose("palm"),
+            T_world_palm=self.T_world_scene @ self.world.pose("palm"),
             **images,
         )
 
@@ -114,9 +116,16 @@ class Senses:
         return SeenPose(se3.moved(T_camera_object, sigma * self._vision.normal(size=6)), "camera")
 
     def _images(self, pictures: Pictures, configuration: Array) -> dict[str, Any]:
-        T_world_camera = se3.inverse(self._T_camera_world)
-        color, depth = pictures.take(configuration, T_world_camera)
+        T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
+        color, depth = pictures.take(configuration, T_scene_camera)
         return {"color": color, "depth": kinect(depth, self.nuisances.depth_noise, self._grain)}
+
+
+def _table(nuisances: Nuisances, rng: np.random.Generator) -> Array:
+    """T_world_scene (4, 4): how far the table is from where the robot has it."""
+    height, *tilt = rng.normal(size=3)
+    turn = se3.rotation_exp(nuisances.table_tilt * np.array([*tilt, 0.0]))
+    return se3.compose(turn, np.array([0.0, 0.0, nuisances.table_height * height]))
 
 
 def _joints_of(finger: str, names: list[str]) -> list[int]:

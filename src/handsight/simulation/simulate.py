@@ -35,7 +35,7 @@ def _sample(world: World, senses: Senses) -> Sample:
     return Sample(
         observation=senses.observe(),
         T_palm_object=world.T_palm_object(),
-        T_world_object=world.pose("object"),
+        T_world_object=senses.T_world_scene @ world.pose("object"),
         contacts_truth=world.touches(),
         phase=world.phase,
         dropped=world.dropped(),

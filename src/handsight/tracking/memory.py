@@ -34,7 +34,6 @@ class Memory:
         """How long a contact is kept; 0: not at all."""
         self._seconds = seconds
         self._felt: dict[str, Remembered] = {}
-        self._pressed_at: dict[str, float] = {}
 
     def feel(self, touch: Touch, stamp: float) -> None:
         """Takes note of what is touched now; a finger's new contact replaces its old one, and the old expire."""
@@ -43,9 +42,7 @@ class Memory:
         if touch.contacts is not None:
             for row, finger in enumerate(touch.fingers):
                 self._felt[finger] = Remembered(finger, touch.contacts, row, stamp)
-        # A finger that is pressed still, though not by the object alone, has not let go.
-        self._pressed_at |= dict.fromkeys(touch.pressed, stamp)
-        expired = [finger for finger in self._felt if stamp - self._pressed_at[finger] > self._seconds]
+        expired = [finger for finger, kept in self._felt.items() if stamp - kept.stamp > self._seconds]
         for finger in expired:
             del self._felt[finger]
 

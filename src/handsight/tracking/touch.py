@@ -1,5 +1,6 @@
 """Joints and raw wrenches to contacts in the palm, with everything that is uncertain about them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,7 +15,15 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 
 NEAR_TIP = 0.003
-"""A tip closer than this to another may touch it as well [m]: one degree of each joint is 1.6 mm at the tips."""
+"""A tip closer than this to another may touch it as well, by one chance in twenty or more [m].
+
+One degree of each joint is 1.3 mm per axis at each of two tips.
+"""
+LIKELY_ALONE = 0.05
+GAP_SCALE = 1.645 / (math.sqrt(2.0) * NEAR_TIP)
+"""To what `erfc` takes [1/m]: a gap of NEAR_TIP is 1.645 standard deviations of it."""
+TWO_AT_ONCE = np.array([0.002, np.deg2rad(12.0)]) ** 2
+"""Variances per axis of point [m²] and normal [rad²] of what one contact is taken for that is two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,10 +35,11 @@ class Touch:
     contacts: Contacts | None
     """In the palm frame; None where no finger touches. Their covariance holds the sensor's noise, the finger's sigmas
     and the joints' errors through the hand's Jacobian."""
-    pressed: tuple[str, ...]
-    """The fingers that something presses, also those whose reading is not trusted as one contact."""
     reasons: Mapping[str, str]
-    """Why each of the other fingers has no contact: silent (no reading), near_tip, or a `Reason` of its wrench."""
+    """Why each of the other fingers has no contact: silent (no reading) or a `Reason` of its wrench."""
+    near: tuple[str, ...] = ()
+    """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
+
 
 
 class Skin:
@@ -59,7 +69,7 @@ class Skin:
     def touch(self, observation: Observation) -> Touch:
         """What is felt; nothing where joints are missing. Raises InvalidInput for joints that are wrong."""
         if observation.joint_positions is None:
-            return Touch((), None, (), dict.fromkeys(self.names, "no joint positions"))
+            return Touch((), None, dict.fromkeys(self.names, "no joint positions"))
         pose = self.rig.hand.kinematics(observation.joint_positions)
         Ts_palm_surface = pose.Ts_palm_tip[self._tips] @ self._Ts_tip_surface
         forces, torques = self._loads(observation, Ts_palm_surface)
@@ -78,15 +88,13 @@ class Skin:
                 felt.append((i, found))
             else:
                 reasons[name] = found.reason
-        pressed = tuple(self.names[i] for i, _ in felt)
-        if felt:
-            felt = self._apart(felt, Ts_palm_surface, reasons)
         if not felt:
-            return Touch((), None, pressed, reasons)
+            return Touch((), None, reasons)
         rows = [i for i, _ in felt]
-        return Touch(
-            tuple(self.names[i] for i in rows), self._placed(felt, Ts_palm_surface, pose), pressed, reasons
-        )
+        doubt = self._doubt(Ts_palm_surface)[rows]
+        fingers = tuple(self.names[i] for i in rows)
+        near = tuple(name for name, share in zip(fingers, doubt, strict=True) if share > LIKELY_ALONE)
+        return Touch(fingers, self._placed(felt, doubt, Ts_palm_surface, pose), reasons, near)
 
     def _loads(self, observation: Observation, Ts_palm_surface: Array) -> tuple[Array, Array]:
         """What the object exerts on each tip, (n, 3) each, in its sensor's frame; NaN where a sensor is silent.
@@ -104,27 +112,22 @@ class Skin:
         weight = self._mass * (gravity_palm @ R)
         return load[:, :3] - weight, load[:, 3:] - np.cross(self._center, weight)
 
-    def _apart(
-        self, felt: list[tuple[int, Contact]], Ts_palm_surface: Array, reasons: dict[str, str]
-    ) -> list[tuple[int, Contact]]:
-        """Those of the tips that no other tip can be touching: two contacts at once are none that can be told."""
+    def _doubt(self, Ts_palm_surface: Array) -> Array:
+        """(n,) the chance that a tip touches another one: its sensor then feels the sum of two contacts."""
         gaps = tips_kernel.gaps(np.ascontiguousarray(Ts_palm_surface), self._semi_axes)
-        kept = []
-        for i, contact in felt:
-            if gaps[i] < NEAR_TIP:
-                reasons[self.names[i]] = "near_tip"
-            else:
-                kept.append((i, contact))
-        return kept
+        return np.array([0.5 * math.erfc(GAP_SCALE * gap) for gap in gaps])
 
-    def _placed(self, felt: list[tuple[int, Contact]], Ts_palm_surface: Array, pose: HandPose) -> Contacts:
+    def _placed(
+        self, felt: list[tuple[int, Contact]], doubt: Array, Ts_palm_surface: Array, pose: HandPose
+    ) -> Contacts:
         """The contacts in the palm frame, with all that is uncertain about them."""
         rows = np.array([i for i, _ in felt])
         points, normals = np.array([c.point for _, c in felt]), np.array([c.normal for _, c in felt])
         covariance, Ts = np.array([c.covariance for _, c in felt]), Ts_palm_surface[rows]
         points_palm = (Ts[:, :3, :3] @ points[..., None])[..., 0] + Ts[:, :3, 3]
         by_joint = pose.jacobians(points_palm, self._tips[rows])
-        placing.place(points, normals, covariance, Ts, self._own[rows], by_joint, self._variance)
+        own = self._own[rows] + doubt[:, None] * TWO_AT_ONCE
+        placing.place(points, normals, covariance, Ts, own, by_joint, self._variance)
         return Contacts.trusted(points, normals, covariance)
 
 

@@ -90,7 +90,7 @@ class Tracker:
         self.state: State = "lost"
         self.reason = NO_POSE
         self.stamp: float | None = None
-        self.touch = Touch((), None, (), {})
+        self.touch = Touch((), None, {})
         self.belief: Belief | None = None
         self.estimate: PoseEstimate | None = None
         self.corrections = self.late = 0
@@ -157,7 +157,7 @@ class Tracker:
         if T is not None:
             self.T_world_palm = T
         self._memory.feel(self.touch, self._now)
-        change = self._grip.feel(self.touch.pressed, self._now)
+        change = self._grip.feel(self.touch.fingers, self._now)
         if change == "gripped":
             self._memory.only(self.touch.fingers)
         if self.belief is not None and change:
