@@ -38,7 +38,8 @@ def stages(problem: workload.Problem) -> list[float]:
     numbers, singles = packed(model)
     rows, prior = packed_contacts(contacts), packed_prior(vision)
     begins, out = np.array((0, len(rows))), np.empty((1, at.RESIDUALS + 2 * len(contacts)))
-    given = numbers, singles, rows, begins, prior, compiled.NO_HAND, WIDEST_OF_ONE, out, 0, 1
+    nothing = compiled.NOWHERE, compiled.NO_HAND
+    given = numbers, singles, rows, begins, prior, *nothing, WIDEST_OF_ONE, out, 0, 1
     return [
         microseconds(lambda: hs.correct_pose(model, contacts, vision=vision), OTHER.sum),
         microseconds(lambda: hs.correct_pose(model, contacts, vision=vision)),

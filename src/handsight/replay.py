@@ -112,31 +112,26 @@ class Errors:
         return len(self.base)
 
 
-def error_of(
-    model: ObjectModel, T_palm_object: Array, T_palm_true: Array, T_world_palm: Array | None
-) -> tuple[float, float, float]:
-    """Errors of the base's centre in the table's plane [m], of the middle [m], and of the rotation [rad]."""
-    true = nearest(model.symmetries, T_palm_true, T_palm_object, model.radius)
-    T_world_palm = np.eye(4) if T_world_palm is None else T_world_palm
-    base = base_center(model, T_world_palm @ T_palm_true)
-    shifts = [se3.apply(T_world_palm @ T, base[None])[0] for T in (T_palm_object, true)]
-    middles = [se3.apply(T, model.center_object[None])[0] for T in (T_palm_object, true)]
-    turn = np.linalg.norm(se3.rotation_log(T_palm_object[:3, :3] @ true[:3, :3].T))
-    return (
-        float(np.linalg.norm((shifts[0] - shifts[1])[:2])),
-        float(np.linalg.norm(middles[0] - middles[1])),
-        float(turn),
-    )
+def errors_of(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Array) -> Array:
+    """(n, 3) errors of poses in the palm (n, 4, 4): of the base's centre in the table's plane [m], of the middle [m],
+    of the rotation [rad]."""
+    true = nearest(model.symmetries, Ts_true, Ts, model.radius)
+    bases = base_center(model, Ts_world_palm @ Ts_true)[:, None]
+    base = (se3.apply(Ts_world_palm @ Ts, bases) - se3.apply(Ts_world_palm @ true, bases))[:, 0, :2]
+    middle = se3.apply(Ts, model.center_object[None]) - se3.apply(true, model.center_object[None])
+    turn = se3.rotation_log(Ts[:, :3, :3] @ true[:, :3, :3].swapaxes(1, 2))
+    return np.stack([np.linalg.norm(part, axis=1) for part in (base, middle[:, 0], turn)], axis=1)
 
 
 def base_center(model: ObjectModel, T_world_object: Array) -> Array:
-    """(3,) in the object's frame [m]: the middle of the side of its bounding box that faces down."""
+    """(..., 3) in the object's frame [m]: the middle of the side of its bounding box that faces down in the world."""
     low, high = model.bounds_object
-    down = -T_world_object[2, :3]
-    axis = int(np.argmax(np.abs(down)))
-    center = (low + high) / 2
-    center[axis] = (high if down[axis] > 0 else low)[axis]
-    return np.asarray(center)
+    down = -T_world_object[..., 2, :3]
+    axis = np.argmax(np.abs(down), axis=-1)[..., None]
+    lowest = np.where(down > 0, high, low)
+    center = np.broadcast_to((low + high) / 2, down.shape).copy()
+    np.put_along_axis(center, axis, np.take_along_axis(lowest, axis, axis=-1), axis=-1)
+    return center
 
 
 class Truths:
@@ -168,6 +163,8 @@ def errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, vision:
     for step in steps:
         T, true = step.T_palm_seen if vision else step.estimate.T_palm_object, truths.at(step.stamp)
         if T is not None and true is not None:
-            rows.append(error_of(model, T, true, step.T_world_palm))
-    table = np.array(rows).reshape(-1, 3)
+            rows.append((T, true, np.eye(4) if step.T_world_palm is None else step.T_world_palm))
+    if not rows:
+        return Errors(np.empty(0), np.empty(0), np.empty(0))
+    table = errors_of(model, *(np.array(column) for column in zip(*rows, strict=True)))
     return Errors(table[:, 0], table[:, 1], table[:, 2])

@@ -11,7 +11,7 @@ import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.observation import SeenPose
-from handsight.replay import error_of
+from handsight.replay import errors_of
 from handsight.tracking import Skin, Tracker, TrackerSettings
 
 
@@ -27,7 +27,8 @@ def later(observation, by, **changes):
 
 
 def base_error(grasp, T):
-    return error_of(grasp.model, T, grasp.T_palm_object, grasp.observations[-1].T_world_palm)[0]
+    given = (T, grasp.T_palm_object, grasp.observations[-1].T_world_palm)
+    return errors_of(grasp.model, *(np.array([each]) for each in given))[0, 0]
 
 
 def test_a_can_is_where_touch_says_it_is(can):
@@ -299,11 +300,11 @@ def test_loads_are_what_compensate_makes_of_each_reading(can):
     Ts = can.rig.hand.Ts_palm_tip(last.joint_positions)
     order = list(can.rig.hand.tips)
     surfaces = np.array([Ts[order.index(n)] @ can.rig.fingers[n].T_frame_surface for n in skin.names])
-    forces, torques = skin._loads(last, surfaces)
+    loads = skin._loads(last, surfaces)
     for i, name in enumerate(skin.names):
         finger = can.rig.fingers[name]
         R = last.T_world_palm[:3, :3] @ surfaces[i][:3, :3] @ finger.tip.T_surface_sensor[:3, :3]
         raw = last.wrenches[name]
         f, m = hs.compensate(raw[:3], raw[3:], R.T @ can.rig.gravity, finger.calibration)
-        np.testing.assert_allclose(forces[i], f, atol=1e-12)
-        np.testing.assert_allclose(torques[i], m, atol=1e-14)
+        np.testing.assert_allclose(loads[i, :3], f, atol=1e-12)
+        np.testing.assert_allclose(loads[i, 3:], m, atol=1e-14)

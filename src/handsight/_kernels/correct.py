@@ -188,10 +188,13 @@ def space(n: int) -> int:
 
 @inner
 def answer_near(
-    model: Any, singles: Any, contacts: Any, prior: Any, hand: Any, widest: float, out: Any, work: Any
-) -> None:
-    """One correction from the prior's own pose; where the prior is wider than `widest`, its width and no more."""
-    out[WIDTH] = width(model, prior)
+    model: Any, singles: Any, contacts: Any, prior: Any, begin: Any, hand: Any, widest: float, out: Any, work: Any
+) -> None:  # fmt: skip
+    """One correction from the prior's own pose; where the prior is wider than `widest`, its width and no more.
+
+    `begin` (12), if not empty, is a pose near by that was right: it is followed, however wide the prior is.
+    """
+    out[WIDTH] = 0.0 if len(begin) else width(model, prior)
     if not out[WIDTH] < widest:
         return
     n = len(contacts) // CONTACT
@@ -201,7 +204,11 @@ def answer_near(
     center, pose, sight, anchor = rest[:3], rest[3:15], rest[15 : 15 + SIGHT], rest[15 + SIGHT : 16 + SIGHT]
     anchor[0] = 0.0
     start(model, contacts, prior, center, sight, pose, work)
-    _, steps = approach(model, singles, contacts, used, sight, sight, hand, center, pose, weight, work)
+    steps = 0
+    if len(begin):
+        pose[:] = begin
+    else:
+        _, steps = approach(model, singles, contacts, used, sight, sight, hand, center, pose, weight, work)
     cost, more, converged = finish(model, singles, contacts, used, sight, hand, center, pose, weight, work)
     nearest(model, pose, prior, out[:12], work)
     out[DESCENT_COST], out[STEPS], out[CONVERGED] = cost, steps + more, converged

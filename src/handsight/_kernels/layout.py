@@ -2,7 +2,7 @@
 
 `model`: one object. `singles`: its float32 part, the grids' nodes and the table that phase 1 scans. `contacts`:
 CONTACT numbers for each contact. `prior`: vision's pose and covariance. `sight`: the same as evidence about an
-object so symmetric. `hand`: slack and sigma of the outside points, then these, 3 numbers each. `out`: an answer.
+object so symmetric. `hand`: sigma of the outside points, then these, 3 numbers each. `out`: an answer.
 """
 
 # A field, FIELD numbers. An exact one has its half sizes (box), radius and half height (cylinder) or radius
@@ -58,8 +58,8 @@ BLIND, VISION, HELD = 0, 1, 2
 GRADIENT, COST = 48, 54
 EQUATIONS = 56
 
-# The hand's points begin after their slack and sigma.
-HAND = 2
+# The hand's points begin after their sigma.
+HAND = 1
 
 # An answer: pose, cost of the descent, steps, whether it converged, χ², minus two log of the density, whether all is
 # known, the number of open directions, the largest gain of leaving out a contact, the prior's width, how many of the

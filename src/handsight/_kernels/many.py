@@ -162,15 +162,20 @@ def correct_all(
     contacts: Any,
     begins: Any,
     priors: Any,
+    poses: Any,
     hand: Any,
     widest: float,
     answers: Any,
     start: int,
     stop: int,
 ) -> None:
-    """Answers (P, m) of corrections from each prior's own pose; `begins` (P + 1): where each one's contacts do."""
+    """Answers (P, m) of corrections from each prior's own pose; `begins` (P + 1): where each one's contacts do.
+
+    `poses` (12 P), if not empty: the pose that each follows instead.
+    """
     for k in range(start, stop):
         mine = contacts[begins[k] : begins[k + 1]]
         prior = priors[PRIOR * k : PRIOR * (k + 1)]
         work = np.empty(space(len(mine) // CONTACT))
-        answer_near(model, singles, mine, prior, hand, widest, answers[k], work)
+        begin = poses[12 * k : 12 * (k + 1)]
+        answer_near(model, singles, mine, prior, begin, hand, widest, answers[k], work)

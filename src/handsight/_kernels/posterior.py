@@ -98,7 +98,10 @@ def information(
     chi2, log_spread = touch_information(model, singles, contacts, used, pose, each, work)
     equations, rest = work[:EQUATIONS], work[EQUATIONS:]
     equations[:] = 0.0
+    # A wall: it costs, but says nothing of the way back.
     add_outside(model, singles, FINE, hand, pose, pose[9:], 1.0, equations, rest)
+    wall = equations[COST]
+    equations[:] = 0.0
     if sight[0] != BLIND:
         add_sight(sight, pose, pose[9:], 1.0, equations, rest)
     for i in range(6):
@@ -108,7 +111,7 @@ def information(
                 value += each[EQUATIONS * k + 8 * i + j]
             by_touch[6 * i + j] = by_touch[6 * j + i] = value
             total[6 * i + j] = total[6 * j + i] = value + equations[8 * i + j]
-    chi2 += equations[COST]
+    chi2 += equations[COST] + wall
     return chi2, chi2 + log_spread
 
 
@@ -160,7 +163,7 @@ def cost(
         if beside(model, hand, i, pose):
             continue
         surface(model, singles, FINE, hand, i, pose, s)
-        depth = min(s[DISTANCE] + hand[0], 0.0) / hand[1]
+        depth = min(s[DISTANCE], 0.0) / hand[0]
         total += depth * depth
     if sight[0] != BLIND:
         total += sight_cost(sight, pose, rest)

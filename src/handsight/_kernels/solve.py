@@ -52,14 +52,14 @@ def add_outside(
     equations: Any,
     work: Any,
 ) -> None:
-    """Adds the hand's points that are deeper inside the object than their slack."""
+    """Adds the hand's points that are inside the object."""
     s, weight = work[:SURFACE], work[SURFACE : SURFACE + 1]
-    weight[0], r = 1 / (hand[1] * hand[1]), 1 / radius
+    weight[0], r = 1 / (hand[0] * hand[0]), 1 / radius
     for i in range(HAND, len(hand), 3):
         if beside(model, hand, i, pose):
             continue
         surface(model, singles, field, hand, i, pose, s)
-        depth = s[DISTANCE] + hand[0]
+        depth = s[DISTANCE]
         if depth < 0:
             x, y, z = -s[SLOPE], -s[SLOPE + 1], -s[SLOPE + 2]
             a, b, c = hand[i] - center[0], hand[i + 1] - center[1], hand[i + 2] - center[2]

@@ -54,7 +54,7 @@ def _starts() -> None:
 def _corrections() -> None:
     model, singles, contacts, prior, hand = _ball()
     begins, answers = np.array([0, len(contacts)]), np.empty((1, layout.RESIDUALS + 6))
-    many.correct_all(model, singles, contacts, begins, prior, hand, 1.0, answers, 0, 1)
+    many.correct_all(model, singles, contacts, begins, prior, np.empty(0), hand, 1.0, answers, 0, 1)
 
 
 def _fields() -> None:
@@ -113,4 +113,4 @@ def _ball() -> tuple[NDArray[Any], ...]:
     contacts[:, layout.HAS_NORMAL] = 1
     contacts[:, layout.COVARIANCE :] = np.diag([1e-6] * 3 + [1e-3] * 3).reshape(-1)
     prior = np.concatenate([still, np.full(3, 0.01), np.diag([1e-4] * 3 + [1e-2] * 3).reshape(-1)])
-    return model, table.astype(np.float32).reshape(-1), contacts.reshape(-1), prior, np.array([0.0, 1.0])
+    return model, table.astype(np.float32).reshape(-1), contacts.reshape(-1), prior, np.array([1.0])

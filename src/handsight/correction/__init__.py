@@ -1,7 +1,7 @@
 """Correction: contacts and vision to a pose with its uncertainty."""
 
 from handsight.correction.batch import correct_poses
-from handsight.correction.correct import METHODS, correct_pose
+from handsight.correction.correct import METHODS, correct_pose, follow_pose
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
 from handsight.correction.paper import PaperMethod
 from handsight.correction.two_phase import TwoPhase
@@ -16,4 +16,5 @@ __all__ = [
     "TwoPhase",
     "correct_pose",
     "correct_poses",
+    "follow_pose",
 ]

@@ -24,11 +24,15 @@ from handsight.objects.symmetry import nearest
 
 FEW = 128
 """Descents that are not worth another thread."""
-NO_HAND = np.array([0.0, 1.0])
+NO_HAND = np.array([1.0])
+NOWHERE = np.empty(0)
 
 
-def near(problem: Problem) -> PoseEstimate | None:
-    """The answer from vision's own pose; None where one start may not do, or the contacts do not fit there."""
+def near(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
+    """The answer from vision's own pose; None where one start may not do, or the contacts do not fit there.
+
+    `T_start` (4, 4): a pose that was right a moment ago, followed however little vision knows.
+    """
     model, contacts, vision = problem.model, problem.contacts, problem.vision
     if vision is None:
         return None
@@ -38,7 +42,8 @@ def near(problem: Problem) -> PoseEstimate | None:
     n = len(contacts.points_palm)
     out, rows, prior = np.empty((1, at.RESIDUALS + 2 * n)), packed_contacts(contacts), packed_prior(vision)
     begins, hand = np.array((0, len(rows))), packed_hand(problem)
-    many.correct_all(numbers, singles, rows, begins, prior, hand, WIDEST_OF_ONE, out, 0, 1)
+    start = NOWHERE if T_start is None else packed_poses(T_start)
+    many.correct_all(numbers, singles, rows, begins, prior, start, hand, WIDEST_OF_ONE, out, 0, 1)
     return answer_of_one(contacts, out[0])
 
 
@@ -52,7 +57,7 @@ def near_all(model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]])
     rows = np.concatenate([packed_contacts(contacts) for contacts, _ in problems])
     priors = np.concatenate([packed_prior(vision) for _, vision in problems])
     answers = np.empty((len(problems), at.RESIDUALS + 2 * counts.max()))
-    given = (numbers, singles, rows, begins, priors, NO_HAND, WIDEST_OF_ONE, answers)
+    given = (numbers, singles, rows, begins, priors, NOWHERE, NO_HAND, WIDEST_OF_ONE, answers)
     in_parts(partial(many.correct_all, *given), len(problems), FEW // 4)
     # Each estimate keeps its own numbers alive, not those of all.
     found = zip(problems, counts, answers, strict=True)
@@ -97,13 +102,13 @@ class _Packed:
 
 
 def packed_hand(problem: Problem) -> Array:
-    """The hand's points with their slack and sigma."""
+    """The hand's points after their sigma."""
     if not len(problem.outside_palm):
         return NO_HAND
     terms = problem.hand(problem.model.fine)
     if not terms:
         return NO_HAND
-    return np.concatenate([[terms[0].slack, terms[0].sigma], problem.outside_palm.reshape(-1)])
+    return np.concatenate([[terms[0].sigma], problem.outside_palm.reshape(-1)])
 
 
 def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Descent, Mask]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
+from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import modes, outliers, paper, plain, two_phase
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior
@@ -67,6 +68,18 @@ def correct_pose(
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     return _by_two_phases(problem, options, int(samples))
+
+
+def follow_pose(
+    model: ObjectModel, contacts: Contacts, vision: PosePrior, T_start: Array, outside: Array | None = None
+) -> PoseEstimate | None:
+    """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
+
+    None where the evidence does not fit there: then search anew. `T_start` (4, 4); `outside` (m, 3) [m] or None.
+    """
+    problem = Problem(model, contacts, vision, NO_POINTS if outside is None else outside)
+    followed: PoseEstimate | None = compiled_solver().near(problem, T_start)
+    return followed
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:

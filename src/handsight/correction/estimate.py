@@ -30,6 +30,14 @@ class PosePrior:
         self.covariance.setflags(write=False)
 
     @classmethod
+    def trusted(cls, T_palm_object: Array, covariance: Array) -> "PosePrior":
+        """Of arrays that are known to be a pose and a covariance: checking takes longer than correcting."""
+        prior = object.__new__(cls)
+        object.__setattr__(prior, "T_palm_object", T_palm_object)
+        object.__setattr__(prior, "covariance", covariance)
+        return prior
+
+    @classmethod
     def from_sigmas(
         cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float
     ) -> "PosePrior":

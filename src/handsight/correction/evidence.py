@@ -210,16 +210,14 @@ class Outside:
     field: Field
     points_palm: Array
     """(m, 3) on the hand's surface [m]."""
-    slack: float
-    """Depth [m] that costs nothing: the fingers' own compliance and kinematic error."""
     sigma: float
-    """Standard deviation of a depth beyond the slack [m]."""
+    """Standard deviation of a depth [m]."""
 
     def linearize(self, Ts_palm_object: Array) -> tuple[Array, Array]:
-        """Residuals (K, m): min(0, distance + slack) / sigma."""
+        """Residuals (K, m): min(0, distance) / sigma."""
         surface = surface_at(self.field, self.points_palm, Ts_palm_object)
         distance, jacobian = contact_distance(surface)
-        depth = distance[..., 0] + self.slack
+        depth = distance[..., 0]
         inside = depth < 0
         return (
             np.where(inside, depth, 0.0) / self.sigma,

@@ -106,7 +106,7 @@ class Problem:
             return []
         sigma = float(np.median(np.sqrt(np.trace(self.contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3)))
         sigma = max(sigma, 1e-3 * self.model.diameter)
-        return [Outside(surface, self.outside_palm, 0.5 * sigma, 1.5 * sigma)]
+        return [Outside(surface, self.outside_palm, 1.5 * sigma)]
 
     def matches(self, used: Mask) -> Matches:
         """The contacts as phase 1 sees them."""
@@ -213,20 +213,12 @@ def posterior(problem: Problem, Ts: Array, used: Mask) -> tuple[Array, Array, Ar
     fine = problem.model.fine
     residuals, jacobian, log_spread = problem.touch(fine, used).density(Ts)
     by_touch, _, chi2 = normal_equations(residuals, jacobian)
-    by_other, _, chi2_other = normal_equations(*stacked([*problem.sight, *problem.hand(fine)], Ts))
+    by_other, _, chi2_other = normal_equations(*stacked(problem.sight, Ts))
+    # The hand's points are walls: they cost, but say nothing of the way back.
+    chi2_other = chi2_other + (stacked(problem.hand(fine), Ts)[0] ** 2).sum(axis=1)
     unlikely = (stacked(problem.held(), Ts)[0] ** 2).sum(axis=1)
     chi2 = chi2 + chi2_other
     return by_touch + by_other, by_touch, chi2, chi2 + log_spread + unlikely
-
-
-def without_walls(problem: Problem, T_palm_object: Array, used: Mask) -> Array:
-    """Information (6, 6) at a pose of all that counts on both sides of it: what stops it on one side is left out.
-
-    The directions in which a posterior is long are those of this information, not of one that has a wall in it.
-    """
-    residuals, jacobian, _ = problem.touch(problem.model.fine, used).density(T_palm_object[None])
-    others = normal_equations(*stacked(problem.sight, T_palm_object[None]))[0]
-    return np.asarray((normal_equations(residuals, jacobian)[0] + others)[0])
 
 
 def cost(problem: Problem, Ts: Array, used: Mask) -> Array:

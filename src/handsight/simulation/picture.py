@@ -145,7 +145,8 @@ def render(
 
     `ghost`: T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1);
     `show_object`: whether the true one is drawn; `T_world_camera` (4, 4): from where, optical frame, in a world
-    whose table is where the robot has it, else from the robot's own camera. Raises InvalidInput, MissingExtra where nothing can draw.
+    whose table is where the robot has it, else from the robot's own camera. Raises InvalidInput, MissingExtra where
+    nothing can draw.
     """
     built = scene(scenario.object)
     if sample.configuration.shape != (built.model.nq,):

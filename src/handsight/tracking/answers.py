@@ -44,5 +44,5 @@ def sigma_position(estimate: PoseEstimate, model: ObjectModel) -> float:
     values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
     # What a declared axis leaves at zero is no uncertainty.
     spread = np.where(values > 1e-9 * max(values[-1], 1e-300), 1 / np.maximum(values, 1e-300), 0.0)
-    root = vectors[:3] * np.sqrt(spread)
-    return float(np.linalg.norm(root, ord=2))
+    position = (vectors[:3] * spread) @ vectors[:3].T
+    return float(np.sqrt(np.linalg.eigvalsh(position)[-1]))

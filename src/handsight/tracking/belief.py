@@ -21,7 +21,8 @@ NEAR_PALM = (0.01, np.deg2rad(2.0))
 """Sights from palms so near to each other [m], [rad] are merged; beyond MOST_SIGHTS, the nearest ones."""
 STEPS = 4
 """Gauss-Newton steps for each sight; one or two suffice once the palm has turned."""
-SMALL = 1e-5
+SMALL = 1e-4
+"""A step [m], [rad] after which the next one would be next to nothing."""
 EYE_6 = np.eye(6)
 TURN = 0.1
 """A radian counts as much as this length [m] when palms are compared."""
@@ -90,17 +91,33 @@ class Joint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """Where vision saw the object, once or several times from nearly the same palm."""
+class Sights:
+    """Where vision saw the object, a row for each palm it saw it from; a row may be several looks merged."""
 
-    T_mount_palm: Array
-    """(4, 4)."""
-    T_mount_object: Array
-    """(4, 4)."""
-    covariance: Array
-    """(6, 6) of its noise, along the mount's axes."""
-    walk: Array
-    """(6,) how far the object had walked in the palm by then, as variance since the prior."""
+    Ts_mount_palm: Array
+    """(k, 4, 4)."""
+    Ts_mount_object: Array
+    """(k, 4, 4)."""
+    covariances: Array
+    """(k, 6, 6) of their noise, along the mount's axes."""
+    walks: Array
+    """(k, 6) how far the object had walked in the palm by then, as variance since the prior."""
+
+    def __len__(self) -> int:
+        return len(self.walks)
+
+    def with_row(self, k: int, row: tuple[Array, Array, Array, Array]) -> "Sights":
+        """With row k replaced, or with one more where k is their number."""
+        columns = (self.Ts_mount_palm, self.Ts_mount_object, self.covariances, self.walks)
+        return Sights(
+            *(
+                np.concatenate([old[:k], new[None], old[k + 1 :]])
+                for old, new in zip(columns, row, strict=True)
+            )
+        )
+
+
+NO_SIGHTS = Sights(np.empty((0, 4, 4)), np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +129,7 @@ class Belief:
     prior: Joint
     pivot: Array
     """(3,) in the mount's frame: about here is the object [m]."""
-    sights: tuple[Sight, ...] = ()
+    sights: Sights = NO_SIGHTS
     walk: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) how far the object has walked in the palm since the prior, as variance."""
 
@@ -150,15 +167,14 @@ class Belief:
     def carried(self, T_new_old: Array) -> "Belief":
         """In a palm that went elsewhere while the object stayed: as if all sights had been from there."""
         T_old_new = se3.inverse(T_new_old)
-        sights = tuple(replace(sight, T_mount_palm=sight.T_mount_palm @ T_old_new) for sight in self.sights)
+        sights = replace(self.sights, Ts_mount_palm=self.sights.Ts_mount_palm @ T_old_new)
         return replace(
             self, now=self.now.carried(T_new_old), prior=self.prior.carried(T_new_old), sights=sights
         )
 
     def seen(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> "Belief":
         """After a sight of the object there; `covariance` (6, 6): its own noise, along the mount's axes."""
-        sight = Sight(T_mount_palm, T_mount_object, covariance, self.walk)
-        return self._solved(self._merged(sight))
+        return self._solved(self._merged(T_mount_palm, T_mount_object, covariance))
 
     def surprise(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> float:
         """χ² (six degrees of freedom) of seeing the object there."""
@@ -171,35 +187,37 @@ class Belief:
         """(4, 4) where vision should see the object, in the mount's frame."""
         return displaced(self.now.error, self.pivot, T_mount_palm @ self.now.T_palm_object)
 
-    def _merged(self, sight: Sight) -> tuple[Sight, ...]:
+    def _merged(self, T_mount_palm: Array, T_mount_object: Array, covariance: Array) -> Sights:
         """The sights with one more, merged into one from nearly the same palm if there is one."""
-        if not self.sights:
-            return (sight,)
-        others = np.array([other.T_mount_palm for other in self.sights])
-        apart = se3.difference(others, np.broadcast_to(sight.T_mount_palm, others.shape))
-        shift, turn = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
+        sights = self.sights
+        new = (T_mount_palm, T_mount_object, covariance, self.walk)
+        if not len(sights):
+            return sights.with_row(0, new)
+        apart = se3.difference(sights.Ts_mount_palm, T_mount_palm[None])
+        shift, turn = np.sqrt((apart * apart).reshape(-1, 2, 3).sum(axis=2)).T
         k = int(np.argmin(shift + TURN * turn))
-        if len(self.sights) < MOST_SIGHTS and (shift[k] > NEAR_PALM[0] or turn[k] > NEAR_PALM[1]):
-            return (*self.sights, sight)
-        merged = self._averaged(self.sights[k], sight)
-        return (*self.sights[:k], merged, *self.sights[k + 1 :])
+        if len(sights) < MOST_SIGHTS and (shift[k] > NEAR_PALM[0] or turn[k] > NEAR_PALM[1]):
+            return sights.with_row(len(sights), new)
+        return sights.with_row(k, self._averaged(k, *new))
 
-    def _averaged(self, kept: Sight, new: Sight) -> Sight:
-        """Two sights as one now, from the first's palm, each weighed by its information, against what was expected."""
-        expected = self.expected(kept.T_mount_palm)
-        off_kept = se3.difference(kept.T_mount_object, expected)
-        off_new = se3.difference(new.T_mount_object, self.expected(new.T_mount_palm))
-        aged = kept.covariance + along(kept.T_mount_palm, new.walk - kept.walk)
-        covariance = np.linalg.inv(np.linalg.inv(aged) + np.linalg.inv(new.covariance))
-        off = off_kept + covariance @ np.linalg.solve(new.covariance, off_new - off_kept)
-        return Sight(kept.T_mount_palm, se3.moved(expected, off), (covariance + covariance.T) / 2, new.walk)
+    def _averaged(
+        self, k: int, T_mount_palm: Array, T_mount_object: Array, covariance: Array, walk: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Row k and a new one as one, from k's palm, each weighed by its information, against what was expected."""
+        kept = self.sights
+        T_kept = kept.Ts_mount_palm[k]
+        expected = self.expected(T_kept)
+        off_kept = se3.difference(kept.Ts_mount_object[k], expected)
+        off_new = se3.difference(T_mount_object, self.expected(T_mount_palm))
+        aged = kept.covariances[k] + along(T_kept, walk - kept.walks[k])
+        both = np.linalg.inv(np.linalg.inv(aged) + np.linalg.inv(covariance))
+        off = off_kept + both @ np.linalg.solve(covariance, off_new - off_kept)
+        return T_kept, se3.moved(expected, off), (both + both.T) / 2, walk
 
-    def _solved(self, sights: tuple[Sight, ...]) -> "Belief":
+    def _solved(self, sights: Sights) -> "Belief":
         """The prior and these sights, by Gauss-Newton from what is believed now."""
-        Ts = np.array([sight.T_mount_palm for sight in sights])
-        seen = np.array([sight.T_mount_object for sight in sights])
-        noise = [s.covariance + along(s.T_mount_palm, self.walk - s.walk) for s in sights]
-        weights = np.linalg.inv(np.array(noise))
+        Ts, seen = sights.Ts_mount_palm, sights.Ts_mount_object
+        weights = np.linalg.inv(sights.covariances + along(Ts, self.walk - sights.walks))
         prior = self.prior.walked(self.walk)
         by_prior = np.linalg.inv(prior.covariance)
         joint = self.now
@@ -227,10 +245,12 @@ class Belief:
         return H, se3.difference(Ts_mount_object, expected)
 
 
-def along(T_mount_palm: Array, walk: Array) -> Array:
-    """(6, 6) a walk in the palm (6,) along the mount's axes."""
-    R, out = T_mount_palm[:3, :3], np.zeros((6, 6))
-    out[:3, :3], out[3:, 3:] = (R * walk[:3]) @ R.T, (R * walk[3:]) @ R.T
+def along(Ts_mount_palm: Array, walks: Array) -> Array:
+    """(..., 6, 6) walks in the palm (..., 6) along the mount's axes."""
+    R = Ts_mount_palm[..., :3, :3]
+    out = np.zeros((*walks.shape, 6))
+    out[..., :3, :3] = (R * walks[..., None, :3]) @ R.swapaxes(-1, -2)
+    out[..., 3:, 3:] = (R * walks[..., None, 3:]) @ R.swapaxes(-1, -2)
     return out
 
 

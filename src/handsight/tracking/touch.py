@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handsight import se3
 from handsight._kernels import placing
 from handsight._kernels import tips as tips_kernel
-from handsight.checks import Array
+from handsight.checks import Array, Mask
 from handsight.contact import Contact, Contacts, contact_from_wrench
 from handsight.hand import HandPose
 from handsight.observation import Observation
@@ -41,7 +42,6 @@ class Touch:
     """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
 
 
-
 class Skin:
     """A rig's fingertips, laid out for use at every instant."""
 
@@ -60,7 +60,7 @@ class Skin:
         self._sign = np.array([1.0 if c.reading == "on_sensor" else -1.0 for c in known])[:, None]
         self._bias = np.array([np.concatenate([c.bias_force, c.bias_torque]) for c in known])
         self._mass = np.array([c.mass for c in known])[:, None]
-        self._center = np.array([c.center_of_mass for c in known])
+        self._by_weight = se3.skew(np.array([c.center_of_mass for c in known]))
         self._semi_axes = np.array([finger.tip.semi_axes for finger in fingers])
         self._variance = rig.sigma_joint_offset**2 + rig.sigma_joint**2
         self._own = np.array([[finger.sigma_point**2, finger.sigma_normal**2] for finger in fingers])
@@ -72,16 +72,17 @@ class Skin:
             return Touch((), None, dict.fromkeys(self.names, "no joint positions"))
         pose = self.rig.hand.kinematics(observation.joint_positions)
         Ts_palm_surface = pose.Ts_palm_tip[self._tips] @ self._Ts_tip_surface
-        forces, torques = self._loads(observation, Ts_palm_surface)
+        loads = self._loads(observation, Ts_palm_surface)
+        spoke: Mask = np.asarray(np.isfinite(loads).all(axis=1))
         felt: list[tuple[int, Contact]] = []
         reasons: dict[str, str] = {}
         for i, name in enumerate(self.names):
-            if not np.isfinite(forces[i]).all() or not np.isfinite(torques[i]).all():
+            if not spoke[i]:
                 reasons[name] = "silent"
                 continue
             finger = self.rig.fingers[name]
             found = contact_from_wrench(
-                forces[i], torques[i], finger.tip,
+                loads[i, :3], loads[i, 3:], finger.tip,
                 sigma_force=finger.sigma_force, sigma_torque=finger.sigma_torque,
             )  # fmt: skip
             if isinstance(found, Contact):
@@ -96,21 +97,21 @@ class Skin:
         near = tuple(name for name, share in zip(fingers, doubt, strict=True) if share > LIKELY_ALONE)
         return Touch(fingers, self._placed(felt, doubt, Ts_palm_surface, pose), reasons, near)
 
-    def _loads(self, observation: Observation, Ts_palm_surface: Array) -> tuple[Array, Array]:
-        """What the object exerts on each tip, (n, 3) each, in its sensor's frame; NaN where a sensor is silent.
+    def _loads(self, observation: Observation, Ts_palm_surface: Array) -> Array:
+        """(n, 6) force and torque of the object on each tip, in its sensor's frame; NaN where a sensor is silent.
 
         As `handsight.compensate`, for all tips at once. Without T_world_palm gravity's direction is not known, and the
         tips' weight (some 40 mN) stays in.
         """
         raw = np.array([observation.wrenches.get(name, self._silent) for name in self.names])
-        load = self._sign * (raw - self._bias)
+        load: Array = self._sign * (raw - self._bias)
         T = observation.T_world_palm
-        if T is None:
-            return load[:, :3], load[:, 3:]
-        gravity_palm = T[:3, :3].T @ self.rig.gravity
-        R = Ts_palm_surface[:, :3, :3] @ self._Rs_surface_sensor
-        weight = self._mass * (gravity_palm @ R)
-        return load[:, :3] - weight, load[:, 3:] - np.cross(self._center, weight)
+        if T is not None:
+            gravity_palm = T[:3, :3].T @ self.rig.gravity
+            weight = self._mass * (gravity_palm @ (Ts_palm_surface[:, :3, :3] @ self._Rs_surface_sensor))
+            load[:, :3] -= weight
+            load[:, 3:] -= (self._by_weight @ weight[..., None])[..., 0]
+        return load
 
     def _doubt(self, Ts_palm_surface: Array) -> Array:
         """(n,) the chance that a tip touches another one: its sensor then feels the sum of two contacts."""

@@ -8,7 +8,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import PoseEstimate, PosePrior, correct_pose
+from handsight.correction import PoseEstimate, PosePrior, correct_pose, follow_pose
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
@@ -132,7 +132,7 @@ class Tracker:
         if self.belief is None:
             return None
         if self._due(seen=seen):
-            self._correct(self.belief, observation)
+            self._correct(self.belief, observation, seen=seen)
         self.estimate = self._held_by(self.belief)
         self.state, self.reason = self._judged(self.estimate)
         return self.estimate
@@ -208,17 +208,18 @@ class Tracker:
         cosine = (now.normals_palm * then.normals_palm).sum(axis=1).min()
         return bool(shift > self.settings.moved or cosine < np.cos(self.settings.turned))
 
-    def _correct(self, belief: Belief, observation: Observation) -> None:
+    def _correct(self, belief: Belief, observation: Observation, *, seen: bool) -> None:
         """The pose from the belief and everything that is touched or remembered, anew."""
         remembered = self._memory.besides(self.touch)
         contacts = together(self.touch, remembered, self._walk, self._now)
         if contacts is None:
             return
         T, covariance = belief.T_palm_object, belief.pose_covariance
-        estimate = self._solved(contacts, PosePrior(T, covariance), observation)
+        follow = None if seen or self.touch.fingers != self._corrected_fingers else self._last
+        estimate = self._solved(contacts, PosePrior.trusted(T, covariance), observation, follow)
         if not estimate.consistent and self._now - self._recovered_at >= RECOVERY_EVERY:
             self._recovered_at = self._now
-            wider = self._solved(contacts, PosePrior(T, WIDER * covariance), observation)
+            wider = self._solved(contacts, PosePrior.trusted(T, WIDER * covariance), observation)
             if wider.consistent:
                 estimate = wider
                 self.belief = belief.settled(belief.now.walked((WIDER - 1) * np.diag(covariance)))
@@ -230,13 +231,22 @@ class Tracker:
         self._corrected_fingers, self._corrected_at = self.touch.fingers, self._now
         self.corrections += 1
 
-    def _solved(self, contacts: Contacts, prior: PosePrior, observation: Observation) -> PoseEstimate:
-        outside = None
+    def _solved(
+        self,
+        contacts: Contacts,
+        prior: PosePrior,
+        observation: Observation,
+        follow: PoseEstimate | None = None,
+    ) -> PoseEstimate:
+        """The answer; with `follow`, that estimate's own minimum if it still fits: nothing new asks for another."""
+        outside, samples = None, self.settings.samples
         if self._surface is not None and observation.joint_positions is not None:
             outside = self._surface.points_palm(observation.joint_positions)
-        return correct_pose(
-            self.model, contacts, vision=prior, outside=outside, samples=self.settings.samples
-        )
+        if follow is not None and follow.consistent and not follow.outliers and not samples:
+            followed = follow_pose(self.model, contacts, prior, follow.T_palm_object, outside)
+            if followed is not None:
+                return followed
+        return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples)
 
     def _held_by(self, belief: Belief) -> PoseEstimate:
         """The last correction as it stands now; without one, the belief."""
