@@ -58,7 +58,8 @@ def track(
     outside: Annotated[
         int,
         typer.Option(
-            min=0, help="Use so many points of the hand's surface that cannot be inside the object."
+            min=0,
+            help="Use so many points of the hand's links, none of which can be inside the object; 500 serve well.",
         ),
     ] = 0,
 ) -> None:

@@ -139,7 +139,9 @@ def test_the_two_phases_and_the_answer_are_the_twins(name, kind):
     # Rounding grows along directions that nothing fixes until the descent stops.
     np.testing.assert_allclose(descent.cost, twin.cost, rtol=1e-8, atol=1e-8)
     best = twin.cost < twin.cost[0] + 20
-    atol = 1e-8 if n > 1 else 1e-6
+    # Blind and against walls that touch from one side, more is left open than by contacts alone.
+    free = n == 1 or (given.vision is None and len(given.outside_palm) > 0)
+    atol = 1e-6 if free else 1e-8
     np.testing.assert_allclose(descent.Ts_palm_object[best], twin.Ts_palm_object[best], rtol=0, atol=atol)
     np.testing.assert_array_equal(descent.converged, twin.converged)
     answers = compiled.explained(given, twin, everyone), plain.explained(given, twin, everyone)

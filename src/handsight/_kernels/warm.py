@@ -33,6 +33,12 @@ def warm(report: Report) -> None:
         report(name, time.perf_counter() - began)
 
 
+def warm_tracker() -> None:
+    """What a tracker calls, so that its first answer is not late: loading takes half a second, compiling a minute."""
+    for run in (_corrections, _starts, sensing.warm, _hands):
+        run()
+
+
 def _starts() -> None:
     model, singles, contacts, prior, hand = _ball()
     sight, held, center = np.empty(layout.SIGHT), np.empty(layout.SIGHT), np.empty(3)

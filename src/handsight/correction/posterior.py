@@ -32,9 +32,10 @@ def mean_by_sampling(
     """The estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
 
     Metropolis walks from the mode along the eigenvectors of the information there, which must have no wall in it: at
-    the end of a slide, where the mode is, a wall tilts them, and walks along tilted ones do not get away from it (measured:
-    4 000 samples left the mean of a gripped box 2 mm nearer to its maximum than 80 000 did). A declared symmetry axis
-    is not walked along (it has no mean), and the covariance is None where there is one. `cost` is the solver's.
+    the end of a slide, where the mode is, a wall tilts them, and walks along tilted ones do not get away from it
+    (measured: 4 000 samples left the mean of a gripped box 2 mm nearer to its maximum than 80 000 did). A declared
+    symmetry axis is not walked along (it has no mean), and the covariance is None where there is one. `cost` is the
+    solver's.
     """
     T_mode, radius = estimate.T_palm_object, problem.model.radius
     axes = tangents(problem.model.symmetries, T_mode)

@@ -40,8 +40,10 @@ def held(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
 
 def sigma_position(estimate: PoseEstimate, model: ObjectModel) -> float:
     """Largest standard deviation of the position of the object's middle [m], along no declared symmetry."""
-    scale = np.array([1.0] * 3 + [1 / model.radius] * 3)
-    values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
+    scaled = estimate.information.copy()
+    scaled[:, 3:] /= model.radius
+    scaled[3:] /= model.radius
+    values, vectors = np.linalg.eigh(scaled)
     # What a declared axis leaves at zero is no uncertainty.
     spread = np.where(values > 1e-9 * max(values[-1], 1e-300), 1 / np.maximum(values, 1e-300), 0.0)
     position = (vectors[:3] * spread) @ vectors[:3].T

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from handsight import checks, se3
+from handsight._kernels.warm import warm_tracker
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior, correct_pose, follow_pose
@@ -58,7 +59,10 @@ class TrackerSettings:
     samples: int = 0
     """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
     outside: int = 0
-    """How many points of the hand's surface, none of which can be inside the object, are used; 200 take 1 ms."""
+    """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
+
+    Off by itself because shapes in a hand's file are often larger than the hand. The points need the joints of all
+    links; where an observation lacks some, there are none."""
     uncertain_position: float = 0.015
     """Largest standard deviation of the position [m] that counts as tracking."""
     lost_after: float = 10.0
@@ -85,6 +89,7 @@ class Tracker:
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
             raise InvalidInput(f"tracker: expected a Rig and an ObjectModel, got {came}")
+        warm_tracker()
         self.rig, self.model = rig, model
         self.settings = s = settings or TrackerSettings()
         self.state: State = "lost"
@@ -97,6 +102,7 @@ class Tracker:
         """How often the pose was corrected, and how many observations came after a later one and were left out."""
         self._skin, self.sight, self._memory = Skin(rig), Sight(rig, model), Memory(s.memory)
         self._surface = rig.hand.surface(s.outside, without=self._skin.frames) if s.outside else None
+        self._surface_joints = frozenset(self._surface.chains.joints) if self._surface else frozenset()
         self._walk = np.array([s.walk_position**2] * 3 + [s.walk_rotation**2] * 3)
         self._regrasp = np.array([s.regrasp_position**2] * 3 + [s.regrasp_rotation**2] * 3)
         self._grip = Grip()
@@ -239,9 +245,9 @@ class Tracker:
         follow: PoseEstimate | None = None,
     ) -> PoseEstimate:
         """The answer; with `follow`, that estimate's own minimum if it still fits: nothing new asks for another."""
-        outside, samples = None, self.settings.samples
-        if self._surface is not None and observation.joint_positions is not None:
-            outside = self._surface.points_palm(observation.joint_positions)
+        outside, samples, joints = None, self.settings.samples, observation.joint_positions
+        if self._surface is not None and joints is not None and self._surface_joints <= joints.keys():
+            outside = self._surface.points_palm(joints)
         if follow is not None and follow.consistent and not follow.outliers and not samples:
             followed = follow_pose(self.model, contacts, prior, follow.T_palm_object, outside)
             if followed is not None:

@@ -1,0 +1,134 @@
+"""What a tracker costs: one update from raw joints and wrenches, many of them, and a recording from its file.
+
+Synthetic: a Shadow hand with five six-axis tips holds a can in MuJoCo. The updates go round the same second of a held
+grasp, a millisecond apart, with a seen pose every tenth of a second; "corrected" asks for a hundred corrections a
+second. No peer does the same, so there is no ratio but that to real time.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import handsight as hs
+import report
+from handsight.rig import Rig
+from handsight.simulate_job import record
+from handsight.simulation import Scenario, model_of, rig_of, simulate
+from handsight.terminal import bar
+from handsight.track_job import run
+from handsight.tracking import TrackerSettings
+
+STEP, SEEN_EVERY = 1e-3, 0.1
+KINDS = {
+    "held": TrackerSettings(),
+    "corrected": TrackerSettings(rate=100),
+    "corrected, 500 points of the hand": TrackerSettings(rate=100, outside=500),
+}
+
+
+def held_grasp() -> tuple[list[hs.Observation], list[hs.Observation]]:
+    """A can being grasped, and the part of it in which it is held."""
+    samples = list(simulate(Scenario(object="can", seed=1)))
+    return [s.observation for s in samples], [s.observation for s in samples if s.phase == "hold"]
+
+
+def stream(held: list[hs.Observation], begin: float, count: int) -> Iterator[hs.Observation]:
+    """The held part round and round, `STEP` apart."""
+    seen = [observation.seen for observation in held if observation.seen is not None]
+    every = round(SEEN_EVERY / STEP)
+    for k in range(count):
+        looked = seen[k // every % len(seen)] if k % every == 0 else None
+        yield replace(held[k % len(held)], stamp=begin + STEP * k, seen=looked)
+
+
+def resident() -> float:
+    """Megabytes of this process in memory."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def updated(kind: str, count: int) -> list[str]:
+    """A row of the table."""
+    grasp, held = held_grasp()
+    tracker = hs.Tracker(rig_of(Scenario()), model_of(Scenario()), settings=KINDS[kind])
+    for observation in grasp:
+        tracker.update(observation)
+    took, corrections = np.empty(count), tracker.corrections
+    memory, began = [], time.perf_counter()
+    with bar(kind) as advance:
+        for k, observation in enumerate(stream(held, 10.0, count)):
+            if k % max(count // 10, 1) == 0:
+                memory.append(resident())
+                advance(k / count)
+            begin = time.perf_counter()
+            tracker.update(observation)
+            took[k] = time.perf_counter() - begin
+    memory.append(resident())
+    median, tail = 1e6 * np.quantile(took, [0.5, 0.99])
+    return [
+        kind,
+        f"{count:,}".replace(",", " "),
+        f"{tracker.corrections - corrections:,}".replace(",", " "),
+        f"{median:.0f}",
+        f"{tail:.0f}",
+        f"{count / (time.perf_counter() - began):.0f}",
+        f"{memory[1]:.0f}",
+        f"{memory[-1]:.0f}",
+        tracker.state,
+    ]
+
+
+def replayed(images: bool, repeats: int) -> list[str]:
+    """A row: a recording of 18.4 s (1.9 s with images) from file to poses, a hundred corrections a second."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "can.mcap"
+        scenario = Scenario(object="can", seed=1, motion="grasp" if images else "manipulate", images=images)
+        record(scenario, path, lambda line: None)
+        rig = Rig.from_file(path.with_name("can.rig.yaml"))
+        settings = TrackerSettings(rate=100)
+        ended = [run(path, rig, model_of(scenario), settings, lambda *said: None) for _ in range(repeats)]
+        factors = [one.tally.recorded / one.tally.wall for one in ended]
+        size = path.stat().st_size / 1e6
+    first = ended[0]
+    return [
+        "with RGB-D at 30 Hz" if images else "no images",
+        f"{first.tally.recorded:.1f}",
+        f"{size:.1f}",
+        str(first.corrections),
+        f"{np.median(factors):.1f}",
+        f"{min(factors):.1f}-{max(factors):.1f}",
+    ]
+
+
+def main() -> None:
+    """Prints the tables."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--updates", type=int, default=20_000, help="of each kind (default: %(default)s)")
+    arguments.add_argument("--repeats", type=int, default=5, help="of each recording (default: %(default)s)")
+    given = arguments.parse_args()
+    cells = [updated(kind, given.updates) for kind in KINDS]
+    columns = [
+        "",
+        "updates",
+        "corrections",
+        "median µs",
+        "99 % µs",
+        "a second",
+        "MB at 10 %",
+        "MB at the end",
+        "state",
+    ]
+    report.print_table("Tracker.update, five fingers on a can (synthetic)", columns, cells, report.machine())
+    cells = [replayed(images, given.repeats) for images in (False, True)]
+    columns = ["", "seconds", "MB", "corrections", "times real time", "least-most"]
+    report.print_table("handsight track without its figure", columns, cells, report.machine())
+
+
+if __name__ == "__main__":
+    main()
