@@ -148,7 +148,7 @@ def silent(trial):
 def sensing_errors(scenario, draws, rng):
     """How far contacts are from the simulator's [m]: without any noise, and with 10 mN and 0.05 mN m.
 
-    Of tips that touch the object and nothing else and that no other tip may touch, joints exact: sensing alone.
+    Of tips that touch the object and nothing else, joints exact: sensing alone.
     """
     sample = last_instant(replace(scenario, nuisances=Nuisances.none()))
     usual = Nuisances()

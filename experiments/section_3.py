@@ -139,8 +139,7 @@ def print_contacts(rows):
             cells.append([f"{name}: {method}{height[experiment]}", n, len(few), f"{before.mean():.1f}"])
             cells[-1] += [between(mean_interval(after)), between(removed_interval(before, after), 0)]
     columns = ["", "contacts", "grasps", "vision mm", "as read mm", "removed %"]
-    note = "A tip within 3 mm of another is no contact: two touches at once cannot be told apart."
-    report.print_table("One instant, by the number of contacts", columns, cells, note)
+    report.print_table("One instant, by the number of contacts", columns, cells)
 
 
 def print_regions(by_object):
@@ -158,8 +157,8 @@ def print_regions(by_object):
         "Truths inside the stated regions, one instant, %",
         ["object", "method", "50 % region", "95 % region", "χ² per freedom"],
         cells,
-        "± one standard error; modulo symmetry; 1.00 is honest, less is modest. The simulated object stands on its "
-        "table exactly, where the rig allows 3 mm and 1°, and a bounded slide's Gaussian is wider than its bounds.",
+        "± one standard error; modulo symmetry; 1.00 is honest, less is modest. Along a slide, the "
+        "maximum's Gaussian is wider than what the contacts allow; the mean's is not.",
     )
 
 
@@ -183,7 +182,7 @@ def print_sensing(sensing):
         "Contact sensing from simulated wrenches, location error [µm]",
         ["object", "noise", "contacts", "mean", "median", "95 %"],
         cells,
-        "Tips that touch the object and nothing else, 3 mm from other tips; joints exact. The paper's sensor: 266 µm.",
+        "Tips that touch the object and nothing else; joints exact. The paper's sensor: 266 µm.",
     )
 
 

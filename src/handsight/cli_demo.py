@@ -86,7 +86,7 @@ def _replayed(name: str, path: Path, plot: Path, out: Any) -> "Run":
     rig = Rig.from_file(path.with_suffix(".rig.yaml"))
     model = rig.objects[name].model()
     with live_rows(path.name) as show:
-        ended = run(path, rig, model, TrackerSettings(), watching(show))
+        ended = run(path, rig, model, TrackerSettings(outside=500), watching(show))
     try:
         from handsight.plot_track import draw_track
 

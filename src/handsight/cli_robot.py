@@ -148,9 +148,9 @@ def check(
             pass
         lacking = [*opened.report.sentences(), *opened.lacks()]
     for sentence in lacking:
-        print(f"- {sentence}")
+        typer.echo(f"- {sentence}")
     if not lacking:
-        print(f"{recording.name} has everything that this rig listens to.")
+        typer.echo(f"{recording.name} has everything that this rig listens to.")
     if lacking:
         raise typer.Exit(1)
 
@@ -169,14 +169,12 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     calibrated = calibrate_camera(recording, found, model)
     shift, turn = 1e3 * calibrated.correction[:3], calibrated.correction[3:]
     sigma = calibrated.covariance.diagonal() ** 0.5
-    print("camera:")
-    print(f"  pose: {pose_text(calibrated.T_mount_camera)}")
-    print(
-        f"# shifted by [{shift[0]:.1f}, {shift[1]:.1f}, {shift[2]:.1f}] mm at the object, turned by", end=" "
-    )
-    print("[{:.2f}, {:.2f}, {:.2f}]°".format(*map(math.degrees, turn)))
-    print("# known to ± [{:.1f}, {:.1f}, {:.1f}] mm,".format(*(1e3 * sigma[:3])), end=" ")
-    print("[{:.2f}, {:.2f}, {:.2f}]° (one standard deviation)".format(*map(math.degrees, sigma[3:])))
+    degrees = [[math.degrees(angle) for angle in part] for part in (turn, sigma[3:])]
+    typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
+    moved = "# shifted by [{:.1f}, {:.1f}, {:.1f}] mm at the object, turned by [{:.2f}, {:.2f}, {:.2f}]°"
+    typer.echo(moved.format(*shift, *degrees[0]))
+    known = "# known to ± [{:.1f}, {:.1f}, {:.1f}] mm, [{:.2f}, {:.2f}, {:.2f}]° (one standard deviation)"
+    typer.echo(known.format(*(1e3 * sigma[:3]), *degrees[1]))
     if calibrated.turned < LITTLE_TURN:
         say(
             f"the palm turned by {math.degrees(calibrated.turned):.0f}° only: error and pose are hardly told apart"

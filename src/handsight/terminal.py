@@ -113,6 +113,7 @@ def live_rows(title: str) -> Iterator[Callable[[list[tuple[str, str]]], None]]:
     with Live(console=_messages(), auto_refresh=False, transient=True) as live:
 
         def show(rows: list[tuple[str, str]]) -> None:
+            """These rows in place of the last ones."""
             table = Table(title=title, title_justify="left", show_header=False, box=None)
             for row in rows:
                 table.add_row(*row)

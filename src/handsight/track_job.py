@@ -117,6 +117,7 @@ def watching(show: Callable[[list[tuple[str, str]]], None]) -> Callable[[Tally, 
     last = -np.inf
 
     def watch(tally: Tally, step: Step, tracker: Tracker) -> None:
+        """The run as it is now, unless it was shown a moment ago."""
         nonlocal last
         now = time.monotonic()
         if now - last < REFRESH:

@@ -18,6 +18,7 @@ from grasps import (
     off,
 )
 from handsight import se3
+from handsight.correction import follow_pose
 from handsight.correction.correct import METHODS
 from handsight.objects.symmetry import nearest
 
@@ -213,6 +214,53 @@ def test_sampling_puts_a_slide_in_the_middle_of_what_the_edges_allow():
     # The interval is face less spread, 60 - 18 mm: uniform, its deviation is 12 mm.
     assert 0.007 < np.sqrt(mean.covariance[0, 0]) < 0.016
     assert mean.T_palm_object[1, 3] == pytest.approx(0, abs=0.003)
+
+
+def gripped_against_a_finger(slide=0.06):
+    """A box between three tips on two faces, vision off along them; a finger's surface stops it 8 mm on one side."""
+    points = np.array([[-0.009, 0.045, 0.0], [0.009, 0.045, 0.002], [0.0, -0.045, 0.001]])
+    normals = np.array([[0, 1.0, 0], [0, 1, 0], [0, -1, 0]])
+    contacts = hs.Contacts(points, normals, sigma_point=1.2e-3, sigma_normal=np.deg2rad(4))
+    sigma = np.array([0.06, 0.06, 0.003, 0.1, 0.02, 0.02])
+    vision = hs.PosePrior(se3.compose(np.eye(3), np.array([slide, 0.0, 0.0])), np.diag(sigma**2))
+    y, z = (axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.04, 9), np.linspace(-0.02, 0.02, 9)))
+    return contacts, vision, np.column_stack([np.full(81, 0.038), y, z])
+
+
+def test_sampling_gets_away_from_a_wall_that_the_maximum_leans_on():
+    contacts, vision, finger = gripped_against_a_finger()
+    few, many = (
+        hs.correct_pose(box(), contacts, vision=vision, outside=finger, samples=n) for n in (4000, 60_000)
+    )
+    mode = hs.correct_pose(box(), contacts, vision=vision, outside=finger)
+    assert mode.T_palm_object[0, 3] > 0.006
+    assert many.T_palm_object[0, 3] < 0.0
+    assert few.T_palm_object[0, 3] == pytest.approx(many.T_palm_object[0, 3], abs=2e-3)
+
+
+def test_a_wall_lends_no_information_of_the_way_back():
+    contacts, vision, finger = gripped_against_a_finger()
+    sigma = [
+        np.sqrt(hs.correct_pose(box(), contacts, vision=vision, outside=hand).covariance[0, 0])
+        for hand in (None, finger)
+    ]
+    assert sigma[1] > 0.5 * sigma[0] > 0.005
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pose_is_followed_to_where_a_search_would_lead(seed):
+    contacts, vision, _ = grasp(BOX_POINTS, BOX_NORMALS, seed)
+    found = hs.correct_pose(box(), contacts, vision=vision)
+    near = se3.moved(found.T_palm_object, np.array([1e-3, -1e-3, 5e-4, 0.01, 0.01, -0.01]))
+    followed = follow_pose(box(), contacts, vision, near)
+    assert off(followed.T_palm_object, found.T_palm_object) < (1e-6, 1e-5)
+    np.testing.assert_allclose(followed.covariance, found.covariance, atol=1e-4 * found.covariance.max())
+
+
+def test_a_pose_that_does_not_fit_is_not_followed():
+    contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=3)
+    turned = se3.moved(T, np.array([0, 0, 0, 0, 0, np.pi / 2]))
+    assert follow_pose(box(), contacts, vision, turned) is None
 
 
 def test_one_contact_with_vision_is_a_problem_for_us_and_not_for_the_paper():

@@ -4,7 +4,7 @@ import trimesh
 
 from handsight import se3
 from handsight.simulation import Scenario, model_of, simulate
-from simulation.simulated import samples
+from simulation.simulated import only, samples
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +49,23 @@ def test_the_table_carries_the_object_until_it_is_lifted(kind, height):
     for sample in samples(kind):
         assert sample.T_world_object[2, 3] == pytest.approx(height / 2, abs=1e-3)
         assert sample.T_world_object[2, 2] > np.cos(np.deg2rad(1.5))
+
+
+def test_the_table_is_a_little_off_where_the_robot_has_it():
+    """By what it is told, over seeds; the grasp itself stays as it is."""
+    heights, tilts = [], []
+    for seed in range(12):
+        exact = samples(seed=seed)[0]
+        moved = samples(seed=seed, nuisances=only(table_height=0.003, table_tilt=0.02))[0]
+        np.testing.assert_array_equal(moved.T_palm_object, exact.T_palm_object)
+        T = moved.T_world_object @ se3.inverse(exact.T_world_object)
+        np.testing.assert_allclose(
+            T @ exact.observation.T_world_palm, moved.observation.T_world_palm, atol=1e-12
+        )
+        heights.append(T[2, 3])
+        tilts.extend(se3.rotation_log(T[:3, :3])[:2])
+    assert 0.0015 < np.std(heights) < 0.0055  # of 12 draws
+    assert 0.012 < np.std(tilts) < 0.029  # of 24
 
 
 @pytest.mark.parametrize("kind", ["can", "box"])

@@ -10,6 +10,7 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
+from handsight.hand import Hand
 from handsight.observation import SeenPose
 from handsight.replay import errors_of
 from handsight.tracking import Skin, Tracker, TrackerSettings
@@ -46,6 +47,25 @@ def test_a_box_between_two_faces_is_said_to_be_uncertain(box):
     assert "known to" in tracker.reason
     off = se3.difference(tracker.estimate.T_palm_object, box.T_palm_object)
     assert off @ np.linalg.solve(tracker.estimate.covariance, off) < 22.5  # 99.9 % of six numbers
+
+
+def test_points_of_the_hand_bound_a_slide_and_are_left_out_where_their_joints_are(box):
+    tracker = tracked(box, outside=500)
+    inside = se3.apply(
+        se3.inverse(tracker.estimate.T_palm_object),
+        tracker._surface.points_palm(box.held[-1].joint_positions),
+    )
+    assert box.model.fine.evaluate(inside).distance.min() > -0.004
+    # The ring finger holds nothing here: without one of its joints there is no surface, and all else goes on.
+    three = {finger: box.rig.fingers[finger] for finger in ("ff", "mf", "th")}
+    tips = {finger: f.frame for finger, f in three.items()}
+    hand = Hand.from_file(box.rig.hand.file, palm=box.rig.hand.palm, tips=tips)
+    rig = replace(box.rig, hand=hand, fingers=three)
+    lacking = Tracker(rig, box.model, settings=TrackerSettings(outside=500))
+    for seen in box.observations:
+        joints = {name: q for name, q in seen.joint_positions.items() if name != "robot0:RFJ2"}
+        lacking.update(replace(seen, joint_positions=joints))
+    assert lacking.corrections > 0
 
 
 def test_nothing_is_answered_before_anything_is_known(can):

@@ -97,6 +97,7 @@ class _Compressed(Source):
         self.topics = {c.topic: normal_type(c.msgtype) for c in self._reader.connections}
 
     def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+        """As `Source.messages`."""
         connections = [c for c in self._reader.connections if c.topic in wanted]
         try:
             for c, log, data in self._reader.messages(connections) if connections else ():

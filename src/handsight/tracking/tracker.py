@@ -1,6 +1,6 @@
 """The object's pose in the palm over time: held between corrections, corrected when there is something new."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from handsight.tracking import answers
 from handsight.tracking.belief import Belief
 from handsight.tracking.grip import Change, Grip
 from handsight.tracking.memory import Memory, together
+from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.sight import Sight
 from handsight.tracking.table import on_table
 from handsight.tracking.touch import Skin, Touch
@@ -34,39 +35,6 @@ RETRY_EVERY = 0.1
 """The same when the fingers that touch have changed since."""
 LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackerSettings:
-    """When a tracker corrects, how it expects things to move, and when it admits that it does not know."""
-
-    rate: float | None = None
-    """Corrections a second while something is touched, whether or not anything changed; None: only when it did."""
-    moved: float = 0.001
-    """A contact that moved so far in the palm is a new one [m]."""
-    turned: float = np.deg2rad(5.0)
-    """Or whose normal turned so far [rad]."""
-    walk_position: float = 0.001
-    """How far the object creeps in the palm in a second, per axis [m]."""
-    walk_rotation: float = np.deg2rad(3.0)
-    """[rad]; a box between three simulated tips crept by 5 mm and 10° while it was carried for 18 s."""
-    regrasp_position: float = 0.005
-    """How far it may be pushed when a finger comes or goes, per axis [m]."""
-    regrasp_rotation: float = np.deg2rad(3.0)
-    """[rad]"""
-    memory: float = 5.0
-    """How long a contact that was lifted is still believed [s]; 0: not at all."""
-    samples: int = 0
-    """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
-    outside: int = 0
-    """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
-
-    Off by itself because shapes in a hand's file are often larger than the hand. The points need the joints of all
-    links; where an observation lacks some, there are none."""
-    uncertain_position: float = 0.015
-    """Largest standard deviation of the position [m] that counts as tracking."""
-    lost_after: float = 10.0
-    """How long nothing may be touched and nothing seen [s]."""
 
 
 class Tracker:
