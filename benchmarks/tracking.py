@@ -110,9 +110,10 @@ def main() -> None:
     """Prints the tables."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--updates", type=int, default=20_000, help="of each kind (default: %(default)s)")
+    arguments.add_argument("--only", choices=KINDS, help="this kind of update and nothing else")
     arguments.add_argument("--repeats", type=int, default=5, help="of each recording (default: %(default)s)")
     given = arguments.parse_args()
-    cells = [updated(kind, given.updates) for kind in KINDS]
+    cells = [updated(kind, given.updates) for kind in ([given.only] if given.only else KINDS)]
     columns = [
         "",
         "updates",
@@ -125,6 +126,8 @@ def main() -> None:
         "state",
     ]
     report.print_table("Tracker.update, five fingers on a can (synthetic)", columns, cells, report.machine())
+    if given.only:
+        return
     cells = [replayed(images, given.repeats) for images in (False, True)]
     columns = ["", "seconds", "MB", "corrections", "times real time", "least-most"]
     report.print_table("handsight track without its figure", columns, cells, report.machine())

@@ -24,6 +24,7 @@ from handsight.contact import (
     contact_from_wrench,
     contacts_from_wrenches,
 )
+from handsight.contact.several import Several
 
 SIGMAS = np.array([0.01, 0.02, 0.03, 5e-5, 1e-4, 2e-4])
 OPTIONS = {"sigma_force": SIGMAS[:3], "sigma_torque": SIGMAS[3:]}
@@ -262,6 +263,31 @@ def test_few_contacts_among_many_wrenches_keep_little_memory():
     assert batch.points.base is None
 
 
+def test_several_tips_feel_what_each_feels_alone():
+    tips = [TIP, Sphere(0.009), Ellipsoid((0.009, 0.009, 0.0145), cap=-0.007, max_friction=0.8), Sphere(0.01)]
+    sigmas = np.array([[s] * 3 + [s / 200] * 3 for s in (0.01, 0.02, 0.005, 0.01)])
+    rng = np.random.default_rng(8)
+    kinds = set()
+    for _ in range(60):
+        truth = [touches(rng, tip, 1) for tip in tips]
+        loads = np.array([np.r_[t.forces[0], t.torques[0]] * rng.choice([1, 1, -1]) for t in truth])
+        loads[3] *= rng.choice([1, 0, np.nan])
+        sensed = Several(tips, sigmas).sense(loads)
+        for i, tip in enumerate(tips):
+            kinds.add(sensed.reasons[i])
+            if np.isnan(loads[i]).any():
+                assert sensed.reasons[i] == "invalid"
+                continue
+            forces = {"sigma_force": sigmas[i, 0], "sigma_torque": sigmas[i, 3]}
+            one = contact_from_wrench(loads[i, :3], loads[i, 3:], tip, **forces)
+            assert sensed.reasons[i] == ("contact" if one else one.reason)
+            if one:
+                np.testing.assert_array_equal(sensed.points[i], one.point)
+                np.testing.assert_array_equal(sensed.normals[i], one.normal)
+                np.testing.assert_array_equal(sensed.covariances[i], one.covariance)
+    assert {"contact", "invalid", "free"} <= kinds
+
+
 def test_the_kernels_are_imported_with_the_first_contact():
     code = (
         "import sys; from handsight.contact import Sphere, contact_from_wrench as find; tip = Sphere(0.01)\n"
@@ -273,10 +299,12 @@ def test_the_kernels_are_imported_with_the_first_contact():
 def test_warming_compiles_every_kernel():
     code = (
         "from handsight._kernels import sensing as k; k.warm()\n"
-        "assert all(len(f.signatures) == 1 for f in (k.sense, k.sense_one, k.covariances))\n"
+        "kernels = k.sense, k.sense_one, k.sense_each, k.covariances\n"
+        "assert all(len(f.signatures) == 1 for f in kernels)\n"
         "import numpy as np; from handsight.contact import Sphere, contact_from_wrench, contacts_from_wrenches\n"
+        "from handsight.contact.several import Several; Several([Sphere(0.01)], np.ones((1, 6))).sense(np.zeros((1, 6)))\n"
         "contact_from_wrench([0, 0, -1], [0, 0, 0], Sphere(0.01))\n"
         "contacts_from_wrenches([[0, 0, -1]], [[0, 0, 0]], Sphere(0.01)).covariances\n"
-        "assert all(len(f.signatures) == 1 for f in (k.sense, k.sense_one, k.covariances))"
+        "assert all(len(f.signatures) == 1 for f in kernels)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

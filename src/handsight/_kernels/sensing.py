@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.compiled import entry
+from handsight._kernels.compiled import entry, inner
 from handsight._kernels.sensing_steps import (
     AXES,
     CONTACT,
@@ -152,24 +152,10 @@ def covariances(points: Any, pushes: Any, twists: Any, tip: Any, sigmas: Any, ou
                     out[36 * (start + j) + 6 * row + i] = sum_of_products(a, c, b, d)
 
 
-@entry
-def sense_one(
-    fx: float,
-    fy: float,
-    fz: float,
-    mx: float,
-    my: float,
-    mz: float,
-    tip: Any,
-    sigmas: Any,
-    vectors: Any,
-    covariance: Any,
-) -> Any:
-    """Reason, normal force and local torque of one wrench; `vectors` (3, 3): point, normal, force; its covariance.
-
-    Six numbers, because an array costs ten times what a number costs on the way in.
-    """
-    reason, scale, force, moment = prepared((fx, fy, fz), (mx, my, mz), tip)
+@inner
+def _sensed(reading: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -> Any:
+    """Reason, normal force and local torque of one wrench, six numbers; the rest is written."""
+    reason, scale, force, moment = prepared(reading[:3], reading[3:], tip)
     if reason != CONTACT:
         return int(reason), 0.0, 0.0
     c, kappa, pushes = root(force, moment, tip)
@@ -190,9 +176,50 @@ def sense_one(
     return int(CONTACT), push, twist
 
 
+@entry
+def sense_one(
+    fx: float,
+    fy: float,
+    fz: float,
+    mx: float,
+    my: float,
+    mz: float,
+    tip: Any,
+    sigmas: Any,
+    vectors: Any,
+    covariance: Any,
+) -> Any:
+    """Reason, normal force and local torque of one wrench; `vectors` (3, 3): point, normal, force; its covariance.
+
+    Six numbers, because an array costs ten times what a number costs on the way in.
+    """
+    return _sensed((fx, fy, fz, mx, my, mz), tip, sigmas, vectors, covariance)
+
+
+@entry
+def sense_each(loads: Any, tips: Any, sigmas: Any, reasons: Any, vectors: Any, covariances: Any) -> None:
+    """One wrench on each of n tips: `loads` (n, 6), `tips` (n, TIP), `sigmas` (n, 6).
+
+    Written: `reasons` (n) int8, and where that is CONTACT, `vectors` (n, 3, 3) and `covariances` (n, 6, 6).
+    """
+    for i in range(len(reasons)):
+        w = loads[i]
+        reading = (w[0], w[1], w[2], w[3], w[4], w[5])
+        reason, _, _ = _sensed(reading, tips[i], sigmas[i], vectors[i], covariances[i])
+        reasons[i] = np.int8(reason)
+
+
 def warm() -> None:
     """Compiles every kernel, or loads it."""
     tip, none, sigmas = np.ones(TIP), np.empty(0), np.ones(6)
     sense(none, none, tip, np.empty(0, np.int8), np.empty(0, np.int64), (none,) * 3, (none,) * 2)
     covariances(none, none, none, tip, sigmas, none)
     sense_one(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, tip, sigmas, np.empty((3, 3)), np.empty((6, 6)))
+    sense_each(
+        np.zeros((1, 6)),
+        tip[None],
+        sigmas[None],
+        np.empty(1, np.int8),
+        np.empty((1, 3, 3)),
+        np.empty((1, 6, 6)),
+    )

@@ -9,8 +9,9 @@ import numpy as np
 from handsight import se3
 from handsight._kernels import placing
 from handsight._kernels import tips as tips_kernel
-from handsight.checks import Array, Mask
-from handsight.contact import Contact, Contacts, contact_from_wrench
+from handsight.checks import Array, Indices
+from handsight.contact import Contacts
+from handsight.contact.several import Sensed, Several
 from handsight.hand import HandPose
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -64,6 +65,8 @@ class Skin:
         self._semi_axes = np.array([finger.tip.semi_axes for finger in fingers])
         self._variance = rig.sigma_joint_offset**2 + rig.sigma_joint**2
         self._own = np.array([[finger.sigma_point**2, finger.sigma_normal**2] for finger in fingers])
+        sigmas = np.array([[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in fingers])
+        self._sensing = Several([finger.tip for finger in fingers], sigmas)
         self._silent = np.full(6, np.nan)
 
     def touch(self, observation: Observation) -> Touch:
@@ -73,29 +76,19 @@ class Skin:
         pose = self.rig.hand.kinematics(observation.joint_positions)
         Ts_palm_surface = pose.Ts_palm_tip[self._tips] @ self._Ts_tip_surface
         loads = self._loads(observation, Ts_palm_surface)
-        spoke: Mask = np.asarray(np.isfinite(loads).all(axis=1))
-        felt: list[tuple[int, Contact]] = []
-        reasons: dict[str, str] = {}
-        for i, name in enumerate(self.names):
-            if not spoke[i]:
-                reasons[name] = "silent"
-                continue
-            finger = self.rig.fingers[name]
-            found = contact_from_wrench(
-                loads[i, :3], loads[i, 3:], finger.tip,
-                sigma_force=finger.sigma_force, sigma_torque=finger.sigma_torque,
-            )  # fmt: skip
-            if isinstance(found, Contact):
-                felt.append((i, found))
-            else:
-                reasons[name] = found.reason
-        if not felt:
+        sensed = self._sensing.sense(loads)
+        reasons = {
+            name: "silent" if reason == "invalid" else reason
+            for name, reason in zip(self.names, sensed.reasons, strict=True)
+            if reason != "contact"
+        }
+        rows = np.array([i for i, reason in enumerate(sensed.reasons) if reason == "contact"], dtype=np.int64)
+        if not len(rows):
             return Touch((), None, reasons)
-        rows = [i for i, _ in felt]
-        doubt = self._doubt(Ts_palm_surface)[rows]
-        fingers = tuple(self.names[i] for i in rows)
-        near = tuple(name for name, share in zip(fingers, doubt, strict=True) if share > LIKELY_ALONE)
-        return Touch(fingers, self._placed(felt, doubt, Ts_palm_surface, pose), reasons, near)
+        doubt = self._doubt(Ts_palm_surface)
+        near = tuple(self.names[i] for i in rows if doubt[i] > LIKELY_ALONE)
+        contacts = self._placed(sensed, rows, doubt, Ts_palm_surface, pose)
+        return Touch(tuple(self.names[i] for i in rows), contacts, reasons, near)
 
     def _loads(self, observation: Observation, Ts_palm_surface: Array) -> Array:
         """(n, 6) force and torque of the object on each tip, in its sensor's frame; NaN where a sensor is silent.
@@ -116,18 +109,17 @@ class Skin:
     def _doubt(self, Ts_palm_surface: Array) -> Array:
         """(n,) the chance that a tip touches another one: its sensor then feels the sum of two contacts."""
         gaps = tips_kernel.gaps(np.ascontiguousarray(Ts_palm_surface), self._semi_axes)
-        return np.array([0.5 * math.erfc(GAP_SCALE * gap) for gap in gaps])
+        return np.array([0.5 * math.erfc(GAP_SCALE * gap) for gap in gaps.tolist()])
 
     def _placed(
-        self, felt: list[tuple[int, Contact]], doubt: Array, Ts_palm_surface: Array, pose: HandPose
+        self, sensed: Sensed, rows: Indices, doubt: Array, Ts_palm_surface: Array, pose: HandPose
     ) -> Contacts:
         """The contacts in the palm frame, with all that is uncertain about them."""
-        rows = np.array([i for i, _ in felt])
-        points, normals = np.array([c.point for _, c in felt]), np.array([c.normal for _, c in felt])
-        covariance, Ts = np.array([c.covariance for _, c in felt]), Ts_palm_surface[rows]
+        points, normals, covariance = sensed.points[rows], sensed.normals[rows], sensed.covariances[rows]
+        Ts = Ts_palm_surface[rows]
         points_palm = (Ts[:, :3, :3] @ points[..., None])[..., 0] + Ts[:, :3, 3]
-        by_joint = pose.jacobians(points_palm, self._tips[rows])
-        own = self._own[rows] + doubt[:, None] * TWO_AT_ONCE
+        by_joint = pose.jacobians(points_palm, self._tips[rows].tolist())
+        own = self._own[rows] + doubt[rows, None] * TWO_AT_ONCE
         placing.place(points, normals, covariance, Ts, own, by_joint, self._variance)
         return Contacts.trusted(points, normals, covariance)
 
