@@ -59,7 +59,7 @@ def updated(kind: str, count: int) -> list[str]:
     tracker = hs.Tracker(rig_of(Scenario()), model_of(Scenario()), settings=KINDS[kind])
     for observation in grasp:
         tracker.update(observation)
-    took, corrections = np.empty(count), tracker.corrections
+    took, corrections = np.full(count, np.nan), tracker.corrections  # all of its pages now
     memory, began = [], time.perf_counter()
     with bar(kind) as advance:
         for k, observation in enumerate(stream(held, 10.0, count)):

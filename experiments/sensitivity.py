@@ -29,6 +29,7 @@ def settings():
     """By nuisance: its unit, and value in that unit → the settings that make it."""
     return {
         "joint offset": ("°", {v: {"joint_offset": np.deg2rad(v)} for v in (0, 0.5, 1, 2, 3)}),
+        "joint noise": ("°", {v: {"joint_noise": np.deg2rad(v)} for v in (0, 0.1, 0.5)}),
         "force noise": ("mN", {v: _load("noise", v) for v in (0, 10, 20, 50)}),
         "force bias": ("mN", {v: _load("bias", v) for v in (0, 20, 50, 100)}),
         "force drift": ("mN/s", {v: _load("drift", v) for v in (0.1, 10, 50)}),
@@ -36,6 +37,8 @@ def settings():
         "object scale": ("", {v: {"object_scale": v} for v in (0.97, 0.985, 1, 1.015, 1.03)}),
         "dent in the model": ("mm", {v: {"object_dent": 1e-3 * v} for v in (0, 2, 5)}),
         "noise of a scan": ("mm", {v: {"object_scan": 1e-3 * v} for v in (0, 0.5, 1, 2)}),
+        "table's height": ("mm", {v: {"table_height": 1e-3 * v} for v in (0, 3, 10)}),
+        "table's tilt": ("°", {v: {"table_tilt": np.deg2rad(v)} for v in (0, 1, 3)}),
         "vision's shift": ("cm", {v: _shift(v / 100) for v in (2, 4, 8, 12)}),
         "vision's turn": ("°", {v: {"camera_rotation": np.deg2rad(v)} for v in (0, 6, 12)}),
         "contacts": ("", {n: {"contacts": n} for n in (5, 4, 3, 2)}),

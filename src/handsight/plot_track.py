@@ -12,6 +12,7 @@ from handsight.errors import HandsightError
 from handsight.objects import ObjectModel
 from handsight.plot import require_matplotlib
 from handsight.replay import Step, Truths, base_center
+from handsight.tracking.answers import point_covariance
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000
@@ -26,7 +27,7 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
         4, 1, figsize=(9, 9), sharex=True, height_ratios=[3, 3, 3, 0.5], layout="constrained"
     )
     for k, axis in enumerate("xyz"):
-        _coordinate(axes[k], times, tracked[:, k], seen[:, k], true[:, k], sigma)
+        _coordinate(axes[k], times, tracked[:, k], seen[:, k], true[:, k], sigma[:, k])
         axes[k].set_ylabel(f"{axis} [cm]")
     _states(axes[3], steps)
     axes[3].set_xlabel("time [s]")
@@ -45,11 +46,11 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
 def _curves(
     model: ObjectModel, all_steps: Sequence[Step], truths: Truths
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Times (n,) [s], and (n, 3) [cm] each: base tracked, seen and true (NaN where not known); sigma (n,) [cm]."""
+    """Times (n,) [s], and (n, 3) [cm] each: base tracked, seen and true (NaN where not known), sigma of the tracked."""
     every = max(1, len(all_steps) // MOST_POINTS)
     steps = [step for k, step in enumerate(all_steps) if k % every == 0 or step.T_palm_seen is not None]
     first = steps[0].stamp if steps else 0.0
-    tracked, seen, true = (np.full((len(steps), 3), np.nan) for _ in range(3))
+    tracked, seen, true, sigma = (np.full((len(steps), 3), np.nan) for _ in range(4))
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
         truth = truths.at(step.stamp)
@@ -57,8 +58,14 @@ def _curves(
         for row, T in ((tracked, step.estimate.T_palm_object), (seen, step.T_palm_seen), (true, truth)):
             if T is not None:
                 row[i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
-    times = np.array([step.stamp - first for step in steps])
-    return times, tracked, seen, true, np.array([100 * step.sigma for step in steps])
+        sigma[i] = 100 * _sigma_of(step, model, T_world_palm[:3, :3], base)
+    return np.array([step.stamp - first for step in steps]), tracked, seen, true, sigma
+
+
+def _sigma_of(step: Step, model: ObjectModel, R_world_palm: Array, point: Array) -> Array:
+    """(3,) standard deviations [m] of a point of the object along the world's axes."""
+    covariance = R_world_palm @ point_covariance(step.estimate, model, point) @ R_world_palm.T
+    return np.asarray(np.sqrt(covariance.diagonal().clip(min=0.0)))
 
 
 def _coordinate(axes: Any, times: Array, tracked: Array, seen: Array, true: Array, sigma: Array) -> None:

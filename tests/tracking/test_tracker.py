@@ -14,6 +14,7 @@ from handsight.hand import Hand
 from handsight.observation import SeenPose
 from handsight.replay import errors_of
 from handsight.tracking import Skin, Tracker, TrackerSettings
+from handsight.tracking.answers import point_covariance
 
 
 def tracked(grasp, **settings):
@@ -66,6 +67,21 @@ def test_points_of_the_hand_bound_a_slide_and_are_left_out_where_their_joints_ar
         joints = {name: q for name, q in seen.joint_positions.items() if name != "robot0:RFJ2"}
         lacking.update(replace(seen, joint_positions=joints))
     assert lacking.corrections > 0
+
+
+def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
+    """Of an object whose origin is far from it: what counts is the object, not its origin."""
+    rng = np.random.default_rng(3)
+    estimate = tracked(box).estimate
+    root = np.linalg.cholesky(estimate.covariance) * 0.05  # small turns: to first order
+    narrow = replace(estimate, covariance=root @ root.T, information=np.linalg.inv(root @ root.T))
+    point = np.array([0.4, -0.3, 0.2])
+    drawn = se3.moved(
+        np.repeat(narrow.T_palm_object[None], 20_000, axis=0), rng.normal(size=(20_000, 6)) @ root.T
+    )
+    places = se3.apply(drawn, point[None])[:, 0]
+    expected = point_covariance(narrow, box.model, point)
+    np.testing.assert_allclose(np.cov(places.T), expected, atol=0.05 * np.trace(expected))
 
 
 def test_nothing_is_answered_before_anything_is_known(can):

@@ -44,7 +44,7 @@ def near(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
     begins, hand = np.array((0, len(rows))), packed_hand(problem)
     start = NOWHERE if T_start is None else packed_poses(T_start)
     many.correct_all(numbers, singles, rows, begins, prior, start, hand, WIDEST_OF_ONE, out, 0, 1)
-    return answer_of_one(contacts, out[0])
+    return answer_of_one(contacts, out[0], searched=T_start is not None)
 
 
 def near_all(model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]]) -> list[PoseEstimate | None]:
@@ -64,13 +64,17 @@ def near_all(model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]])
     return [answer_of_one(problem[0], out[: at.RESIDUALS + 2 * n].copy()) for problem, n, out in found]
 
 
-def answer_of_one(contacts: Contacts, out: Array) -> PoseEstimate | None:
-    """The answer in a kernel's numbers, or None where it cannot stand."""
+def answer_of_one(contacts: Contacts, out: Array, *, searched: bool = False) -> PoseEstimate | None:
+    """The answer in a kernel's numbers, or None where it cannot stand.
+
+    `searched`: whether a wrong contact has been looked for; what fits then stands, though one may look suspicious.
+    """
     if not out[at.WIDTH] < WIDEST_OF_ONE or not out[at.CONVERGED]:
         return None
     n = len(contacts.points_palm)
     freedom = n + 2 * int(out[at.NORMALS])
-    if not outliers.fits(out[at.DESCENT_COST], freedom, out[at.GAIN]):
+    cost = float(out[at.DESCENT_COST])
+    if not (modes.fits(cost, freedom) if searched else outliers.fits(cost, freedom, out[at.GAIN])):
         return None
     return _estimate(out, n, freedom, (), (_mode(out, 1.0),))
 

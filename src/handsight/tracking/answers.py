@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array
 from handsight.correction import Hypothesis, PoseEstimate, Residuals
 from handsight.objects import ObjectModel
 from handsight.tracking.belief import Belief, grown
 
-EYE_6 = np.eye(6)
+EYE_3, EYE_6 = np.eye(3), np.eye(6)
 
 
 def by_belief(belief: Belief) -> PoseEstimate:
@@ -38,13 +39,21 @@ def held(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
     return replace(estimate, information=information, covariance=covariance)
 
 
+def known_covariance(information: Array, radius: float) -> Array:
+    """(6, 6) the inverse of an information (6, 6); what a declared axis leaves at zero is no uncertainty."""
+    scale = np.array([1.0, 1, 1, 1 / radius, 1 / radius, 1 / radius])
+    values, vectors = np.linalg.eigh(information * scale[:, None] * scale)
+    spread = np.where(values > 1e-9 * max(values[-1], 1e-300), 1 / np.maximum(values, 1e-300), 0.0)
+    root = scale[:, None] * vectors
+    return np.asarray((root * spread) @ root.T)
+
+
+def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:
+    """(3, 3) of the place in the palm [m] of a point fixed on the object (3,), along no declared symmetry."""
+    by_pose = np.hstack([EYE_3, -se3.skew(estimate.T_palm_object[:3, :3] @ point_object)])
+    return np.asarray(by_pose @ known_covariance(estimate.information, model.radius) @ by_pose.T)
+
+
 def sigma_position(estimate: PoseEstimate, model: ObjectModel) -> float:
     """Largest standard deviation of the position of the object's middle [m], along no declared symmetry."""
-    scaled = estimate.information.copy()
-    scaled[:, 3:] /= model.radius
-    scaled[3:] /= model.radius
-    values, vectors = np.linalg.eigh(scaled)
-    # What a declared axis leaves at zero is no uncertainty.
-    spread = np.where(values > 1e-9 * max(values[-1], 1e-300), 1 / np.maximum(values, 1e-300), 0.0)
-    position = (vectors[:3] * spread) @ vectors[:3].T
-    return float(np.sqrt(np.linalg.eigvalsh(position)[-1]))
+    return float(np.sqrt(np.linalg.eigvalsh(point_covariance(estimate, model, model.center_object))[-1]))
