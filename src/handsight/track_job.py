@@ -159,6 +159,8 @@ def run(
                 watch(ended.tally, step, tracker)
         except KeyboardInterrupt:
             ended.interrupted = True
+            # It may come between an answer's count and the answer.
+            ended.tally.answered = len(ended.steps)
         ended.said = [*recording.report.sentences(), *recording.lacks()]
         ended.truths = Truths(recording.truth)
     ended.corrections, ended.reason = tracker.corrections, tracker.reason

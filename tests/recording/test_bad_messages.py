@@ -229,15 +229,15 @@ def test_frames_that_are_not_connected_are_told(tmp_path):
     assert "no transforms that lead from 'world' to 'palm' on /tf" in recording.lacks()
 
 
-def test_a_recording_that_has_all_lacks_nothing(tmp_path):
-    rows = touched(50) + [
-        (topic, START, message)
-        for topic, message in (
-            ("/tf", M.tf(START, ("world", "palm", np.eye(4)))),
-            ("/vision/object", M.pose(START, np.eye(4))),
-        )
-    ]
+@pytest.mark.parametrize("count", [50, 30])
+def test_a_recording_that_has_all_lacks_nothing_and_one_that_has_some_is_told_how_much(tmp_path, count):
+    stamps = [START + i / 100 for i in range(count)]
+    rows = touched(50) + [("/tf", s, M.tf(s, ("world", "palm", np.eye(4)))) for s in stamps]
+    rows.append(("/vision/object", START, M.pose(START, np.eye(4))))
     _, recording = read(
         save(tmp_path, sorted(rows, key=lambda row: row[1])), rig(color=None, depth=None, camera_info=None)
     )
-    assert recording.lacks() == []
+    missing = 50 - recording.report.placed
+    some = [f"no transform from 'world' to 'palm' in {missing} of 50 observations"]
+    assert recording.lacks() == (some if count == 30 else [])
+    assert (missing > 0) == (count == 30)

@@ -187,8 +187,10 @@ class Recording:
         if unknown:
             near = "".join(_nearest(name, frames) for name in unknown[:1])
             return [f"no transform of {' and '.join(map(repr, unknown))} on {topic}{near}"]
+        missing = self.report.observations - self.report.placed
         if self.report.placed:
-            return []
+            said = f"no transform from {world!r} to {palm!r} in {missing} of {self.report.observations} observations"
+            return [said] if missing else []
         return [f"no transforms that lead from {world!r} to {palm!r} on {topic}"]
 
     def _without_joints(self) -> InvalidFile:
