@@ -22,6 +22,8 @@ ARM = 5e-3
 """Torque errors belong to force errors this far off [m]: 0.05 mN m to 10 mN."""
 HEIGHT = 0.8
 """Vision's error in height, in parts of the one in the plane."""
+PANELS = 5
+"""Beside each other."""
 COLOURS = {"can": "#3b6fb6", "box": "#c2571a"}
 
 
@@ -131,8 +133,12 @@ def print_table(rows, trials):
 def draw(rows, path):
     """A panel a nuisance: mean error against its size."""
     plt = report.pyplot()
-    figure, panels = plt.subplots(3, 4, figsize=(12, 7.5), sharey=True, layout="constrained")
     chosen = settings()
+    lines = -(-(len(chosen) + 1) // PANELS)  # one is the legend's
+    size = (3 * PANELS, 2.5 * lines)
+    figure, panels = plt.subplots(
+        lines, PANELS, figsize=size, sharey=True, squeeze=False, layout="constrained"
+    )
     for axes, (nuisance, (unit, values)) in zip(panels.flat, chosen.items(), strict=False):
         for name in OBJECTS:
             found = [
@@ -150,8 +156,9 @@ def draw(rows, path):
     panels[0, 0].set_ylim(0, None)
     for axes in panels[:, 0]:
         axes.set_ylabel("error [mm]")
+    for axes in panels.flat[len(chosen) :]:
+        axes.axis("off")
     last = panels.flat[len(chosen)]
-    last.axis("off")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     last.legend(handles, labels, loc="center", title="base's centre, mean and 95 % interval")
     report.save_figure(figure, path)
