@@ -1,4 +1,4 @@
-"""What kernels and their twins must agree on: when the two phases end, and how the posterior is read."""
+"""When the two phases end, and how the posterior is read."""
 
 import numpy as np
 
@@ -6,6 +6,8 @@ MAX_TURN = 0.7
 """Longest turn of one step [rad]: beyond it the linearisation says nothing."""
 MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
 """Most steps of phase 1, and the step [radii] that ends it."""
+WIDEST_OF_ONE = 0.225
+"""A prior narrower than this part of the diameter needs one start."""
 COARSE_STEPS, FINE_STEPS = 2, 50
 COARSE_STEP = 0.3
 """Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""

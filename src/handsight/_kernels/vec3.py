@@ -27,6 +27,16 @@ def matrix(x: np.ndarray) -> Mat33:
 
 
 @inner
+def block(x: np.ndarray, i: int, j: int) -> Mat33:
+    """The 3x3 of an array that begins at row i and column j."""
+    return (
+        (x[i, j], x[i, j + 1], x[i, j + 2]),
+        (x[i + 1, j], x[i + 1, j + 1], x[i + 1, j + 2]),
+        (x[i + 2, j], x[i + 2, j + 1], x[i + 2, j + 2]),
+    )
+
+
+@inner
 def store(v: Vec3, out: np.ndarray) -> None:
     """Writes a vector to the first three numbers of an array."""
     out[0], out[1], out[2] = v
@@ -80,6 +90,12 @@ def dot(a: Vec3, b: Vec3) -> float:
 def cross(a: Vec3, b: Vec3) -> Vec3:
     """a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inner
+def skew(a: Vec3) -> Mat33:
+    """[a]x, with [a]x b = a x b."""
+    return (0.0, -a[2], a[1]), (a[2], 0.0, -a[0]), (-a[1], a[0], 0.0)
 
 
 @inner

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
+from handsight._kernels.records import CONTACT
 from handsight.checks import Array
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
@@ -29,6 +30,8 @@ class Contacts:
     covariance: Array
     """(n, 6, 6) of (point [m], normal) along the palm's axes. A unit normal varies in its
     tangent plane only, so nothing is kept along it, and nothing at all where there is no normal."""
+    record: NDArray[np.void]
+    """(n,) the same as kernels take it."""
 
     def __init__(
         self,
@@ -134,6 +137,10 @@ def _fill(
     ):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
+    record = np.empty(len(points), dtype=CONTACT)
+    record["point"], record["normal"], record["covariance"] = points, normals, covariance
+    record["has_normal"], record["used"] = has_normal, True
+    object.__setattr__(contacts, "record", record)
 
 
 def _tangent(covariance: Array, normals: Array, has_normal: NDArray[np.bool_]) -> Array:

@@ -1,10 +1,10 @@
 """Correction: contacts and vision to a pose with its uncertainty."""
 
 from handsight.correction.batch import correct_poses
-from handsight.correction.correct import METHODS, correct_pose, follow_pose
+from handsight.correction.correct import METHODS, correct_pose, refine_pose
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
 from handsight.correction.paper import PaperMethod
-from handsight.correction.two_phase import TwoPhase
+from handsight.correction.problem import TwoPhase
 
 __all__ = [
     "METHODS",
@@ -16,5 +16,5 @@ __all__ = [
     "TwoPhase",
     "correct_pose",
     "correct_poses",
-    "follow_pose",
+    "refine_pose",
 ]

@@ -4,8 +4,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from handsight.contact import Contacts
-from handsight.correction.correct import compiled_solver, correct_pose
+from handsight.correction.correct import correct_pose
 from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.solve import solve_batch
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
@@ -31,7 +32,7 @@ def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstim
     for begin in range(0, len(usual), AT_ONCE):
         rows = usual[begin : begin + AT_ONCE]
         pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
-        for i, estimate in zip(rows, compiled_solver().near_all(model, pairs), strict=True):
+        for i, estimate in zip(rows, solve_batch(model, pairs), strict=True):
             found[i] = estimate
     return [
         _solved(model, problem, f"problems[{i}]") if estimate is None else estimate

@@ -1,25 +1,21 @@
 """The public door of correction: one function for every method."""
 
-from functools import cache
-from types import ModuleType
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import modes, outliers, paper, plain, two_phase
-from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior
-from handsight.correction.outliers import Solver
+from handsight.correction import outliers, paper
+from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.paper import PaperMethod
-from handsight.correction.posterior import mean_by_sampling
-from handsight.correction.two_phase import Problem, TwoPhase
+from handsight.correction.problem import NO_OUTSIDE, Problem, TwoPhase, descents_at, outside_records
+from handsight.correction.sampling import mean_by_sampling
+from handsight.correction.solve import solve_single_start, summarize, summarize_pose
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 USUAL = TwoPhase()
-NO_POINTS = np.empty((0, 3))
 METHODS: dict[str, TwoPhase | PaperMethod] = {
     "handsight": USUAL,
     "paper-lm": PaperMethod(optimizer="lm"),
@@ -55,14 +51,14 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    hand = NO_POINTS
+    points = NO_OUTSIDE
     if outside is not None and np.size(outside):
-        hand = checks.finite(outside, "outside", (None, 3))
+        points = outside_records(model, contacts, checks.finite(outside, "outside", (None, 3)))
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
         raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
-    problem = Problem(model, contacts, vision, hand)
+    problem = Problem(model, contacts, vision, points)
     if options is USUAL and not samples:
-        estimate: PoseEstimate | None = compiled_solver().near(problem)
+        estimate = solve_single_start(problem)
         if estimate is not None:
             return estimate
     if isinstance(options, PaperMethod):
@@ -70,16 +66,15 @@ def correct_pose(
     return _by_two_phases(problem, options, int(samples))
 
 
-def follow_pose(
+def refine_pose(
     model: ObjectModel, contacts: Contacts, vision: PosePrior, T_start: Array, outside: Array | None = None
 ) -> PoseEstimate | None:
     """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
 
     None where the evidence does not fit there: then search anew. `T_start` (4, 4); `outside` (m, 3) [m] or None.
     """
-    problem = Problem(model, contacts, vision, NO_POINTS if outside is None else outside)
-    followed: PoseEstimate | None = compiled_solver().near(problem, T_start)
-    return followed
+    points = NO_OUTSIDE if outside is None else outside_records(model, contacts, outside)
+    return solve_single_start(Problem(model, contacts, vision, points), T_start)
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
@@ -90,21 +85,10 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
     return METHODS[method]
 
 
-@cache
-def compiled_solver() -> ModuleType:
-    """The compiled solver, once it is asked for: numba takes half a second to import."""
-    from handsight.correction import compiled
-
-    return compiled
-
-
 def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEstimate:
-    solver: Solver = compiled_solver() if options.compiled else plain
-    found = outliers.solve_robustly(problem, options, solver)
-    estimate = solver.explained(problem, found.descent, found.used)
-    if not samples:
-        return estimate
-    return mean_by_sampling(problem, estimate, found.used, samples, solver.cost)
+    found = outliers.solve_robustly(problem, options)
+    estimate = summarize(problem, found.minima, found.used)
+    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
@@ -131,19 +115,6 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
         options,
     )
     T = T_palm_middle @ answer.T_new_old @ se3.inverse(T_palm_middle) @ T
-    used = np.ones((1, len(contacts)), dtype=bool)
-    information, by_touch, chi2, cost = two_phase.posterior(problem, T[None], used)
-    known = modes.complete(information[0], model.radius, blind=False)
-    sigma = modes.covariance(information[0], model.radius) if known else None
-    return PoseEstimate(
-        T_palm_object=T,
-        covariance=sigma,
-        information=information[0],
-        converged=answer.converged,
-        iterations=answer.iterations,
-        residuals=two_phase.residuals(problem, T),
-        unobservable=two_phase.open_directions(model, by_touch[0], T),
-        consistent=modes.fits(float(chi2[0]), two_phase.freedom(problem, used)),
-        outliers=(),
-        hypotheses=(Hypothesis(T, information[0], sigma, 1.0, float(cost[0])),),
-    )
+    minimum = descents_at(T[None])
+    minimum["converged"], minimum["iterations"] = answer.converged, answer.iterations
+    return summarize_pose(problem, minimum)

@@ -4,12 +4,14 @@ Covariances and informations are 6 x 6, for the perturbation (δp [m], δθ [rad
 object's origin (`handsight.se3.moved`).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
+from handsight._kernels.records import ANSWER, PRIOR
 from handsight.checks import Array
 
 
@@ -21,11 +23,14 @@ class PosePrior:
     """(4, 4)."""
     covariance: Array
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) along the palm's axes."""
+    record: NDArray[np.void] = field(init=False, repr=False, compare=False)
+    """(1,) the same as kernels take it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "vision.T_palm_object"))
         covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
         object.__setattr__(self, "covariance", covariance)
+        object.__setattr__(self, "record", _prior_record(self.T_palm_object, covariance))
         self.T_palm_object.setflags(write=False)
         self.covariance.setflags(write=False)
 
@@ -35,6 +40,7 @@ class PosePrior:
         prior = object.__new__(cls)
         object.__setattr__(prior, "T_palm_object", T_palm_object)
         object.__setattr__(prior, "covariance", covariance)
+        object.__setattr__(prior, "record", _prior_record(T_palm_object, covariance))
         return prior
 
     @classmethod
@@ -46,6 +52,14 @@ class PosePrior:
         rotation = checks.positive(sigma_rotation, "sigma_rotation")
         T = se3.check(T_palm_object, "vision.T_palm_object")
         return cls(T, np.diag([position**2] * 3 + [rotation**2] * 3))
+
+
+def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
+    record = np.empty(1, dtype=PRIOR)
+    row = record[0]
+    row["pose"]["rotation"], row["pose"]["position"] = T[:3, :3], T[:3, 3]
+    row["covariance"] = covariance
+    return record
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,27 +88,102 @@ class Hypothesis:
     """Minus two log of the density at the mode, up to a constant: the χ² of all evidence in use."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoseEstimate:
-    """The object's pose in the palm, and how much of it to believe."""
+    """The object's pose in the palm, and how much of it to believe: a view of what a kernel has answered."""
 
-    T_palm_object: Array
-    """(4, 4): the best mode; its mean where `samples` were asked for."""
-    covariance: Array | None
-    """(6, 6) of (δp [m], δθ [rad]); None where `information` is singular."""
-    information: Array
-    """(6, 6), of touch and prior together; zero along a declared symmetry axis."""
-    converged: bool
-    """Whether the solver ended on a step too small to matter."""
-    iterations: int
-    """Steps of both phases that led to the answer."""
-    residuals: Residuals
-    unobservable: Array
-    """(k, 6) directions, (δp [m], δθ scaled by the object's radius [m]) of unit length, about the object's
-    origin, in which the contacts leave the pose open: there the answer is the prior's."""
+    answer: np.void
+    """ANSWER, of the best mode, or of its mean."""
+    modes: Sequence[np.void]
+    """ANSWER, of each mode that is reported, best first."""
+    residual_rows: Array
+    """(n, 2) distance [m] and angle [rad] of each contact."""
     consistent: bool
     """False: the evidence in use does not fit this object here (χ² beyond its 99.9 % quantile)."""
-    outliers: tuple[int, ...]
+    outliers: tuple[int, ...] = ()
     """Indices of contacts that were rejected as wrong."""
-    hypotheses: tuple[Hypothesis, ...]
-    """Distinct modes modulo the declared symmetries, best first; the first is the answer's."""
+
+    @classmethod
+    def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> "PoseEstimate":
+        """Of a pose that is known without touch: one mode, no residuals."""
+        answer = np.zeros((), dtype=ANSWER)[()]
+        answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
+        answer["T_palm_object"], answer["covariance"], answer["complete"] = T_palm_object, covariance, 1
+        answer["open_count"] = len(unobservable)
+        answer["unobservable"][: len(unobservable)] = unobservable
+        return cls(answer, (answer,), np.empty((0, 2)), True)
+
+    def with_gaussian(
+        self, T_palm_object: Array, covariance: Array | None, information: Array, residuals: Array | None = None
+    ) -> "PoseEstimate":
+        """The same estimate with another pose, covariance and information; the modes stay. `residuals` (n, 2)."""
+        answer = self.answer.copy()
+        answer["T_palm_object"], answer["information"] = T_palm_object, information
+        answer["complete"] = covariance is not None
+        if covariance is not None:
+            answer["covariance"] = covariance
+        rows = self.residual_rows if residuals is None else residuals
+        return PoseEstimate(answer, self.modes, rows, self.consistent, self.outliers)
+
+    @property
+    def T_palm_object(self) -> Array:
+        """(4, 4): the best mode; its mean where `samples` were asked for."""
+        T: Array = self.answer["T_palm_object"]
+        return T
+
+    @property
+    def covariance(self) -> Array | None:
+        """(6, 6) of (δp [m], δθ [rad]); None where `information` is singular."""
+        return self.answer["covariance"] if self.answer["complete"] else None
+
+    @property
+    def information(self) -> Array:
+        """(6, 6), of touch and prior together; zero along a declared symmetry axis."""
+        information: Array = self.answer["information"]
+        return information
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver ended on a step too small to matter."""
+        return bool(self.answer["converged"])
+
+    @property
+    def iterations(self) -> int:
+        """Steps of both phases that led to the answer."""
+        return int(self.answer["iterations"])
+
+    @property
+    def residuals(self) -> Residuals:
+        """What remains between each contact and the surface."""
+        return Residuals(self.residual_rows[:, 0], self.residual_rows[:, 1])
+
+    @property
+    def unobservable(self) -> Array:
+        """(k, 6) directions, (δp [m], δθ scaled by the object's radius [m]) of unit length, about the object's
+        origin, in which the contacts leave the pose open: there the answer is the prior's."""
+        rows: Array = self.answer["unobservable"][: self.answer["open_count"]]
+        return rows
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """Distinct modes modulo the declared symmetries, best first; the first is the answer's."""
+        return tuple(_hypothesis(mode) for mode in self.modes)
+
+    def __repr__(self) -> str:
+        """Where, and how it ended, in a line."""
+        place = " ".join(f"{1000 * x:.1f}" for x in self.T_palm_object[:3, 3])
+        ended = "converged" if self.converged else "not converged"
+        fits = "consistent" if self.consistent else "inconsistent"
+        count = f"{len(self.modes)} mode{'s' * (len(self.modes) != 1)}"
+        return f"<PoseEstimate at ({place}) mm: {ended}, {fits}, {count}, {len(self.unobservable)} directions open>"
+
+
+def _hypothesis(mode: np.void) -> Hypothesis:
+    covariance = mode["covariance"] if mode["complete"] else None
+    return Hypothesis(
+        mode["T_palm_object"],
+        mode["information"],
+        covariance,
+        float(mode["weight"]),
+        float(mode["posterior_cost"]),
+    )

@@ -9,14 +9,14 @@ from functools import cache
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight._kernels import batch
+from handsight._kernels.settings import WIDEST_OF_ONE
+from handsight.checks import Array, Mask
 from handsight.correction.estimate import PosePrior
-from handsight.correction.evidence import Touch, surface_at
+from handsight.correction.problem import Problem, descents_at
 from handsight.objects import ObjectModel
 
 MOST_STARTS = 32
-WIDEST_OF_ONE = 0.225
-"""A prior narrower than this part of the diameter needs one start."""
 FEW = 1024
 """Draws that are kept: the same for every problem, along its own axes."""
 BLIND_SPINS = 18
@@ -70,20 +70,21 @@ def _few() -> Array:
     return _drawn(FEW)
 
 
-def blind(model: ObjectModel, touch: Touch) -> Array:
+def blind(problem: Problem, used: Mask) -> Array:
     """Poses (K, 4, 4) in which a sample of the surface meets a contact, the best by all contacts kept.
 
-    Each contact of the set serves as anchor in turn; where it has a normal the sample's is laid on it and the
-    object spun about it, else it is turned at random.
+    Each contact of the set `used` (1, n) serves as anchor in turn; where it has a normal the sample's is laid on it and
+    the object spun about it, else it is turned at random.
     """
-    used = np.flatnonzero(touch.used[0])
-    points, normals = touch.points_palm[used], touch.normals_palm[used]
+    model, contacts = problem.model, problem.contacts
+    chosen = np.flatnonzero(used[0])
+    points, normals = contacts.points_palm[chosen], contacts.normals_palm[chosen]
     center = points.mean(axis=0)
     order = np.argsort(np.linalg.norm(points - center, axis=1), kind="stable")[::-1]
-    normalled = [i for i in order if touch.has_normal[used[i]]]
+    normalled = [i for i in order if contacts.has_normal[chosen[i]]]
     anchors = (normalled or list(order))[:3]
     poses = np.concatenate([_anchored(model, points[a], normals[a], points, a) for a in anchors])
-    return poses[np.argsort(_rough_cost(touch, poses), kind="stable")[:BLIND_KEPT]]
+    return poses[np.argsort(_start_costs(problem, used, poses), kind="stable")[:BLIND_KEPT]]
 
 
 def _anchored(model: ObjectModel, point: Array, normal: Array, points: Array, anchor: int) -> Array:
@@ -118,11 +119,10 @@ def _basis(z: Array, hint: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _rough_cost(touch: Touch, poses: Array) -> Array:
+def _start_costs(problem: Problem, used: Mask, poses: Array) -> Array:
     """(K,) what the contacts say of each pose, with standard deviations as coarse as the starts are."""
-    surface = surface_at(touch.field, touch.points_palm, poses)
     step = 2 * np.pi / BLIND_SPINS
-    reach = np.linalg.norm(surface.lever, axis=-1).mean() * step / 2
-    cost = (surface.distance / reach) ** 2
-    error = ((surface.normal - touch.normals_palm) ** 2).sum(axis=-1) / step**2
-    return np.asarray(((cost + error * touch.has_normal) * touch.used).sum(axis=-1))
+    reach = np.linalg.norm(problem.contacts.points_palm - poses[:, None, :3, 3], axis=-1).mean() * step / 2
+    descents = descents_at(poses)
+    batch.start_costs(*problem.model.record[:2], problem.sets(used)[0], reach, step, descents)
+    return np.asarray(descents["cost"])

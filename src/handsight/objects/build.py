@@ -132,10 +132,10 @@ def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
 
     By medians, so that edges, which the field rounds off, do not speak for the faces.
     """
-    from handsight.objects.pack import looked_up  # numba's import is long
+    from handsight.objects.record import evaluate  # numba's import is long
 
     points, normals = surface.draw(ROUGHNESS_SAMPLES, np.random.default_rng(1))
-    distance, gradient, _ = looked_up(fine, points)
+    distance, gradient, _ = evaluate(fine, points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
     angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
     return float(np.median(np.abs(distance)) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)

@@ -4,7 +4,7 @@ import dataclasses
 import os
 import warnings
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,9 @@ from handsight.objects.roughness import Roughness
 from handsight.objects.surface import Faces, Rounded, Surface
 from handsight.objects.symmetry import Symmetries
 from handsight.objects.whole import measured_file
+
+if TYPE_CHECKING:
+    from handsight.objects.record import ModelRecord
 
 SAMPLES = 256
 """Surface points that phase 1 of the correction matches contacts with."""
@@ -62,8 +65,7 @@ class ObjectModel:
     remarks: tuple[str, ...]
     """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
     _surface: Surface
-    kept: dict[str, Any] = dataclasses.field(init=False, default_factory=dict)
-    """What other rooms have computed from this model and will need again."""
+    _record: "ModelRecord | None" = dataclasses.field(init=False, default=None)
 
     def __repr__(self) -> str:
         """Name, size and kind in a line."""
@@ -173,12 +175,19 @@ class ObjectModel:
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
         """Distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
         points = checks.finite(points_object, "points_object", (None, 3))
-        from handsight.objects.pack import evaluated, packed_field  # numba's import is long
+        from handsight.objects.record import evaluate_record  # numba's import is long
 
-        name = "fine" if fine else "coarse"
-        if name not in self.kept:
-            self.kept[name] = packed_field(getattr(self, name), 0)
-        return evaluated(self.kept[name], points)
+        return evaluate_record(self.record.model["fine" if fine else "coarse"], self.record.nodes, points)
+
+    @property
+    def record(self) -> "ModelRecord":
+        """The same as kernels take it; made once."""
+        if self._record is None:
+            from handsight.objects.record import model_record  # as above
+
+            object.__setattr__(self, "_record", model_record(self))
+        assert self._record is not None
+        return self._record
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""

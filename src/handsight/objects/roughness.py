@@ -46,10 +46,10 @@ def roughness(surface: Surface, fine: Field, bounds: Array, cell: float) -> Roug
     import numba  # an object that is kept whole needs neither numba nor scipy
     from scipy.spatial import cKDTree
 
-    from handsight.objects.pack import looked_up
+    from handsight.objects.record import evaluate
 
     points, normals = surface.draw(SAMPLES, np.random.default_rng(2))
-    distance, gradient, _ = looked_up(fine, points)
+    distance, gradient, _ = evaluate(fine, points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
     angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.

@@ -9,7 +9,7 @@ from handsight import checks, se3
 from handsight._kernels.warm import warm_tracker
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import PoseEstimate, PosePrior, correct_pose, follow_pose
+from handsight.correction import PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
@@ -217,7 +217,7 @@ class Tracker:
         if self._surface is not None and joints is not None and self._surface_joints <= joints.keys():
             outside = self._surface.points_palm(joints)
         if follow is not None and follow.consistent and not follow.outliers and not samples:
-            followed = follow_pose(self.model, contacts, prior, follow.T_palm_object, outside)
+            followed = refine_pose(self.model, contacts, prior, follow.T_palm_object, outside)
             if followed is not None:
                 return followed
         return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples)

@@ -1,7 +1,9 @@
-"""Three inner loops in the compiler's own vectors: numba's loops over so few elements stay scalar.
+"""What numba cannot say by itself, as intrinsics. Elements beyond a machine's vector width are the compiler's business.
 
-`spline`: a grid's value and derivatives. `accumulate`: rows of evidence to normal equations. `scan`: the nearest
-of many samples. Elements beyond a machine's vector width are the compiler's business.
+`spline`: a grid's value and derivatives; `accumulate`: rows of evidence to normal equations; `scan`: the nearest of
+many samples: in the compiler's own vectors, for numba's loops over so few elements stay scalar (twice the time of a
+correction). `local`: a record on the stack, for numba makes arrays on the heap only, and frees one while a record of it
+is still in use.
 """
 
 from typing import Any
@@ -30,21 +32,21 @@ _ORDERS = (
 
 
 @intrinsic
-def spline(_: Any, values: Any, first: Any, step_x: Any, step_y: Any, fx: Any, fy: Any, fz: Any) -> Any:
+def spline(_: Any, values: Any, first: Any, step_x: Any, step_y: Any, past: Any) -> Any:
     """Ten numbers: value, gradient (x, y, z) and Hessian (xx, xy, xz, yy, yz, zz) by grid coordinates.
 
     `values`: nodes, float32, z fastest. `first`: place of the first of the 4 x 4 x 4 nodes. `step_x`, `step_y`:
-    between neighbours along x and y. `fx`, `fy`, `fz`: how far past the second node, 0 to 1. 16 rows of 4 nodes
-    are contracted along x and y, then along z. Twin: `handsight.objects.field.GridField`.
+    between neighbours along x and y. `past`: how far past the second node along x, y and z, 0 to 1. 16 rows of 4 nodes
+    are contracted along x and y, then along z.
     """
     f8, i8 = types.float64, types.int64
-    return types.UniTuple(f8, 10)(values, i8, i8, i8, f8, f8, f8), _spline
+    return types.UniTuple(f8, 10)(values, i8, i8, i8, types.UniTuple(f8, 3)), _spline
 
 
 def _spline(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    values, first, step_x, step_y = arguments[:4]
+    values, first, step_x, step_y, past = arguments
     nodes = _data(context, builder, signature.args[0], values)
-    along_x, along_y, along_z = (_basis(builder, f) for f in arguments[4:])
+    along_x, along_y, along_z = (_basis(builder, f) for f in cgutils.unpack_tuple(builder, past, 3))
     total: dict[tuple[int, int], Any] = {}
     for j in range(4):
         rows: list[Any] = [None] * 3
@@ -73,78 +75,86 @@ def _polynomial(builder: Any, rows: Any, f: Any) -> Any:
 
 
 @intrinsic
-def accumulate(_: Any, weight: Any, at: Any, rows: Any, equations: Any) -> Any:
+def accumulate(_: Any, weight: Any, rows: Any, equations: Any) -> Any:
     """Adds `JᵀWJ` to `equations` (7, 8): Hessian, gradient in row and column 6, cost where these meet.
 
-    `rows`: J, 7 numbers a row: six derivatives and the residual. `weight`: from `at` on W, symmetric, row by row; or
-    a tuple, its diagonal.
+    `rows`: J as a tuple of rows of 7, six derivatives and the residual. `weight`: W, a symmetric array, or a tuple, its
+    diagonal.
     """
-    return types.void(weight, types.int64, rows, equations), _accumulate
+    return types.void(weight, rows, equations), _accumulate
 
 
 def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    equations = _data(context, builder, signature.args[3], arguments[3])
-    numbers = cgutils.unpack_tuple(builder, arguments[2], signature.args[2].count)
-    n, zero = len(numbers) // 7, ir.Constant(_DOUBLE, 0.0)
-    rows = [
-        [
-            _packed(builder, numbers[7 * r : 7 * r + 4]),
-            _packed(builder, [*numbers[7 * r + 4 : 7 * r + 7], zero]),
-        ]
-        for r in range(n)
-    ]
-    weighted = _weighted(context, builder, signature.args[0], arguments, rows)
+    equations = _data(context, builder, signature.args[2], arguments[2])
+    n, zero = signature.args[1].count, ir.Constant(_DOUBLE, 0.0)
+    numbers = [cgutils.unpack_tuple(builder, row, 7) for row in cgutils.unpack_tuple(builder, arguments[1], n)]
+    rows = [[_packed(builder, row[:4]), _packed(builder, [*row[4:], zero])] for row in numbers]
+    weighted = _weighted(context, builder, signature.args[0], arguments[0], rows)
     for i in range(7):
         for half in range(2):
             place = ir.Constant(_INT64, 8 * i + 4 * half)
             total = _load(builder, equations, place, _DOUBLES)
             for r in range(n):
-                left = _filled(builder, numbers[7 * r + i], _DOUBLES)
+                left = _filled(builder, numbers[r][i], _DOUBLES)
                 total = _add(builder, left, weighted[r][half], total)
             address = builder.bitcast(builder.gep(equations, [place]), _DOUBLES.as_pointer())
             builder.store(total, address, align=8)
     return context.get_dummy_value()
 
 
-def _weighted(context: Any, builder: Any, kind: Any, arguments: Any, rows: Any) -> list[list[Any]]:
+def _weighted(context: Any, builder: Any, kind: Any, weight: Any, rows: Any) -> list[list[Any]]:
     """The rows of W J."""
     n = len(rows)
     if isinstance(kind, types.UniTuple):
-        diagonal = [_filled(builder, w, _DOUBLES) for w in cgutils.unpack_tuple(builder, arguments[0], n)]
+        diagonal = [_filled(builder, w, _DOUBLES) for w in cgutils.unpack_tuple(builder, weight, n)]
         return [[_add(builder, w, half, None) for half in row] for w, row in zip(diagonal, rows, strict=True)]
-    weight = _data(context, builder, kind, arguments[0])
+    numbers = _data(context, builder, kind, weight)
     weighted: list[list[Any]] = []
     for r in range(n):
         sums: list[Any] = [None, None]
         for c in range(n):
-            place = builder.add(arguments[1], ir.Constant(_INT64, n * r + c))
-            w = _filled(builder, builder.load(builder.gep(weight, [place])), _DOUBLES)
+            w = builder.load(builder.gep(numbers, [ir.Constant(_INT64, n * r + c)]))
+            w = _filled(builder, w, _DOUBLES)
             sums = [_add(builder, w, rows[c][half], sums[half]) for half in range(2)]
         weighted.append(sums)
     return weighted
 
 
 @intrinsic
-def scan(_: Any, table: Any, at: Any, count: Any, query: Any) -> Any:
+def local(_: Any, dtype: Any) -> Any:
+    """A record of the type, on the stack and not filled in: it lives until the kernel that asks for it returns."""
+    return dtype.dtype(dtype), _local
+
+
+def _local(context: Any, builder: Any, signature: Any, _: Any) -> Any:
+    # One place for each call in the source, however often it runs.
+    size = ir.Constant(_INT32, signature.return_type.size)
+    with builder.goto_entry_block():
+        place = builder.alloca(ir.IntType(8), size=size)
+        place.align = 32
+    return builder.bitcast(place, context.get_value_type(signature.return_type))
+
+
+@intrinsic
+def scan(_: Any, table: Any, query: Any) -> Any:
     """The column of a table with the least product with the query; of equals the first.
 
-    `table`: float32, from `at` on 7 rows of `count` numbers each, a multiple of 8. `query`: 7 float32.
+    `table`: (7, n) float32, n a multiple of 8, of fixed size. `query`: 7 float32.
     """
-    i8 = types.int64
-    return i8(table, i8, i8, types.UniTuple(types.float32, 7)), _scan
+    return types.int64(table, types.UniTuple(types.float32, 7)), _scan
 
 
 def _scan(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     table = _data(context, builder, signature.args[0], arguments[0])
-    at, count = arguments[1:3]
-    query = [_filled(builder, q, _EIGHT) for q in cgutils.unpack_tuple(builder, arguments[3], 7)]
+    count = signature.args[0].shape[1]
+    query = [_filled(builder, q, _EIGHT) for q in cgutils.unpack_tuple(builder, arguments[1], 7)]
     least = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT, [np.inf] * 8))
     place = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT_INTS, [0] * 8))
-    with cgutils.for_range(builder, builder.sdiv(count, ir.Constant(_INT64, 8))) as loop:
+    with cgutils.for_range(builder, ir.Constant(_INT64, count // 8)) as loop:
         begin = builder.mul(loop.index, ir.Constant(_INT64, 8))
         total = None
         for k in range(7):
-            row = builder.add(builder.add(at, begin), _times(builder, k, count))
+            row = builder.add(begin, ir.Constant(_INT64, k * count))
             total = _add(builder, query[k], _load(builder, table, row, _EIGHT), total)
         less = builder.fcmp_ordered("<", total, builder.load(least))
         here = _filled(builder, builder.trunc(begin, _INT32), _EIGHT_INTS)

@@ -1,0 +1,306 @@
+"""What Python calls: one correction after another, or one stage of many descents, in one call.
+
+`model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
+problem, each set with its own `used`. `prior` is one PRIOR, or none for an answer without vision. What ranges over
+descents or problems takes a slice of them, so that several threads share the work.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.compiled import entry, inner
+from handsight._kernels.contact_term import Pose, prepare_term, surface_at
+from handsight._kernels.dense6 import eigen, in_metres
+from handsight._kernels.levenberg import Evidence, descend
+from handsight._kernels.match import match
+from handsight._kernels.prior_term import prior_cost, vision_prior, weak_position_prior
+from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR, WORKSPACE
+from handsight._kernels.settings import (
+    COARSE_STEP,
+    COARSE_STEPS,
+    FINE_STEPS,
+    SMALL_STEP,
+    WIDEST_OF_ONE,
+)
+from handsight._kernels.simd import local
+from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
+from handsight._kernels.uncertainty import information, posterior_cost, summarize
+from handsight._kernels.vec3 import Vec3, add, cross, dot, matrix, mul, norm, scale, sub, vector
+
+
+@inner
+def _load_terms(contacts: Any, terms: Any) -> Vec3:
+    """The centroid of the contacts; fills in their terms."""
+    center = (0.0, 0.0, 0.0)
+    for i in range(len(contacts)):
+        contact, term = contacts[i], terms[i]
+        # Field by field: a record is not assigned whole.
+        term.contact.point[:] = contact.point
+        term.contact.normal[:] = contact.normal
+        term.contact.has_normal, term.contact.used = contact.has_normal, contact.used
+        term.contact.covariance[:] = contact.covariance
+        prepare_term(contact, term)
+        center = add(center, scale(vector(contact.point), 1 / len(contacts)))
+    return center
+
+
+@inner
+def _fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
+    """Vision's evidence, or the weak one in its place."""
+    if len(prior):
+        vision_prior(model, prior[0], term, local(WORKSPACE))
+    else:
+        weak_position_prior(model, center, term)
+
+
+@inner
+def coarse_solve(evidence: Evidence, pose: Pose) -> tuple[Pose, float, int]:
+    """The pose after phase 1 and the coarse field, its cost, and the steps of both."""
+    pose, steps = match(evidence, pose)
+    pose, cost, more, _ = descend(evidence, evidence.model.coarse, pose, COARSE_STEPS, COARSE_STEP, True)
+    return pose, cost, steps + more
+
+
+@inner
+def fine_solve(evidence: Evidence, pose: Pose) -> tuple[Pose, float, int, bool]:
+    """The minimum on the fine field below a pose: where, cost, steps, whether it converged."""
+    return descend(evidence, evidence.model.fine, pose, FINE_STEPS, SMALL_STEP, True)
+
+
+@inner
+def _residual(evidence: Evidence, contact: Any, pose: Pose) -> tuple[float, float]:
+    """Distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
+    distance, _, facing, _, _ = surface_at(evidence.nodes, evidence.model.fine, vector(contact.point), pose)
+    if not contact.has_normal:
+        return distance, np.nan
+    normal = vector(contact.normal)
+    return distance, np.arctan2(norm(cross(facing, normal)), dot(facing, normal))
+
+
+@inner
+def prior_width(model: Any, prior: Any) -> float:
+    """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
+    C, c = prior.covariance, mul(matrix(prior.pose.rotation), vector(model.center))
+    turn = C[3, 3] + C[4, 4] + C[5, 5]
+    # Of the object's center: δp + δθ × c.
+    spread = C[0, 0] + C[1, 1] + C[2, 2] + dot(c, c) * turn
+    for i in range(3):
+        for j in range(3):
+            spread -= c[i] * C[3 + i, 3 + j] * c[j]
+        k, m = (i + 1) % 3, (i + 2) % 3
+        spread += 2 * (C[i, 3 + k] * c[m] - C[i, 3 + m] * c[k])
+    return np.sqrt(spread + model.radius * model.radius * turn) / (2 * model.radius)
+
+
+@inner
+def _store_answer(pose: Pose, answer: Any) -> None:
+    store_pose(pose, answer.pose)
+    R, p = pose
+    for i in range(3):
+        for j in range(3):
+            answer.T_palm_object[i, j] = R[i][j]
+        answer.T_palm_object[i, 3] = p[i]
+        answer.T_palm_object[3, i] = 0.0
+    answer.T_palm_object[3, 3] = 1.0
+
+
+@inner
+def _correct_one(evidence: Evidence, problem: Any, residuals: Any) -> None:
+    """One correction from the prior's own pose, or from a pose near by that was right, however wide the prior is."""
+    answer, prior_pose = problem.answer, pose_of(problem.prior.pose)
+    pose, steps = prior_pose, 0
+    if problem.follows:
+        pose = pose_of(problem.start)
+    else:
+        pose, _, steps = coarse_solve(evidence, pose)
+    pose, answer.cost, more, answer.converged = fine_solve(evidence, pose)
+    answer.iterations, answer.first_order = steps + more, 0
+    pose = nearest(evidence.model, pose, prior_pose)
+    _store_answer(pose, answer)
+    summarize(evidence, pose, answer)
+    for i in range(len(evidence.terms)):
+        residuals[i, 0], residuals[i, 1] = _residual(evidence, evidence.terms[i].contact, pose)
+
+
+@entry
+def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
+    """Answers every problem from its prior's own pose, where that is narrow enough for one start; else its width only.
+
+    `contacts` (n,) of all problems one after another, `residuals` (n, 2) of each: distance [m], angle [rad].
+    """
+    for k in range(len(problems)):
+        problem = problems[k]
+        problem.answer.width = 0.0 if problem.follows else prior_width(model[0], problem.prior)
+        if problem.answer.width < WIDEST_OF_ONE:
+            mine, prior = contacts[problem.first : problem.last], local(PRIOR_TERM)
+            terms = np.empty(len(mine), TERM)
+            center = _load_terms(mine, terms)
+            vision_prior(model[0], problem.prior, prior, local(WORKSPACE))
+            evidence = Evidence(model[0], nodes, terms, outside, prior, center)
+            _correct_one(evidence, problem, residuals[problem.first : problem.last])
+
+
+@entry
+def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any) -> None:
+    """As `correct_all`, the poses alone: nothing of what an answer says beside it."""
+    for k in range(len(problems)):
+        problem = problems[k]
+        mine, prior = contacts[problem.first : problem.last], local(PRIOR_TERM)
+        terms = np.empty(len(mine), TERM)
+        center = _load_terms(mine, terms)
+        vision_prior(model[0], problem.prior, prior, local(WORKSPACE))
+        evidence = Evidence(model[0], nodes, terms, outside, prior, center)
+        pose, _, steps = coarse_solve(evidence, pose_of(problem.prior.pose))
+        pose, problem.answer.cost, more, problem.answer.converged = fine_solve(evidence, pose)
+        problem.answer.iterations = steps + more
+        store_pose(pose, problem.answer.pose)
+
+
+@entry
+def coarse_solve_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Moves descents (K,) by phase 1 and on the coarse field."""
+    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    for k in range(len(descents)):
+        descent = descents[k]
+        center = _load_terms(contacts[descent.set], terms)
+        if k == 0:
+            _fill_prior(model[0], prior, center, term)
+        evidence = Evidence(model[0], nodes, terms, outside, term, center)
+        pose, descent.cost, descent.iterations = coarse_solve(evidence, pose_of(descent.pose))
+        descent.converged = 0
+        store_pose(pose, descent.pose)
+
+
+@entry
+def fine_solve_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Moves descents (K, 1) on the fine field; of (K, 2), without vision, the second from there to the most likely pose.
+
+    Along a slide any place is a minimum; the weak prior on the position says which is the most likely one.
+    """
+    term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    nothing.kind = NO_PRIOR
+    for k in range(len(descents)):
+        first = descents[k, 0]
+        center = _load_terms(contacts[first.set], terms)
+        if k == 0:
+            _fill_prior(model[0], prior, center, term)
+        alone = Evidence(model[0], nodes, terms, outside, term if len(prior) else nothing, center)
+        pose, first.cost, steps, first.converged = fine_solve(alone, pose_of(first.pose))
+        first.iterations += steps
+        store_pose(pose, first.pose)
+        if descents.shape[1] > 1:
+            likely = descents[k, 1]
+            evidence = Evidence(model[0], nodes, terms, outside, term, center)
+            likelier, cost, _, likely.converged = descend(
+                evidence, model[0].fine, pose, FINE_STEPS, SMALL_STEP, False
+            )
+            likely.cost = cost - prior_cost(term, likelier)
+            likely.iterations = first.iterations
+            store_pose(likelier, likely.pose)
+
+
+@entry
+def start_costs(model: Any, nodes: Any, contacts: Any, sigma_distance: float, sigma_normal: float, descents: Any) -> None:
+    """Fills in what contacts (n,) say of descents (K,), with standard deviations [m], [rad] as coarse as the starts are."""
+    field = model[0].coarse
+    for k in range(len(descents)):
+        pose, cost = pose_of(descents[k].pose), 0.0
+        for i in range(len(contacts)):
+            contact = contacts[i]
+            if contact.used:
+                distance, _, facing, _, _ = surface_at(nodes, field, vector(contact.point), pose)
+                cost += (distance / sigma_distance) ** 2
+                if contact.has_normal:
+                    error = sub(facing, vector(contact.normal))
+                    cost += dot(error, error) / (sigma_normal * sigma_normal)
+        descents[k].cost = cost
+
+
+@entry
+def mode_weights(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, and their cost.
+
+    Σ over the directions known better than the prior, or, without vision, than the object's own size.
+    """
+    term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
+    radius = model[0].radius
+    floor = (1e-9 if len(prior) else 1.0) / (radius * radius)
+    for k in range(len(descents)):
+        descent = descents[k]
+        center = _load_terms(contacts[descent.set], terms)
+        if k == 0:
+            _fill_prior(model[0], prior, center, term)
+        evidence = Evidence(model[0], nodes, terms, outside, term, center)
+        pose = pose_of(descent.pose)
+        _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)
+        if term.kind == WEAK_PRIOR:
+            cost += prior_cost(term, pose)
+        in_metres(u.wider, radius, u.matrix)
+        eigen(u.matrix, u.values, u.vectors)
+        volume = 0.0
+        for i in range(6):
+            volume -= 0.5 * np.log(max(u.values[i], floor))
+        descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
+
+
+@entry
+def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+    """Completes answers (K,) whose pose is there; of the first set of contacts."""
+    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    center = _load_terms(contacts[0], terms)
+    _fill_prior(model[0], prior, center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    for k in range(len(answers)):
+        pose = pose_of(answers[k].pose)
+        _store_answer(pose, answers[k])
+        summarize(evidence, pose, answers[k])
+
+
+@entry
+def cost_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Fills in minus two log of the posterior density of descents (K,), up to a constant; of the first set of contacts."""
+    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    center = _load_terms(contacts[0], terms)
+    _fill_prior(model[0], prior, center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    for k in range(len(descents)):
+        descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))
+
+
+@entry
+def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals: Any) -> None:
+    """Distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
+    nothing, terms = local(PRIOR_TERM), np.empty(0, TERM)
+    evidence = Evidence(model[0], nodes, terms, terms, nothing, (0.0, 0.0, 0.0))
+    for i in range(len(contacts)):
+        residuals[i, 0], residuals[i, 1] = _residual(evidence, contacts[i], pose_of(descent[0].pose))
+
+
+@entry
+def nearest_all(model: Any, descents: Any, prior: Any) -> None:
+    """Replaces the poses of descents (K,) by their equivalents nearest to the prior's."""
+    for k in range(len(descents)):
+        store_pose(nearest(model[0], pose_of(descents[k].pose), pose_of(prior[0].pose)), descents[k].pose)
+
+
+@entry
+def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) -> int:
+    """How many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them as far as it goes.
+
+    `limits` (2,): apart are poses that differ by more than a shift [m] or a turn [rad].
+    """
+    count = 0
+    for index in order:
+        if count == len(chosen):
+            break
+        new = True
+        for k in range(count):
+            pose, other = pose_of(descents[index].pose), pose_of(descents[chosen[k]].pose)
+            if not are_apart(model[0], pose, other, limits):
+                new = False
+                break
+        if new:
+            chosen[count] = index
+            count += 1
+    return count

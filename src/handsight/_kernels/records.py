@@ -1,0 +1,159 @@
+"""The fixed-size values that kernels take, as NumPy structured types. All SI.
+
+A kernel reads their fields by name (`model.radius`, `contact.normal`); Python fills them once, at the public door. What
+a kernel makes for itself is a record of `simd.local`, which lives until the kernel returns.
+"""
+
+import numpy as np
+
+SAMPLES = 256
+"""Surface samples of an object that phase 1 matches contacts with."""
+MOST_ROTATIONS = 121
+"""Elements of the largest discrete symmetry group that kernels know."""
+
+
+def _record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
+    return np.dtype(list(fields), align=True)  # type: ignore[arg-type]
+
+
+POSE = _record(("rotation", "f8", (3, 3)), ("position", "f8", (3,)))
+
+# Kinds of field. An exact one has its half sizes (box), radius and half height (cylinder) or radius (sphere) in
+# `origin`, and no nodes.
+GRID, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
+FIELD = _record(
+    ("kind", "i8"),
+    ("origin", "f8", (3,)),
+    ("cell", "f8"),
+    ("inverse_cell", "f8"),
+    ("shape", "i8", (3,)),
+    ("nodes", "i8"),  # where they begin among the object's
+    ("least_radius", "f8"),  # of curvature, of an exact field
+    ("variance_distance", "f8"),  # how far it is off the surface: a coarse field on faces
+    ("variance_normal", "f8"),
+)
+
+# What of the symmetries kernels know: none, finitely many, an axis through the origin (and finitely many).
+NO_SYMMETRY, DISCRETE, AXIS, OTHER_SYMMETRY = 0, 1, 2, 3
+SYMMETRY = _record(
+    ("kind", "i8"),
+    ("axes", "i8"),  # how many continuous axes
+    ("pivot", "f8", (3,)),  # a point that all of them go through
+    ("axis", "f8", (3, 3)),  # their directions
+    ("rotations", "i8"),  # how many elements the discrete group has
+    ("rotation", "f8", (MOST_ROTATIONS, 3, 4)),
+)
+
+# How far the fine field is off the surface, place by place: two variances at each node of a grid.
+FIELD_ERROR = _record(
+    ("least_distance", "f8"),
+    ("least_normal", "f8"),
+    ("inverse_cell", "f8"),  # 0: the same everywhere
+    ("origin", "f8", (3,)),
+    ("shape", "i8", (3,)),
+    ("nodes", "i8"),
+)
+
+# One object. Its grids' nodes are an array of their own, float32.
+MODEL = _record(
+    ("coarse", FIELD),
+    ("fine", FIELD),
+    ("radius", "f8"),
+    ("center", "f8", (3,)),
+    ("bounds", "f8", (2, 3)),  # of a box around all of it
+    ("edge_curvature2", "f8"),  # squared curvature from which on the surface counts as an edge
+    ("error", FIELD_ERROR),
+    ("symmetry", SYMMETRY),
+    ("normal_weight2", "f8"),  # what a unit of normal is worth in phase 1, squared [m²]
+    ("band", "f8"),  # tangential distance to a sample that costs nothing [m]
+    ("tangential_weight", "f8"),  # of what is beyond it, squared [1/m²]
+    ("sample_variance_distance", "f8"),  # of a sample's plane [m²] and of its normal, per axis [rad²]
+    ("sample_variance_normal", "f8"),
+    ("samples", "f8", (SAMPLES, 2, 3)),  # point, normal
+    ("scan", "f4", (7, SAMPLES)),  # squared length, point, normal
+)
+
+CONTACT = _record(
+    ("point", "f8", (3,)),
+    ("normal", "f8", (3,)),
+    ("has_normal", "i8"),
+    ("used", "i8"),  # whether it counts
+    ("covariance", "f8", (6, 6)),  # of (point, normal)
+)
+PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
+OUTSIDE = _record(("point", "f8", (3,)), ("sigma", "f8"))
+
+# What a correction works out of a contact.
+TERM = _record(
+    ("contact", CONTACT),
+    ("variance_point", "f8"),  # mean, per axis
+    ("variance_normal", "f8"),  # mean, per tangent axis
+    ("isotropic", "i8"),  # the point's covariance is a ball's, and none of it is shared with the normal
+    ("weight", "f8", (4, 4)),  # inverse covariance of (distance, normal)
+    ("equations", "f8", (7, 8)),  # its own, by (δp, δθ)
+)
+
+# A prior as evidence about an object so symmetric: vision's, or the weak one on the position that blind answers take.
+NO_PRIOR, VISION_PRIOR, WEAK_PRIOR = 0, 1, 2
+PRIOR_TERM = _record(
+    ("kind", "i8"),
+    ("has_axis", "i8"),
+    ("pivot_object", "f8", (3,)),
+    ("axis_object", "f8", (3,)),
+    ("pivot_palm", "f8", (3,)),
+    ("rotation", "f8", (3, 3)),
+    ("information", "f8", (6, 6)),
+)
+
+# One descent among many: where it is, and how it ended.
+DESCENT = _record(
+    ("pose", POSE),
+    ("set", "i8"),  # of contacts that count for it
+    ("cost", "f8"),  # squared residuals
+    ("iterations", "i8"),
+    ("converged", "i8"),
+    ("log_weight", "f8"),  # of the mode: log of exp(-cost/2) √det Σ
+    ("posterior_cost", "f8"),  # minus two log of the density, up to a constant
+)
+
+ANSWER = _record(
+    ("pose", POSE),
+    ("T_palm_object", "f8", (4, 4)),
+    ("information", "f8", (6, 6)),
+    ("covariance", "f8", (6, 6)),
+    ("first_order", "i8"),  # whether these are as the Jacobian says, at a pose that is no minimum
+    ("complete", "i8"),  # whether there is a covariance
+    ("unobservable", "f8", (6, 6)),
+    ("open_count", "i8"),  # how many of these rows count
+    ("cost", "f8"),  # squared residuals at the end of the descent
+    ("iterations", "i8"),
+    ("converged", "i8"),
+    ("chi2", "f8"),
+    ("posterior_cost", "f8"),
+    ("weight", "f8"),  # of the mode among those reported
+    ("gain", "f8"),  # the most that χ² falls when one contact is left out
+    ("width", "f8"),  # how far the prior lets a point of the surface be [diameters]
+    ("rows", "i8"),  # of contact evidence
+)
+
+# One problem of a batch and its answer: the prior, the contacts (from `first` on, before `last`), and, if `follows`, a
+# pose near by that was right.
+PROBLEM = _record(
+    ("prior", PRIOR), ("first", "i8"), ("last", "i8"), ("follows", "i8"), ("start", POSE), ("answer", ANSWER)
+)
+
+# Room for a descent: normal equations, and what is solved with them.
+WORKSPACE = _record(("now", "f8", (7, 8)), ("next", "f8", (7, 8)), ("factor", "f8", (6, 6)), ("step", "f8", (6,)))
+
+# Room for what is worked out of a pose's uncertainty.
+UNCERTAINTY = _record(
+    ("by_touch", "f8", (6, 6)),
+    ("equations", "f8", (7, 8)),
+    ("matrix", "f8", (6, 6)),
+    ("wider", "f8", (6, 6)),
+    ("factor", "f8", (6, 6)),
+    ("values", "f8", (6,)),
+    ("vectors", "f8", (6, 6)),
+    ("row", "f8", (6,)),
+    ("column", "f8", (6,)),
+)

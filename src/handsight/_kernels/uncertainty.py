@@ -1,0 +1,332 @@
+"""What is known of a pose: its information and covariance, open directions, cost, and what each contact gains.
+
+Information is judged in metres: coordinates (δp, radius δθ), so that a turn counts by what it moves.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.compiled import inner
+from handsight._kernels.contact_term import (
+    Pose,
+    add_contact,
+    at_edge,
+    factored,
+    flattened,
+    invert_covariance,
+    log_determinant,
+    mahalanobis2,
+    residual_covariance,
+    surface_at,
+)
+from handsight._kernels.dense6 import eigen, factor, in_metres, solve
+from handsight._kernels.levenberg import Evidence
+from handsight._kernels.outside_term import outside_cost
+from handsight._kernels.prior_term import IDENTITY, add_prior, prior_cost
+from handsight._kernels.records import NO_PRIOR, UNCERTAINTY, VISION_PRIOR
+from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
+from handsight._kernels.simd import local
+from handsight._kernels.vec3 import Mat33, Vec3, add, add33, cross, matmul, mul, norm, outer, scale, scale33, skew, sub, vector
+
+
+@inner
+def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
+    """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ)."""
+    model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
+    chi2, log_spread = 0.0, 0.0
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        term.equations[:] = 0.0
+        if term.contact.used:
+            surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
+            has_normal = term.contact.has_normal != 0
+            factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
+            invert_covariance(factor4, has_normal, term.weight)
+            log_spread += log_determinant(factor4, has_normal)
+            if at_edge(model, term.contact, surface):
+                square = mahalanobis2(term.contact, surface, factor4)
+                add_contact(term, flattened(term.contact, surface), frame, term.equations)
+                # What it pulls at is beyond the edge: only its own residuals count.
+                term.equations[6, :6] = 0.0
+                term.equations[6, 6] = square
+            else:
+                add_contact(term, surface, frame, term.equations)
+            chi2 += term.equations[6, 6]
+    return chi2, log_spread
+
+
+@inner
+def information(evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any) -> tuple[float, float]:
+    """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all."""
+    chi2, log_spread = contact_information(evidence, pose)
+    # A wall: it costs, but says nothing of the way back.
+    chi2 += outside_cost(evidence, evidence.model.fine, pose)
+    equations[:] = 0.0
+    if evidence.prior.kind == VISION_PRIOR:
+        add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
+    for i in range(6):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(len(evidence.terms)):
+                value += evidence.terms[k].equations[i, j]
+            by_touch[i, j] = by_touch[j, i] = value
+            total[i, j] = total[j, i] = value + equations[i, j]
+    chi2 += equations[6, 6]
+    return chi2, chi2 + log_spread
+
+
+@inner
+def posterior_cost(evidence: Evidence, pose: Pose) -> float:
+    """Minus two log of the posterior density at a pose, up to a constant."""
+    model, nodes, field = evidence.model, evidence.nodes, evidence.model.fine
+    total = outside_cost(evidence, field, pose)
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            surface = surface_at(nodes, field, vector(term.contact.point), pose)
+            factor4 = factored(residual_covariance(model, nodes, field, term, surface))
+            total += mahalanobis2(term.contact, surface, factor4)
+            total += log_determinant(factor4, term.contact.has_normal != 0)
+    if evidence.prior.kind != NO_PRIOR:
+        total += prior_cost(evidence.prior, pose)
+    return total
+
+
+@inner
+def largest_gain(evidence: Evidence, total: Any, u: Any) -> float:
+    """The most that χ² falls, to first order, when one contact is left out and the pose gives way.
+
+    With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g.
+    """
+    most, ridge = 0.0, 1e-12 * (total[0, 0] + total[1, 1] + total[2, 2])
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            for r in range(6):
+                for c in range(r + 1):
+                    u.matrix[r, c] = total[r, c] - term.equations[r, c]
+            gain = term.equations[6, 6]
+            if factor(u.matrix, 6, ridge, u.factor):
+                solve(u.factor, 6, term.equations[6], u.row)
+                for k in range(6):
+                    gain += u.row[k] * term.equations[6, k]
+            most = max(most, gain)
+    return most
+
+
+@inner
+def retract_body(pose: Pose, slide: tuple[Vec3, Vec3]) -> Pose:
+    """The pose after a slide (s, δθ), straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
+    (R, p), (s, w) = pose, slide
+    half = 0.5 * norm(w)
+    ratio = np.sin(half) / half if half > 1e-9 else 1.0
+    S = skew(w)
+    E = add33(IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio)))
+    return matmul(E, R), add(p, mul(E, s))
+
+
+@inner
+def _column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, Vec3]:
+    """The slide of a length [m] along the k-th eigenvector."""
+    shift, turn = (vectors[0, k], vectors[1, k], vectors[2, k]), (vectors[3, k], vectors[4, k], vectors[5, k])
+    return scale(shift, length), scale(turn, length / radius)
+
+
+@inner
+def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors: Any) -> None:
+    """Lowers the eigenvalues of an information [1/m²] to what the posterior's own cost does a stride away.
+
+    At an edge, on a bumpy scan or along a bounded slide the slope of the residuals at the mode tells little about a
+    standard deviation away. Along each eigenvector the cost is read on both sides at STRIDE deviations, where a
+    Gaussian's has risen by STRIDE²; the eigenvalue is scaled by what it did, again where that was more than halving it.
+    """
+    radius, largest = evidence.model.radius, 0.0
+    for k in range(6):
+        largest = max(largest, values[k])
+    here = posterior_cost(evidence, pose)
+    for k in range(6):
+        if not values[k] > KNOWN * largest:
+            values[k] = 0.0
+            continue
+        for _ in range(SECANT_PASSES):
+            length = STRIDE * min(1 / np.sqrt(values[k]), radius / 2)
+            change = 0.0
+            for side in range(2):
+                slide = _column(vectors, k, -length if side else length, radius)
+                rise = (posterior_cost(evidence, retract_body(pose, slide)) - here) / (length * length * values[k])
+                change += 0.5 * min(max(rise, LEAST_FACTOR), 1.0)
+            values[k] *= change
+            if change > 0.5:
+                break
+
+
+@inner
+def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool:
+    """Whether all is known of a posterior that is Gaussian along the object; writes its information and covariance.
+
+    From `u.values` [1/m²] and `u.vectors`; known is what is above `least`. The contacts are linear in a slide `s` along
+    the object's own, turned, axes: `δp = exp(δθ) s ≈ s + δθ × s`. Along the palm's axes a long slide with an uncertain
+    turn is therefore an arc, wider than the first order says by the covariance of `δθ × s`. Deviations count up to the
+    radius: what touches cannot slide further. Unknown directions stay unknown.
+    """
+    radius, values, vectors = model.radius, u.values, u.vectors
+    known, complete = _keep_known(values, vectors, least)
+    for k in range(known):
+        u.row[k] = min(1 / values[k], radius * radius)
+    for i in range(6):
+        for j in range(6):
+            value = 0.0
+            for k in range(known):
+                value += vectors[i, k] * u.row[k] * vectors[j, k]
+            u.matrix[i, j] = value * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))
+    arc = scale33(_arc_covariance(u.matrix), 0.0 if row.first_order else 1.0)
+    for a in range(known):
+        va = vectors[0, a], vectors[1, a], vectors[2, a]
+        for b in range(a + 1):
+            along = mul(arc, (vectors[0, b], vectors[1, b], vectors[2, b]))
+            value = va[0] * along[0] + va[1] * along[1] + va[2] * along[2] + (1 / values[a] if a == b else 0.0)
+            u.wider[a, b] = u.wider[b, a] = value
+    factor(u.wider, known, 0.0, u.factor)
+    for j in range(known):
+        for i in range(known):
+            u.row[i] = 1.0 if i == j else 0.0
+        solve(u.factor, known, u.row, u.column)
+        for i in range(known):
+            u.matrix[i, j] = u.column[i]
+    _sandwich(vectors, known, u.matrix, radius, row.information)
+    _sandwich(vectors, known, u.wider, 1 / radius, row.covariance)
+    return complete
+
+
+@inner
+def _keep_known(values: Any, vectors: Any, least: float) -> tuple[int, bool]:
+    """How many directions are known, moved to the first columns; whether all are, better than `least`."""
+    largest, known = 0.0, 0
+    for k in range(6):
+        largest = max(largest, values[k])
+    for k in range(6):
+        if values[k] > KNOWN * largest:
+            values[known] = values[k]
+            for i in range(6):
+                vectors[i, known] = vectors[i, k]
+            known += 1
+    complete = known == 6
+    for k in range(known):
+        complete = complete and values[k] > least
+    return known, complete
+
+
+@inner
+def _sandwich(vectors: Any, known: int, middle: Any, turn: float, out: Any) -> None:
+    """`vectors @ middle @ vectorsᵀ`, turns scaled by `turn`."""
+    for i in range(6):
+        for j in range(i + 1):
+            value = 0.0
+            for a in range(known):
+                row = 0.0
+                for b in range(known):
+                    row += middle[a, b] * vectors[j, b]
+                value += vectors[i, a] * row
+            out[i, j] = out[j, i] = value * ((1.0 if i < 3 else turn) * (1.0 if j < 3 else turn))
+
+
+@inner
+def _arc_covariance(C: Any) -> Mat33:
+    """Covariance of `δθ × s` for (s, δθ) Gaussian with covariance C (Isserlis)."""
+    return (
+        (_pair(C, 0, 0), _pair(C, 0, 1), _pair(C, 0, 2)),
+        (_pair(C, 1, 0), _pair(C, 1, 1), _pair(C, 1, 2)),
+        (_pair(C, 2, 0), _pair(C, 2, 1), _pair(C, 2, 2)),
+    )
+
+
+@inner
+def _pair(C: Any, k: int, n: int) -> float:
+    """Of the components k and n: (θ_i s_j - θ_j s_i)(θ_p s_q - θ_q s_p)."""
+    i, j, p, q = (k + 1) % 3, (k + 2) % 3, (n + 1) % 3, (n + 2) % 3
+    return (
+        (C[3 + i, 3 + p] * C[j, q] + C[3 + i, q] * C[j, 3 + p])
+        - (C[3 + i, 3 + q] * C[j, p] + C[3 + i, p] * C[j, 3 + q])
+        - (C[3 + j, 3 + p] * C[i, q] + C[3 + j, q] * C[i, 3 + p])
+        + (C[3 + j, 3 + q] * C[i, p] + C[3 + j, p] * C[i, 3 + q])
+    )
+
+
+@inner
+def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int:
+    """How many directions touch leaves open; writes them, orthonormal (δp, radius δθ) at the origin, to rows of `out`.
+
+    Judged at the object's center: an origin far from the object swings by metres where the object itself hardly turns.
+    """
+    radius = model.radius
+    limit = 1 / (OPEN * radius) ** 2
+    lever = mul(pose[0], vector(model.center))
+    _at_center(by_touch, lever, u.matrix)
+    in_metres(u.matrix, radius, u.wider)
+    if factor(u.wider, 6, -limit, u.factor):
+        return 0
+    eigen(u.wider, u.values, u.vectors)
+    count = 0
+    for k in range(6):
+        if u.values[k] < limit:
+            shift, turn = _column(u.vectors, k, 1.0, radius)
+            # δp at the origin is that of the center less the turn's part.
+            moved = sub(shift, cross(turn, lever)) + scale(turn, radius)
+            for i in range(6):
+                out[count, i] = moved[i]
+            _orthonormalize(out, count)
+            count += 1
+    return count
+
+
+@inner
+def _orthonormalize(rows: Any, n: int) -> None:
+    """Row n, at right angles to those before it and of unit length."""
+    row = rows[n]
+    for earlier in range(n):
+        along = 0.0
+        for i in range(6):
+            along += row[i] * rows[earlier, i]
+        for i in range(6):
+            row[i] -= along * rows[earlier, i]
+    square = 0.0
+    for i in range(6):
+        square += row[i] * row[i]
+    for i in range(6):
+        row[i] /= np.sqrt(square)
+
+
+@inner
+def _at_center(matrix: Any, lever: Vec3, out: Any) -> None:
+    """`out` = FᵀMF for F = [1, [lever]x; 0, 1]."""
+    for i in range(6):
+        row = (matrix[i, 0], matrix[i, 1], matrix[i, 2])
+        turned = cross(row, lever)
+        for j in range(3):
+            out[i, j], out[i, 3 + j] = row[j], matrix[i, 3 + j] + turned[j]
+    for j in range(6):
+        turned = cross((out[0, j], out[1, j], out[2, j]), lever)
+        for i in range(3):
+            out[3 + i, j] += turned[i]
+
+
+@inner
+def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
+    """Fills in everything that an answer says beside its pose."""
+    model, u = evidence.model, local(UNCERTAINTY)
+    chi2, cost = information(evidence, pose, u.by_touch, row.information, u.equations)
+    row.chi2, row.posterior_cost = chi2, cost
+    row.gain = largest_gain(evidence, row.information, u)
+    row.open_count = unobservable(model, u.by_touch, pose, row.unobservable, u)
+    in_metres(row.information, model.radius, u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    if not row.first_order:
+        calibrated_information(evidence, pose, u.values, u.vectors)
+    least = 0.0 if evidence.prior.kind == VISION_PRIOR else 1 / (OPEN * model.radius) ** 2
+    row.complete = second_order_information(model, least, row, u)
+    row.rows = 0
+    for i in range(len(evidence.terms)):
+        contact = evidence.terms[i].contact
+        if contact.used:
+            row.rows += 3 if contact.has_normal else 1

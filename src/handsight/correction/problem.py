@@ -1,0 +1,100 @@
+"""One correction, its inputs checked, as kernels take it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight._kernels.records import DESCENT, OUTSIDE, PRIOR
+from handsight.checks import Array, Mask
+from handsight.contact import Contacts
+from handsight.correction.estimate import PosePrior
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+
+Records = NDArray[np.void]
+
+MOST_STARTS = 1_000_000
+OUTSIDE_SIGMA = (1.5, 1e-3)
+"""Of a point of the hand: in sigmas of the contacts' points, and at least this [diameters]. It is as uncertain as the
+contacts, through the same kinematics, and the points of one link are wrong together, hence more than that."""
+NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
+NO_PRIOR = np.empty(0, dtype=PRIOR)
+
+
+@dataclass(frozen=True, slots=True)
+class TwoPhase:
+    """How handsight's own method runs; the defaults choose themselves from the problem."""
+
+    starts: int | None = None
+    """Descents begun from draws of the prior; None: from the prior's width, and more if none fits."""
+    reject_outliers: bool = True
+    """Look for a contact that is wrong when the contacts do not fit together."""
+
+    def __post_init__(self) -> None:
+        if self.starts is not None and not (isinstance(self.starts, int) and 1 <= self.starts <= MOST_STARTS):
+            raise InvalidInput(
+                f"starts: expected a whole number from 1 to {MOST_STARTS}, got {self.starts!r}"
+            )
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One correction."""
+
+    model: ObjectModel
+    contacts: Contacts
+    vision: PosePrior | None
+    outside: Records
+    """(m,) OUTSIDE."""
+
+    @property
+    def blind(self) -> bool:
+        """Whether there is no vision."""
+        return self.vision is None
+
+    @cached_property
+    def prior(self) -> Records:
+        """(1,) PRIOR, or none when blind."""
+        return NO_PRIOR if self.vision is None else self.vision.record
+
+    def sets(self, used: Mask) -> Records:
+        """(K, n) CONTACT: the contacts once for each row of `used` (K, n)."""
+        contacts = np.repeat(self.contacts.record[None], len(used), axis=0)
+        contacts["used"] = used
+        return contacts
+
+    def freedom(self, used: Mask) -> int:
+        """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
+        rows = int((used * (1 + 2 * self.contacts.has_normal)).sum())
+        return max(rows - 6, 1) if self.blind else rows
+
+
+def outside_records(model: ObjectModel, contacts: Contacts, points_palm: Array) -> Records:
+    """(m,) OUTSIDE of points (m, 3) of the hand; none where the object has no inside."""
+    if not len(points_palm) or not model.closed:
+        return NO_OUTSIDE
+    variance = np.trace(contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3
+    rows = np.empty(len(points_palm), dtype=OUTSIDE)
+    rows["point"] = points_palm
+    rows["sigma"] = OUTSIDE_SIGMA[0] * max(
+        float(np.median(np.sqrt(variance))), OUTSIDE_SIGMA[1] * model.diameter
+    )
+    return rows
+
+
+def descents_at(Ts_palm_object: Array) -> Records:
+    """(K,) DESCENT that begin at poses (K, 4, 4)."""
+    descents = np.zeros(len(Ts_palm_object), dtype=DESCENT)
+    descents["pose"]["rotation"] = Ts_palm_object[:, :3, :3]
+    descents["pose"]["position"] = Ts_palm_object[:, :3, 3]
+    return descents
+
+
+def poses_of(descents: Records) -> Array:
+    """(K, 4, 4) of descents, or whatever has a POSE."""
+    Ts = np.zeros((len(descents), 4, 4))
+    Ts[:, :3, :3], Ts[:, :3, 3] = descents["pose"]["rotation"], descents["pose"]["position"]
+    Ts[:, 3, 3] = 1.0
+    return Ts

@@ -1,0 +1,140 @@
+"""An object as the record and the grid nodes that kernels take (`handsight._kernels.records`)."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight._kernels import field as kernel
+from handsight._kernels import records
+from handsight._kernels.threads import in_parts
+from handsight.checks import Array
+from handsight.objects.exact import BoxField, CylinderField, SphereField
+from handsight.objects.field import Field, FieldValues, GridField
+from handsight.objects.symmetry import Symmetries
+
+if TYPE_CHECKING:
+    from handsight.objects.model import ObjectModel
+
+Record = NDArray[np.void]
+Nodes = NDArray[np.float32]
+
+EDGE = 0.75
+"""Radius of curvature [coarse cells] below which the surface counts as an edge."""
+LEAST_ERROR = (1e-4, 2e-3)
+"""No model is better than this: of its place [diameters] and of its normal [rad]."""
+COARSE_ERROR = (0.03, 0.03)
+"""How far the smooth field is off on faces: of its distance [cells] and of its normal [rad]."""
+MARGIN = 0.01
+"""Facets may be this far [diameters] within the surface that they stand for."""
+NORMAL_WEIGHT = 1.3
+"""What a unit of normal is worth when contacts are matched with samples [diameters]."""
+BAND, TANGENTIAL, PATCH = 1.6, 0.32, 0.02
+"""Of the samples' spacing: the tangential distance that costs nothing, the standard deviation of what is beyond it, and
+how far a patch is off its sample's plane."""
+MANY = 16_384
+"""Points that are worth another thread."""
+
+
+class ModelRecord(NamedTuple):
+    """An object as kernels take it."""
+
+    model: Record
+    """(1,) MODEL."""
+    nodes: Nodes
+    """Of its grids, one after another."""
+    symmetry_known: bool
+    """Whether kernels know its symmetry."""
+
+
+def model_record(model: "ObjectModel") -> ModelRecord:
+    """The record of an object."""
+    record = np.zeros(1, dtype=records.MODEL)
+    row, spacing = record[0], model.sample_spacing
+    coarse, fine, error = _nodes(model.coarse), _nodes(model.fine), np.empty(0, dtype=np.float32)
+    _fill_field(row["coarse"], model.coarse, 0)
+    row["coarse"]["variance_distance"] = (COARSE_ERROR[0] * model.coarse.cell) ** 2
+    row["coarse"]["variance_normal"] = COARSE_ERROR[1] ** 2
+    _fill_field(row["fine"], model.fine, len(coarse))
+    row["radius"], row["center"] = model.radius, model.center_object
+    row["bounds"] = model.bounds_object + MARGIN * model.diameter * np.array([[-1.0], [1.0]])
+    row["edge_curvature2"] = 1 / (EDGE * model.coarse.cell) ** 2
+    row["error"]["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
+    row["error"]["least_normal"] = LEAST_ERROR[1] ** 2
+    if model.roughness is not None:
+        error = model.roughness.values.astype(np.float32).reshape(-1)
+        row["error"]["inverse_cell"], row["error"]["origin"] = 1 / model.roughness.cell, model.roughness.origin
+        row["error"]["shape"] = model.roughness.values.shape[:3]
+        row["error"]["nodes"] = len(coarse) + len(fine)
+    _fill_symmetry(row["symmetry"], model.symmetries)
+    row["normal_weight2"] = (NORMAL_WEIGHT * model.diameter) ** 2
+    row["band"], row["tangential_weight"] = BAND * spacing, 1 / (TANGENTIAL * spacing) ** 2
+    row["sample_variance_distance"] = (PATCH * spacing) ** 2
+    row["sample_variance_normal"] = model.sigma_normal**2
+    row["samples"][:, 0], row["samples"][:, 1] = model.points_object, model.normals_object
+    row["scan"][0] = (model.points_object**2).sum(axis=1)
+    row["scan"][1:4], row["scan"][4:] = model.points_object.T, model.normals_object.T
+    known = row["symmetry"]["kind"] != records.OTHER_SYMMETRY
+    return ModelRecord(record, np.concatenate([coarse, fine, error]), bool(known))
+
+
+def evaluate(field: Field, points_object: Array) -> FieldValues:
+    """Distance, gradient and Hessian of a field at points (n, 3) [m], on all cores."""
+    record = np.zeros(1, dtype=records.FIELD)
+    _fill_field(record[0], field, 0)
+    return evaluate_record(record, np.require(_nodes(field), np.float32, ["W"]), points_object)
+
+
+def evaluate_record(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
+    """The same of a FIELD record (1,)."""
+    points = np.require(points_object, np.float64, ["C", "W"])
+    values = np.empty((len(points), 13))
+
+    def part(start: int, stop: int) -> None:
+        kernel.evaluate(nodes, field, points[start:stop], values[start:stop])
+
+    in_parts(part, len(points), MANY)
+    return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
+
+
+def _nodes(field: Field) -> Nodes:
+    return field.values.reshape(-1) if isinstance(field, GridField) else np.empty(0, dtype=np.float32)
+
+
+def _fill_field(row: np.void, field: Field, nodes: int) -> None:
+    """Fills in a FIELD record; the nodes of a grid begin at `nodes`."""
+    if isinstance(field, GridField):
+        row["kind"], row["origin"], row["nodes"] = records.GRID, field.origin, nodes
+        row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
+        return
+    if isinstance(field, BoxField):
+        row["kind"], row["origin"] = records.BOX, field.half
+    elif isinstance(field, CylinderField):
+        row["kind"], row["origin"] = records.CYLINDER, (field.radius, field.half_height, 0.0)
+    elif isinstance(field, SphereField):
+        row["kind"], row["origin"] = records.SPHERE, (field.radius, 0.0, 0.0)
+    else:
+        raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
+    row["least_radius"] = field.least
+
+
+def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:
+    row["kind"], row["axes"] = known_symmetry(symmetries), len(symmetries.axes)
+    for k, (_, direction) in enumerate(symmetries.axes):
+        row["pivot"], row["axis"][k] = symmetries.axes[0][0], direction
+    count = min(len(symmetries.rotations), records.MOST_ROTATIONS)
+    row["rotations"], row["rotation"][:count] = count, symmetries.rotations[:count, :3]
+
+
+def known_symmetry(symmetries: Symmetries) -> int:
+    """Which of the kernels' kinds of symmetry an object has; OTHER_SYMMETRY where they know none like it."""
+    if symmetries.trivial:
+        return records.NO_SYMMETRY
+    if len(symmetries.rotations) > records.MOST_ROTATIONS:
+        return records.OTHER_SYMMETRY
+    if not symmetries.axes:
+        return records.DISCRETE
+    point, direction = symmetries.axes[0]
+    along = (point @ direction) * direction
+    through = np.abs(point - along).max() < 1e-15
+    return records.AXIS if len(symmetries.axes) == 1 and through else records.OTHER_SYMMETRY
