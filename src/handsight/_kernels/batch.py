@@ -15,18 +15,15 @@ from handsight._kernels.dense6 import eigen, in_metres
 from handsight._kernels.levenberg import Evidence, descend
 from handsight._kernels.match import match
 from handsight._kernels.prior_term import prior_cost, vision_prior, weak_position_prior
-from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR, WORKSPACE
-from handsight._kernels.settings import (
-    COARSE_STEP,
-    COARSE_STEPS,
-    FINE_STEPS,
-    SMALL_STEP,
-    WIDEST_OF_ONE,
-)
+from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
 from handsight._kernels.uncertainty import information, posterior_cost, summarize
-from handsight._kernels.vec3 import Vec3, add, cross, dot, matrix, mul, norm, scale, sub, vector
+from handsight._kernels.vec3 import Vec3, add, cross, dot, matrix, mul, norm, scale, store, sub, vector
+
+
+LIMITS = COARSE_LIMITS, FINE_LIMITS
 
 
 @inner
@@ -35,11 +32,13 @@ def _load_terms(contacts: Any, terms: Any) -> Vec3:
     center = (0.0, 0.0, 0.0)
     for i in range(len(contacts)):
         contact, term = contacts[i], terms[i]
-        # Field by field: a record is not assigned whole.
-        term.contact.point[:] = contact.point
-        term.contact.normal[:] = contact.normal
+        # Field by field: numba assigns no record whole, and checks shapes at length where it assigns arrays.
+        store(vector(contact.point), term.contact.point)
+        store(vector(contact.normal), term.contact.normal)
         term.contact.has_normal, term.contact.used = contact.has_normal, contact.used
-        term.contact.covariance[:] = contact.covariance
+        for j in range(6):
+            for k in range(6):
+                term.contact.covariance[j, k] = contact.covariance[j, k]
         prepare_term(contact, term)
         center = add(center, scale(vector(contact.point), 1 / len(contacts)))
     return center
@@ -49,23 +48,23 @@ def _load_terms(contacts: Any, terms: Any) -> Vec3:
 def _fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
     """Vision's evidence, or the weak one in its place."""
     if len(prior):
-        vision_prior(model, prior[0], term, local(WORKSPACE))
+        vision_prior(model, prior[0], term, local(UNCERTAINTY))
     else:
         weak_position_prior(model, center, term)
 
 
 @inner
-def coarse_solve(evidence: Evidence, pose: Pose) -> tuple[Pose, float, int]:
-    """The pose after phase 1 and the coarse field, its cost, and the steps of both."""
-    pose, steps = match(evidence, pose)
-    pose, cost, more, _ = descend(evidence, evidence.model.coarse, pose, COARSE_STEPS, COARSE_STEP, True)
-    return pose, cost, steps + more
-
-
-@inner
-def fine_solve(evidence: Evidence, pose: Pose) -> tuple[Pose, float, int, bool]:
-    """The minimum on the fine field below a pose: where, cost, steps, whether it converged."""
-    return descend(evidence, evidence.model.fine, pose, FINE_STEPS, SMALL_STEP, True)
+def _solve(evidence: Evidence, pose: Pose, follows: bool) -> tuple[Pose, float, int, bool]:
+    """The minimum that both phases lead to from a pose, or, if one `follows`, the fine field alone; cost, steps, converged."""
+    model, steps = evidence.model, 0
+    if not follows:
+        pose, steps = match(evidence, pose)
+    cost, converged = 0.0, False
+    for phase in range(1 if follows else 0, 2):
+        field = model.fine if phase else model.coarse
+        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], phase >= 0)
+        steps += more
+    return pose, cost, steps, converged
 
 
 @inner
@@ -105,75 +104,71 @@ def _store_answer(pose: Pose, answer: Any) -> None:
     answer.T_palm_object[3, 3] = 1.0
 
 
-@inner
-def _correct_one(evidence: Evidence, problem: Any, residuals: Any) -> None:
-    """One correction from the prior's own pose, or from a pose near by that was right, however wide the prior is."""
-    answer, prior_pose = problem.answer, pose_of(problem.prior.pose)
-    pose, steps = prior_pose, 0
-    if problem.follows:
-        pose = pose_of(problem.start)
-    else:
-        pose, _, steps = coarse_solve(evidence, pose)
-    pose, answer.cost, more, answer.converged = fine_solve(evidence, pose)
-    answer.iterations, answer.first_order = steps + more, 0
-    pose = nearest(evidence.model, pose, prior_pose)
-    _store_answer(pose, answer)
-    summarize(evidence, pose, answer)
-    for i in range(len(evidence.terms)):
-        residuals[i, 0], residuals[i, 1] = _residual(evidence, evidence.terms[i].contact, pose)
-
-
 @entry
 def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
     """Answers every problem from its prior's own pose, where that is narrow enough for one start; else its width only.
 
-    `contacts` (n,) of all problems one after another, `residuals` (n, 2) of each: distance [m], angle [rad].
+    A problem that `follows` begins at a pose near by that was right, however wide the prior is. `contacts` (n,) of all
+    problems one after another; `residuals` (n, 2) of each: distance [m], angle [rad].
     """
+    prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
     for k in range(len(problems)):
-        problem = problems[k]
-        problem.answer.width = 0.0 if problem.follows else prior_width(model[0], problem.prior)
-        if problem.answer.width < WIDEST_OF_ONE:
-            mine, prior = contacts[problem.first : problem.last], local(PRIOR_TERM)
-            terms = np.empty(len(mine), TERM)
-            center = _load_terms(mine, terms)
-            vision_prior(model[0], problem.prior, prior, local(WORKSPACE))
-            evidence = Evidence(model[0], nodes, terms, outside, prior, center)
-            _correct_one(evidence, problem, residuals[problem.first : problem.last])
+        problem, answer = problems[k], problems[k].answer
+        answer.width = 0.0 if problem.follows else prior_width(model[0], problem.prior)
+        if not answer.width < WIDEST_OF_ONE:
+            continue
+        terms = np.empty(problem.last - problem.first, TERM)
+        center = _load_terms(contacts[problem.first : problem.last], terms)
+        vision_prior(model[0], problem.prior, prior, room)
+        evidence = Evidence(model[0], nodes, terms, outside, prior, center)
+        prior_pose = pose_of(problem.prior.pose)
+        start = pose_of(problem.start) if problem.follows else prior_pose
+        pose, answer.cost, answer.iterations, answer.converged = _solve(evidence, start, problem.follows != 0)
+        pose = nearest(model[0], pose, prior_pose)
+        _store_answer(pose, answer)
+        answer.first_order = 0
+        summarize(evidence, pose, answer)
+        for i in range(len(terms)):
+            row = residuals[problem.first + i]
+            row[0], row[1] = _residual(evidence, terms[i].contact, pose)
 
 
 @entry
 def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any) -> None:
     """As `correct_all`, the poses alone: nothing of what an answer says beside it."""
+    prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
     for k in range(len(problems)):
-        problem = problems[k]
-        mine, prior = contacts[problem.first : problem.last], local(PRIOR_TERM)
-        terms = np.empty(len(mine), TERM)
-        center = _load_terms(mine, terms)
-        vision_prior(model[0], problem.prior, prior, local(WORKSPACE))
+        problem, answer = problems[k], problems[k].answer
+        terms = np.empty(problem.last - problem.first, TERM)
+        center = _load_terms(contacts[problem.first : problem.last], terms)
+        vision_prior(model[0], problem.prior, prior, room)
         evidence = Evidence(model[0], nodes, terms, outside, prior, center)
-        pose, _, steps = coarse_solve(evidence, pose_of(problem.prior.pose))
-        pose, problem.answer.cost, more, problem.answer.converged = fine_solve(evidence, pose)
-        problem.answer.iterations = steps + more
-        store_pose(pose, problem.answer.pose)
+        start = pose_of(problem.prior.pose)
+        pose, answer.cost, answer.iterations, answer.converged = _solve(evidence, start, problem.follows != 0)
+        store_pose(pose, answer.pose)
 
 
 @entry
-def coarse_solve_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+def coarse_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
     """Moves descents (K,) by phase 1 and on the coarse field."""
-    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    nothing.kind = NO_PRIOR
     for k in range(len(descents)):
         descent = descents[k]
         center = _load_terms(contacts[descent.set], terms)
         if k == 0:
             _fill_prior(model[0], prior, center, term)
         evidence = Evidence(model[0], nodes, terms, outside, term, center)
-        pose, descent.cost, descent.iterations = coarse_solve(evidence, pose_of(descent.pose))
-        descent.converged = 0
+        pose, steps = match(evidence, pose_of(descent.pose))
+        # The weak prior keeps phase 1 from running away, and has no say in what fits.
+        fits = Evidence(model[0], nodes, terms, outside, term if len(prior) else nothing, center)
+        pose, descent.cost, more, _ = descend(fits, model[0].coarse, pose, COARSE_LIMITS, k >= 0)
+        descent.iterations, descent.converged = steps + more, 0
         store_pose(pose, descent.pose)
 
 
 @entry
-def fine_solve_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+def fine_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
     """Moves descents (K, 1) on the fine field; of (K, 2), without vision, the second from there to the most likely pose.
 
     Along a slide any place is a minimum; the weak prior on the position says which is the most likely one.
@@ -181,23 +176,19 @@ def fine_solve_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: A
     term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     nothing.kind = NO_PRIOR
     for k in range(len(descents)):
-        first = descents[k, 0]
-        center = _load_terms(contacts[first.set], terms)
+        pose, steps = pose_of(descents[k, 0].pose), descents[k, 0].iterations
+        center = _load_terms(contacts[descents[k, 0].set], terms)
         if k == 0:
             _fill_prior(model[0], prior, center, term)
-        alone = Evidence(model[0], nodes, terms, outside, term if len(prior) else nothing, center)
-        pose, first.cost, steps, first.converged = fine_solve(alone, pose_of(first.pose))
-        first.iterations += steps
-        store_pose(pose, first.pose)
-        if descents.shape[1] > 1:
-            likely = descents[k, 1]
-            evidence = Evidence(model[0], nodes, terms, outside, term, center)
-            likelier, cost, _, likely.converged = descend(
-                evidence, model[0].fine, pose, FINE_STEPS, SMALL_STEP, False
-            )
-            likely.cost = cost - prior_cost(term, likelier)
-            likely.iterations = first.iterations
-            store_pose(likelier, likely.pose)
+        for j in range(descents.shape[1]):
+            descent, weak = descents[k, j], term.kind == WEAK_PRIOR
+            evidence = Evidence(model[0], nodes, terms, outside, nothing if weak and j == 0 else term, center)
+            pose, cost, more, converged = descend(evidence, model[0].fine, pose, FINE_LIMITS, j == 0)
+            steps += more if j == 0 else 0
+            descent.cost, descent.iterations, descent.converged = cost, steps, converged
+            if weak and j == 1:
+                descent.cost -= prior_cost(term, pose)
+            store_pose(pose, descent.pose)
 
 
 @entry

@@ -106,30 +106,37 @@ def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
 
 @inner
 def descend(
-    evidence: Evidence, field: Any, pose: Pose, most: int, small: float, rewhiten: bool
+    evidence: Evidence, field: Any, pose: Pose, limits: tuple[int, float], rewhiten: bool
 ) -> tuple[Pose, float, int, bool]:
-    """The minimum below a pose: where, its cost, steps tried, whether the last was small [standard deviations].
+    """The minimum below a pose: where, its cost, steps tried, whether the last was small.
 
-    A step is taken only when it lowers the cost; only a step that was taken can end a descent as converged.
+    `limits`: most steps, and the step [standard deviations] that is small. A step is taken only when it lowers the
+    cost; only a step that was taken can end a descent as converged. `rewhiten`: weigh the contacts as they are at the
+    pose, else as they were last.
     """
-    workspace = local(WORKSPACE)
-    radius = evidence.model.radius
+    workspace, radius = local(WORKSPACE), evidence.model.radius
     now, new = workspace.now, workspace.next
-    evaluate(evidence, field, pose, rewhiten, now)
-    damping, tried, converged = 1e-6, 0, False
-    while tried < most and not converged:
-        step = damped_step(now, radius, damping, workspace)
-        candidate = retract(pose, step, evidence.center, radius)
-        evaluate(evidence, field, candidate, False, new)
+    most, small = limits
+    step = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    candidate, damping, tried, converged = pose, 1e-6, -1, False
+    while True:
+        # One place evaluates, the first pose as well as every candidate: it is most of what there is to compile.
+        evaluate(evidence, field, candidate, rewhiten and tried < 0, new)
         tried += 1
         # At rounding level the cost cannot tell better from worse; such a step counts as taken.
-        if new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):
-            longest, square = step_size(now, step)
-            # At an edge the cost has a kink: there steps get short long before the slope does.
-            converged = square < small * small or longest < SHORT_STEP * radius
+        if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):
+            if tried > 0:
+                longest, square = step_size(now, step)
+                # At an edge the cost has a kink: there steps get short long before the slope does.
+                converged = square < small * small or longest < SHORT_STEP * radius
+                damping = max(damping * 0.1, 1e-9)
             pose = candidate
-            now[:] = new
-            damping = max(damping * 0.1, 1e-9)
+            for i in range(7):
+                for j in range(7):
+                    now[i, j] = new[i, j]
         else:
             damping = min(damping * 30, 1e3)
-    return pose, now[6, 6], tried, converged
+        if converged or tried == most:
+            return pose, now[6, 6], tried, converged
+        step = damped_step(now, radius, damping, workspace)
+        candidate = retract(pose, step, evidence.center, radius)

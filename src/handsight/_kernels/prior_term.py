@@ -56,10 +56,10 @@ def weak_position_prior(model: Any, center: Vec3, prior: Any) -> None:
 
 
 @inner
-def vision_prior(model: Any, vision: Any, prior: Any, workspace: Any) -> None:
+def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     """Fills in the evidence of a pose and its covariance about an object so symmetric."""
     symmetry, R = model.symmetry, matrix(vision.pose.rotation)
-    _information(vision.covariance, model.radius, prior, workspace)
+    _information(vision.covariance, model.radius, prior.information, u)
     prior.kind, prior.has_axis = VISION_PRIOR, symmetry.axes
     arm = mul(R, vector(symmetry.pivot))
     store(vector(symmetry.pivot), prior.pivot_object)
@@ -79,9 +79,9 @@ def vision_prior(model: Any, vision: Any, prior: Any, workspace: Any) -> None:
 
 
 @inner
-def _information(covariance: Any, radius: float, prior: Any, workspace: Any) -> None:
-    """The inverse of a covariance (6, 6), no deviation below 1e-5 of the radius."""
-    scaled, vectors, values = workspace.now, workspace.factor, workspace.step
+def _information(covariance: Any, radius: float, out: Any, u: Any) -> None:
+    """`out` (6, 6): the inverse of a covariance (6, 6), no deviation below 1e-5 of the radius."""
+    scaled, vectors, values = u.matrix, u.vectors, u.values
     for i in range(6):
         for j in range(6):
             scaled[i, j] = covariance[i, j] * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
@@ -93,7 +93,7 @@ def _information(covariance: Any, radius: float, prior: Any, workspace: Any) -> 
             total = 0.0
             for k in range(6):
                 total += vectors[i, k] * values[k] * vectors[j, k]
-            prior.information[i, j] = total * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+            out[i, j] = total * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
 
 
 @inner

@@ -156,4 +156,5 @@ UNCERTAINTY = _record(
     ("vectors", "f8", (6, 6)),
     ("row", "f8", (6,)),
     ("column", "f8", (6,)),
+    ("arc", "f8", (3, 3)),
 )

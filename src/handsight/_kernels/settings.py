@@ -8,13 +8,11 @@ MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
 """Most steps of phase 1, and the step [radii] that ends it."""
 WIDEST_OF_ONE = 0.225
 """A prior narrower than this part of the diameter needs one start."""
-COARSE_STEPS, FINE_STEPS = 2, 50
-COARSE_STEP = 0.3
-"""Step [standard deviations] that ends the descent on the coarse field, which is off by more anyway."""
+COARSE_LIMITS, FINE_LIMITS = (2, 0.3), (50, 0.03)
+"""Most steps of a descent, and the step [standard deviations of the answer] that ends it; the coarse field is off by more
+anyway."""
 SHORT_STEP = 2e-5
 """A step is short when it moves no part of the object by more than this many radii."""
-SMALL_STEP = 0.03
-"""A step is small when it is shorter than this many standard deviations of the answer."""
 OPEN = 1 / 3
 """A direction is unobservable when touch alone leaves it a standard deviation above this part of the radius."""
 KNOWN = 1e-12

@@ -27,7 +27,7 @@ from handsight._kernels.prior_term import IDENTITY, add_prior, prior_cost
 from handsight._kernels.records import NO_PRIOR, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
 from handsight._kernels.simd import local
-from handsight._kernels.vec3 import Mat33, Vec3, add, add33, cross, matmul, mul, norm, outer, scale, scale33, skew, sub, vector
+from handsight._kernels.vec3 import Vec3, add, add33, cross, matmul, matrix, mul, norm, scale, scale33, skew, sub, vector
 
 
 @inner
@@ -48,7 +48,8 @@ def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
                 square = mahalanobis2(term.contact, surface, factor4)
                 add_contact(term, flattened(term.contact, surface), frame, term.equations)
                 # What it pulls at is beyond the edge: only its own residuals count.
-                term.equations[6, :6] = 0.0
+                for k in range(6):
+                    term.equations[6, k] = 0.0
                 term.equations[6, 6] = square
             else:
                 add_contact(term, surface, frame, term.equations)
@@ -141,21 +142,27 @@ def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors:
     standard deviation away. Along each eigenvector the cost is read on both sides at STRIDE deviations, where a
     Gaussian's has risen by STRIDE²; the eigenvalue is scaled by what it did, again where that was more than halving it.
     """
-    radius, largest = evidence.model.radius, 0.0
+    radius, largest, here = evidence.model.radius, 0.0, 0.0
     for k in range(6):
         largest = max(largest, values[k])
-    here = posterior_cost(evidence, pose)
-    for k in range(6):
-        if not values[k] > KNOWN * largest:
+    for k in range(-1, 6):
+        if k >= 0 and not values[k] > KNOWN * largest:
             values[k] = 0.0
             continue
         for _ in range(SECANT_PASSES):
-            length = STRIDE * min(1 / np.sqrt(values[k]), radius / 2)
+            length = STRIDE * min(1 / np.sqrt(values[max(k, 0)]), radius / 2)
             change = 0.0
             for side in range(2):
-                slide = _column(vectors, k, -length if side else length, radius)
-                rise = (posterior_cost(evidence, retract_body(pose, slide)) - here) / (length * length * values[k])
+                # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
+                slide = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
+                there = posterior_cost(evidence, retract_body(pose, slide))
+                if k < 0:
+                    here = there
+                    break
+                rise = (there - here) / (length * length * values[k])
                 change += 0.5 * min(max(rise, LEAST_FACTOR), 1.0)
+            if k < 0:
+                break
             values[k] *= change
             if change > 0.5:
                 break
@@ -180,7 +187,8 @@ def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool
             for k in range(known):
                 value += vectors[i, k] * u.row[k] * vectors[j, k]
             u.matrix[i, j] = value * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))
-    arc = scale33(_arc_covariance(u.matrix), 0.0 if row.first_order else 1.0)
+    _arc_covariance(u.matrix, u.arc)
+    arc = scale33(matrix(u.arc), 0.0 if row.first_order else 1.0)
     for a in range(known):
         va = vectors[0, a], vectors[1, a], vectors[2, a]
         for b in range(a + 1):
@@ -232,25 +240,19 @@ def _sandwich(vectors: Any, known: int, middle: Any, turn: float, out: Any) -> N
 
 
 @inner
-def _arc_covariance(C: Any) -> Mat33:
-    """Covariance of `δθ × s` for (s, δθ) Gaussian with covariance C (Isserlis)."""
-    return (
-        (_pair(C, 0, 0), _pair(C, 0, 1), _pair(C, 0, 2)),
-        (_pair(C, 1, 0), _pair(C, 1, 1), _pair(C, 1, 2)),
-        (_pair(C, 2, 0), _pair(C, 2, 1), _pair(C, 2, 2)),
-    )
-
-
-@inner
-def _pair(C: Any, k: int, n: int) -> float:
-    """Of the components k and n: (θ_i s_j - θ_j s_i)(θ_p s_q - θ_q s_p)."""
-    i, j, p, q = (k + 1) % 3, (k + 2) % 3, (n + 1) % 3, (n + 2) % 3
-    return (
-        (C[3 + i, 3 + p] * C[j, q] + C[3 + i, q] * C[j, 3 + p])
-        - (C[3 + i, 3 + q] * C[j, p] + C[3 + i, p] * C[j, 3 + q])
-        - (C[3 + j, 3 + p] * C[i, q] + C[3 + j, q] * C[i, 3 + p])
-        + (C[3 + j, 3 + q] * C[i, p] + C[3 + j, p] * C[i, 3 + q])
-    )
+def _arc_covariance(C: Any, out: Any) -> None:
+    """`out` (3, 3): covariance of `δθ × s` for (s, δθ) Gaussian with covariance C (Isserlis)."""
+    for k in range(3):
+        i, j = 3 + (k + 1) % 3, 3 + (k + 2) % 3
+        for n in range(3):
+            p, q = (n + 1) % 3, (n + 2) % 3
+            # (θ_i s_j - θ_j s_i)(θ_p s_q - θ_q s_p); s_j is the number j - 3.
+            out[k, n] = (
+                (C[i, 3 + p] * C[j - 3, q] + C[i, q] * C[j - 3, 3 + p])
+                - (C[i, 3 + q] * C[j - 3, p] + C[i, p] * C[j - 3, 3 + q])
+                - (C[j, 3 + p] * C[i - 3, q] + C[j, q] * C[i - 3, 3 + p])
+                + (C[j, 3 + q] * C[i - 3, p] + C[j, p] * C[i - 3, 3 + q])
+            )
 
 
 @inner

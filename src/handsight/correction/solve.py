@@ -87,11 +87,11 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Records, Mask]
     descents = descents_at(Ts_start)
     masks, descents["set"] = np.unique(used, axis=0, return_inverse=True) if len(used) > 1 else (used, 0)
     given = (*problem.model.record[:2], problem.sets(masks), problem.prior, problem.outside)
-    _on_all_cores(partial(batch.coarse_solve_all, *given), descents)
+    _on_all_cores(partial(batch.coarse_solve, *given), descents)
     kept = descents[survivors(problem.model, descents, KEPT_BLIND if problem.blind else KEPT)]
     # Along a slide any place is a minimum: when blind, beside where each descent ended, the most likely one.
     ended = np.stack([kept, kept], axis=1) if problem.blind else kept[:, None].copy()
-    _on_all_cores(partial(batch.fine_solve_all, *given), ended)
+    _on_all_cores(partial(batch.fine_solve, *given), ended)
     minima = ended[:, ::-1].T.reshape(-1)  # the most likely first: of equals they win
     minima = minima[np.argsort(minima["cost"], kind="stable")]
     return minima, masks[minima["set"]]
