@@ -12,9 +12,9 @@ from handsight._kernels.nearest_triangle import all_feet
 from handsight._kernels.spreading import snapped, spread_out
 from handsight._kernels.winding import winding_at
 from handsight.objects import ObjectModel, _plain
-from handsight.objects.nearest import NearestPoint
-from handsight.objects.tree import boxes, halves
-from handsight.objects.winding import Winding
+from handsight.objects.meshes.box_tree import boxes, halves
+from handsight.objects.meshes.closest_points import NearestPoint
+from handsight.objects.meshes.winding import Winding
 from objects.object_shapes import box_mesh, divided, prism, triangles
 
 TINY = 1e-12

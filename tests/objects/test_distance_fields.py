@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from handsight.objects import FieldValues, ObjectModel
-from handsight.objects.exact import BoxField, CylinderField, SphereField
-from handsight.objects.field import GridField
+from handsight.objects.fields.exact import BoxField, CylinderField, SphereField
+from handsight.objects.fields.field import GridField
 from objects.object_shapes import box_mesh, brute_distance, triangles
 
 HALF = np.array([0.03, 0.045, 0.07])

@@ -23,11 +23,11 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def counted(monkeypatch):
     """How often fields were built."""
-    from handsight.objects import sources
+    from handsight.objects import build
 
     calls = []
-    build = sources.mesh_fields
-    monkeypatch.setattr(sources, "mesh_fields", lambda *a: calls.append(1) or build(*a))
+    built = build.mesh_fields
+    monkeypatch.setattr(build, "mesh_fields", lambda *a: calls.append(1) or built(*a))
     return calls
 
 

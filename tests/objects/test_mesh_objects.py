@@ -3,9 +3,9 @@ import pytest
 
 from handsight.errors import InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
-from handsight.objects.nearest import NearestPoint
-from handsight.objects.topology import holes_of
-from handsight.objects.winding import Winding
+from handsight.objects.meshes.closest_points import NearestPoint
+from handsight.objects.meshes.topology import holes_of
+from handsight.objects.meshes.winding import Winding
 from objects.object_shapes import BOX_FACES, box_mesh, brute_distance, divided, holed_box, prism, triangles
 
 SIZE = np.array([0.06, 0.09, 0.14])

@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist
 
 from handsight.errors import HandsightError, InvalidInput
 from handsight.objects import ObjectModel, ObjectWarning, Symmetries
-from handsight.objects.build import diameter
+from handsight.objects.geometry import diameter
 from objects.object_shapes import box_mesh, divided
 
 SIZE = np.array([0.06, 0.09, 0.14])

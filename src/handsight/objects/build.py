@@ -1,157 +1,111 @@
-"""What every object model measures on its surface, whatever the surface came from."""
+"""Objects from meshes, clouds and files: read, repaired, their fields built or remembered."""
 
-import contextlib
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.objects.field import Field, GridField
-from handsight.objects.grid import coarse_grid
-from handsight.objects.roughness import roughness
-from handsight.objects.surface import Faces, Surface, spread
+from handsight.objects import cache
+from handsight.objects.cloud import cloud_fields, cloud_from
+from handsight.objects.fields.field import GridField
+from handsight.objects.fields.grids import Fields
+from handsight.objects.files.read import shape_of
+from handsight.objects.geometry import Made, diameter
+from handsight.objects.meshes.mesh_fields import mesh_fields
+from handsight.objects.meshes.repair import repaired
+from handsight.objects.meshes.triangles import Faces, Surface
 
-SMALLEST, LARGEST = 1e-6, 1e6
-"""Sizes outside these [m] are refused."""
-SMALL, LARGE = 0.005, 2.0
-"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
-ROUGHNESS_SAMPLES = 2000
-MOST_COMPARED = 2000
-"""Points whose distances are all taken."""
-# The median of |x| over a standard deviation, and of the length of a vector of two such.
-_MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
+_KEPT = {"coarse", "coarse_grid", "fine", "fine_grid", "closed", "remarks"}
 
 
-def check_extent(points: Array, name: str) -> float:
-    """The largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
-    with np.errstate(over="ignore"):
-        extent = float(np.ptp(points, axis=0).max())
-    if extent == 0:
-        raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
-    if not SMALLEST <= extent <= LARGEST or np.abs(points).max() > LARGEST:
-        raise InvalidObject(f"{name}: expected a size of {SMALLEST:g} to {LARGEST:g} m, got {extent:.4g}")
-    return extent
+def made_of_mesh(vertices: ArrayLike, faces: ArrayLike, *, keep: bool = True) -> Made:
+    """The object of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject.
 
-
-class ObjectWarning(UserWarning):
-    """Something about an object was repaired, or looks odd."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Made:
-    """A surface and its fields, before anything is measured on it."""
-
-    name: str
-    surface: Surface
-    vertices: Array
-    """(k, 3) [m]."""
-    faces: Faces
-    """(m, 3)"""
-    fine: Field
-    coarse: GridField | None = None
-    """None: sampled from the fine field."""
-    closed: bool = True
-    remarks: tuple[str, ...] = ()
-    diameter: float | None = None
-    """[m], where it is known already."""
-
-
-def measured(made: Made, samples: int) -> dict[str, Any]:
-    """Every field of an ObjectModel but its symmetries."""
-    bounds = np.stack([made.vertices.min(axis=0), made.vertices.max(axis=0)])
-    size = made.diameter or diameter(made.vertices)
-    points, normals = spread(made.surface, samples)
-    sigma_point, sigma_normal = typical_roughness(made.surface, made.fine)
-    coarse = made.coarse or sampled(made.fine, bounds, size)
-    return {
-        "name": made.name,
-        "coarse": coarse,
-        "fine": made.fine,
-        "points_object": frozen(points),
-        "normals_object": frozen(normals),
-        "area": made.surface.area,
-        "diameter": size,
-        "bounds_object": frozen(bounds),
-        "closed": made.closed,
-        "sigma_point": sigma_point,
-        "sigma_normal": sigma_normal,
-        "roughness": roughness(made.surface, made.fine, bounds, coarse.cell) if made.coarse else None,
-        "vertices": frozen(made.vertices),
-        "faces": made.faces,
-        "remarks": (*made.remarks, *unit_remarks(bounds)),
-        "_surface": made.surface,
-    }
-
-
-def frozen(array: Array) -> Array:
-    """A copy that cannot be written to."""
-    array = np.array(array)
-    array.flags.writeable = False
-    return array
-
-
-def sampled(exact: Field, bounds: Array, size: float) -> GridField:
-    """The coarse field of an object whose exact one is known."""
-    grid, _ = coarse_grid(bounds, size, float((bounds[1] - bounds[0]).min()))
-    distance = exact.evaluate(grid.nodes()).distance
-    return GridField(grid.origin, grid.cell, distance.reshape(grid.shape).astype(np.float32))
-
-
-def diameter(points: Array) -> float:
-    """The largest distance between two of the points (n, 3) [m]."""
-    from scipy.spatial import ConvexHull, QhullError  # an object that is kept whole needs no scipy
-    from scipy.spatial.distance import pdist
-
-    points = _outermost(points)
-    if len(points) > MOST_COMPARED:
-        with contextlib.suppress(QhullError):  # flat
-            points = points[ConvexHull(points).vertices]
-    if len(points) > MOST_COMPARED:  # a ball: extremes along many directions miss by less than a thousandth
-        direction = np.random.default_rng(0).normal(size=(1000, 3))
-        along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
-        points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
-    return float(pdist(points).max())
-
-
-def _outermost(points: Array) -> Array:
-    """Those of the points (n, 3) that may be one of the two farthest apart: of most objects a few."""
-    one = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax()]
-    for _ in range(3):
-        other = one
-        one = points[((points - other) ** 2).sum(axis=1).argmax()]
-    least = float(np.linalg.norm(one - other))
-    # Two that are farther apart than these are together at least as far from the middle between these.
-    gap = np.linalg.norm(points - (one + other) / 2, axis=1)
-    return np.asarray(points[gap >= (1 - 1e-9) * least - gap.max()])
-
-
-def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
-    """Standard deviations of the fine field on the surface: distance [m] and normal per axis [rad].
-
-    By medians, so that edges, which the field rounds off, do not speak for the faces.
+    `keep`: whether its fields are looked for on disk and put there.
     """
-    from handsight.objects.pack import looked_up  # numba's import is long
+    mesh, parts, remarks = repaired(vertices, faces)
+    size = diameter(mesh.vertices)
 
-    points, normals = surface.draw(ROUGHNESS_SAMPLES, np.random.default_rng(1))
-    distance, gradient, _ = looked_up(fine, points)
-    sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
-    angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
-    return float(np.median(np.abs(distance)) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)
+    def build() -> Fields:
+        return mesh_fields(mesh, size, parts)
+
+    fields = _remembered("mesh", build, mesh.vertices, mesh.faces) if keep else build()
+    return dataclasses.replace(_made(mesh, mesh.vertices, mesh.faces, fields, remarks), diameter=size)
 
 
-def unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """A sentence if the size suggests another unit than metres."""
-    extent = float((bounds[1] - bounds[0]).max())
-    if SMALL <= extent <= LARGE:
-        return ()
-    for unit, scale in (
-        ("millimetres", 0.001),
-        ("centimetres", 0.01),
-        ("inches", 0.0254),
-        ("metres, scaled down twice", 1000.0),
-    ):
-        if SMALL < extent * scale < LARGE / 4:
-            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
-    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)
+def made_of_points(points: ArrayLike, normals: ArrayLike | None, *, keep: bool = True) -> Made:
+    """The object of surface points (n, 3) [m], normals outward or None; InvalidInput, InvalidObject.
+
+    `keep`: as of a mesh.
+    """
+    array = checks.finite(points, "points", (None, 3))
+    directions = None
+    if normals is not None:
+        directions = checks.unit(normals, "normals", (len(array), 3))
+    cloud, remarks = cloud_from(array, directions)
+    size = diameter(cloud.points)
+
+    def build() -> Fields:
+        return cloud_fields(cloud, size)
+
+    fields = _remembered("cloud", build, cloud.points, cloud.normals) if keep else build()
+    made = _made(cloud, cloud.points, np.empty((0, 3), dtype=np.int64), fields, remarks)
+    return dataclasses.replace(made, diameter=size)
+
+
+def made_of_file(file: Path, data: bytes, scale: float) -> Made:
+    """The object in the content of a file whose unit is `scale` metres; raises InvalidFile and InvalidObject.
+
+    Nothing of it is kept on disk: who asks keeps the whole.
+    """
+    shape = shape_of(file, data)
+    try:
+        if shape.faces is None:
+            made = made_of_points(scale * shape.vertices, shape.normals, keep=False)
+        else:
+            made = made_of_mesh(scale * shape.vertices, shape.faces, keep=False)
+    except InvalidObject as error:
+        raise InvalidObject(f"{file.name}: {error}") from None
+    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *made.remarks))
+    return dataclasses.replace(made, name=file.stem, remarks=remarks)
+
+
+def _made(surface: Surface, vertices: Array, faces: Faces, fields: Fields, remarks: tuple[str, ...]) -> Made:
+    return Made(
+        "",
+        surface,
+        vertices,
+        faces,
+        fields.fine,
+        coarse=fields.coarse,
+        closed=fields.closed,
+        remarks=(*remarks, *fields.remarks),
+    )
+
+
+def _remembered(kind: str, build: Callable[[], Fields], points: Array, second: NDArray[Any]) -> Fields:
+    """The fields from the cache, or built and put there."""
+
+    def arrays() -> cache.Arrays:
+        """What is kept of the fields."""
+        fields = build()
+        return {
+            "coarse": fields.coarse.values,
+            "coarse_grid": np.append(fields.coarse.origin, fields.coarse.cell),
+            "fine": fields.fine.values,
+            "fine_grid": np.append(fields.fine.origin, fields.fine.cell),
+            "closed": np.array(fields.closed),
+            "remarks": np.array(fields.remarks, dtype=np.str_),
+        }
+
+    kept = cache.remembered(cache.key(kind, "", points, second), _KEPT, arrays)
+    coarse, fine = (
+        GridField(kept[f"{k}_grid"][:3], float(kept[f"{k}_grid"][3]), kept[k]) for k in ("coarse", "fine")
+    )
+    return Fields(coarse, fine, bool(kept["closed"]), tuple(str(remark) for remark in kept["remarks"]))

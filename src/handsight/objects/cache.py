@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.cache_folder import cache_folder
-from handsight.objects.build import ObjectWarning
+from handsight.objects.geometry import ObjectWarning
 
 VERSION = 3
 """Raise it whenever the same geometry gives other fields."""

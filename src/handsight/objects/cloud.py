@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.objects.build import check_extent
-from handsight.objects.grid import Fields, Grid, grids, interpolated
+from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
+from handsight.objects.geometry import check_extent
+from handsight.objects.meshes.winding import Winding
 from handsight.objects.normals import LEAST_POINTS, estimated_normals
-from handsight.objects.winding import Winding
 
 PLANES = 10
 """Points whose planes are averaged."""

@@ -13,11 +13,11 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import primitives
-from handsight.objects.build import LARGEST, SMALLEST, Made, ObjectWarning, measured
-from handsight.objects.exact import BoxField, CylinderField, SphereField
-from handsight.objects.field import Field, FieldValues, GridField
-from handsight.objects.roughness import Roughness
-from handsight.objects.surface import Faces, Rounded, Surface
+from handsight.objects.fields.exact import BoxField, CylinderField, SphereField
+from handsight.objects.fields.field import Field, FieldValues, GridField
+from handsight.objects.fields.field_error import Roughness
+from handsight.objects.geometry import LARGEST, SMALLEST, Made, ObjectWarning, measured
+from handsight.objects.meshes.triangles import Faces, Rounded, Surface
 from handsight.objects.symmetry import Symmetries
 from handsight.objects.whole import measured_file
 
@@ -128,7 +128,7 @@ class ObjectModel:
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
         surface is valid. Raises InvalidObject where there is no surface.
         """
-        from handsight.objects.sources import made_of_mesh  # it brings scipy and trimesh
+        from handsight.objects.build import made_of_mesh  # it brings scipy and trimesh
 
         return cls._from(measured(made_of_mesh(vertices, faces), SAMPLES), symmetries or Symmetries())
 
@@ -141,7 +141,7 @@ class ObjectModel:
         `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
-        from handsight.objects.sources import made_of_points  # as above
+        from handsight.objects.build import made_of_points  # as above
 
         return cls._from(measured(made_of_points(points, normals), SAMPLES), symmetries or Symmetries())
 

@@ -6,7 +6,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from scipy.spatial import cKDTree
 
 from handsight.checks import Array
-from handsight.objects.surface import Faces
+from handsight.objects.meshes.triangles import Faces
 
 LEAST_POINTS = 20
 NEIGHBOURS = 12

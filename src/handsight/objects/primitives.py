@@ -6,7 +6,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.objects.surface import Triangles
+from handsight.objects.meshes.triangles import Triangles
 from handsight.objects.symmetry import Symmetries
 
 SEGMENTS = 96

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from handsight.objects import cache
-from handsight.objects.build import frozen, measured
-from handsight.objects.field import GridField
-from handsight.objects.files import content
-from handsight.objects.roughness import Roughness
-from handsight.objects.surface import Surface, Triangles
+from handsight.objects.fields.field import GridField
+from handsight.objects.fields.field_error import Roughness
+from handsight.objects.files.read import content
+from handsight.objects.geometry import frozen, measured
+from handsight.objects.meshes.triangles import Surface, Triangles
 
 _GRIDS = ("coarse", "fine")
 _ARRAYS = ("points_object", "normals_object", "bounds_object", "vertices", "faces")
@@ -29,7 +29,7 @@ def measured_file(path: str | os.PathLike[str], scale: float, samples: int) -> d
 
 
 def _built(file: Path, data: bytes, scale: float, samples: int) -> dict[str, Any]:
-    from handsight.objects.sources import made_of_file  # it brings scipy and trimesh
+    from handsight.objects.build import made_of_file  # it brings scipy and trimesh
 
     return measured(made_of_file(file, data, scale), samples)
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from handsight.checks import Array
 from handsight.errors import InvalidFile
-from handsight.objects.pcd import pcd_columns
-from handsight.objects.surface import Faces
-from handsight.objects.text import BadText, number_rows, off_shape
+from handsight.objects.files.pcd import pcd_columns
+from handsight.objects.files.text import BadText, number_rows, off_shape
+from handsight.objects.meshes.triangles import Faces
 
 LARGEST_FILE = 2_000_000_000
 """Bytes; more is refused."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array
-from handsight.objects.field import Field
+from handsight.objects.fields.field import Field
 
 Faces = NDArray[np.int64]
 LLOYD_STEPS = 12

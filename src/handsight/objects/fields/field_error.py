@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight.checks import Array
-from handsight.objects.field import Field
-from handsight.objects.surface import Surface
+from handsight.objects.fields.field import Field
+from handsight.objects.meshes.triangles import Surface
 
 SAMPLES, NEIGHBOURS = 8000, 12
 """Surface points compared with the field, and how many of them speak for a place."""

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array
-from handsight.objects.grid import Fields, Grid, grids, interpolated
-from handsight.objects.nearest import Feet, NearestPoint
-from handsight.objects.repair import side_samples
-from handsight.objects.surface import Triangles
-from handsight.objects.topology import Holes, holes_of, pseudonormals
-from handsight.objects.tree import Halves
-from handsight.objects.winding import Winding
+from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
+from handsight.objects.meshes.box_tree import Halves
+from handsight.objects.meshes.closest_points import Feet, NearestPoint
+from handsight.objects.meshes.repair import side_samples
+from handsight.objects.meshes.topology import Holes, holes_of, pseudonormals
+from handsight.objects.meshes.triangles import Triangles
+from handsight.objects.meshes.winding import Winding
 
 BAND = 4
 """Fine nodes within this many cells of the surface carry exact distances."""

@@ -7,8 +7,8 @@ patch acts as one dipole, its area vector at its centre; near by every triangle 
 import numpy as np
 
 from handsight.checks import Array
-from handsight.objects.surface import Triangles
-from handsight.objects.tree import Halves, halves, merged
+from handsight.objects.meshes.box_tree import Halves, halves, merged
+from handsight.objects.meshes.triangles import Triangles
 
 MOST_PATCHES = 4000
 

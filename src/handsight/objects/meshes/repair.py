@@ -5,11 +5,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.objects.build import check_extent
-from handsight.objects.surface import Faces, Triangles
-from handsight.objects.topology import consistent, pieces
-from handsight.objects.tree import Halves, halves
-from handsight.objects.winding import Winding
+from handsight.objects.geometry import check_extent
+from handsight.objects.meshes.box_tree import Halves, halves
+from handsight.objects.meshes.topology import consistent, pieces
+from handsight.objects.meshes.triangles import Faces, Triangles
+from handsight.objects.meshes.winding import Winding
 
 _SAME_POINT = 1e-9
 """Vertices closer than this part of the extent are one."""

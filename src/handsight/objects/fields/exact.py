@@ -8,7 +8,7 @@ axis, the positive side, the side wall before the cap.
 import numpy as np
 
 from handsight.checks import Array
-from handsight.objects.field import FieldValues
+from handsight.objects.fields.field import FieldValues
 
 RESOLUTION = 72
 """Curvatures are held below this many per diameter."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array
-from handsight.objects.field import GridField
+from handsight.objects.fields.field import GridField
 
 COARSE_PER_DIAMETER = 18
 COARSE_PER_WIDTH = 4

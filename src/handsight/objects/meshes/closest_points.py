@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight.checks import Array
-from handsight.objects.surface import Faces, Triangles
-from handsight.objects.tree import Halves, boxes, halves
+from handsight.objects.meshes.box_tree import Halves, boxes, halves
+from handsight.objects.meshes.triangles import Faces, Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from handsight.checks import Array
-from handsight.objects.surface import Faces, Triangles
+from handsight.objects.meshes.triangles import Faces, Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)

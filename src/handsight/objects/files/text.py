@@ -3,7 +3,7 @@
 import numpy as np
 
 from handsight.checks import Array
-from handsight.objects.surface import Faces
+from handsight.objects.meshes.triangles import Faces
 
 
 class BadText(ValueError):
