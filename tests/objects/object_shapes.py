@@ -57,22 +57,6 @@ def triangles(vertices, faces):
     return Triangles(np.asarray(vertices, dtype=float), np.asarray(faces))
 
 
-def brute_distance(points, mesh):
-    """Distances (n,) to a mesh by a loop over its triangles: planes, edges and corners one by one."""
-    least = np.full(len(points), np.inf)
-    for a, b, c in mesh.vertices[mesh.faces]:
-        n = np.cross(b - a, c - a)
-        height = (points - a) @ n / np.linalg.norm(n)
-        foot = points - np.outer(height, n / np.linalg.norm(n))
-        inside = np.ones(len(points), dtype=bool)
-        for p, q in ((a, b), (b, c), (c, a)):
-            inside &= np.cross(q - p, foot - p) @ n >= 0
-            t = np.clip((points - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
-            least = np.minimum(least, np.linalg.norm(points - p - np.outer(t, q - p), axis=1))
-        least = np.where(inside, np.minimum(least, np.abs(height)), least)
-    return least
-
-
 def data_file(name):
     """A file of the shared test data; skips the test where it is not there."""
     here = Path(__file__).resolve().parents[2]

@@ -233,6 +233,6 @@ def cross(a: Array, b: Array) -> Array:
 def variances(model: ObjectModel, points_object: Array) -> Array:
     """(n, 2) the model's own, of distance [m²] and of normal per axis [rad²]; never below LEAST_ROUGH."""
     least = np.array([(LEAST_ROUGH[0] * model.diameter) ** 2, LEAST_ROUGH[1] ** 2])
-    if model.roughness is None:
+    if model.field_error is None:
         return np.broadcast_to(least, (len(points_object), 2))
-    return np.asarray(model.roughness.variances(points_object) + least)
+    return np.asarray(model.field_error.variances(points_object) + least)

@@ -59,8 +59,8 @@ def _packed(model: ObjectModel) -> tuple[Array, Singles]:
     _append_symmetries(model.symmetries, head, parts)
     head[at.SAMPLES] = _length(parts)
     parts.append(np.hstack([samples.points_object, samples.normals_object]).reshape(-1))
-    if model.roughness is not None:
-        rough = model.roughness
+    if model.field_error is not None:
+        rough = model.field_error
         head[at.ROUGH_CELL] = 1 / rough.cell
         head[at.ROUGH_ORIGIN : at.ROUGH_ORIGIN + 3] = rough.origin
         head[at.ROUGH_SHAPE : at.ROUGH_SHAPE + 3] = rough.values.shape[:3]

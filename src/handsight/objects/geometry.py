@@ -1,157 +1,102 @@
-"""What every object model measures on its surface, whatever the surface came from."""
+"""What is measured on an object's surface, whatever the surface came from."""
 
-import contextlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from handsight.checks import Array
-from handsight.errors import InvalidObject
+from handsight.checks import Array, Indices
 from handsight.objects.fields.field import Field, GridField
-from handsight.objects.fields.field_error import roughness
-from handsight.objects.fields.grids import coarse_grid
-from handsight.objects.meshes.triangles import Faces, Surface, spread
+from handsight.objects.fields.field_error import FieldError, field_error, typical_error
+from handsight.objects.fields.grids import Fields
+from handsight.objects.surface import Surface, spread, unit_remarks
 
-SMALLEST, LARGEST = 1e-6, 1e6
-"""Sizes outside these [m] are refused."""
-SMALL, LARGE = 0.005, 2.0
-"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
-ROUGHNESS_SAMPLES = 2000
-MOST_COMPARED = 2000
-"""Points whose distances are all taken."""
-# The median of |x| over a standard deviation, and of the length of a vector of two such.
-_MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
+SAMPLES = 256
+"""Surface points that phase 1 of the correction matches contacts with."""
 
 
-def check_extent(points: Array, name: str) -> float:
-    """The largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
-    with np.errstate(over="ignore"):
-        extent = float(np.ptp(points, axis=0).max())
-    if extent == 0:
-        raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
-    if not SMALLEST <= extent <= LARGEST or np.abs(points).max() > LARGEST:
-        raise InvalidObject(f"{name}: expected a size of {SMALLEST:g} to {LARGEST:g} m, got {extent:.4g}")
-    return extent
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Geometry:
+    """An object's surface in its own frame: samples, two distance fields, and how well these describe it."""
 
-
-class ObjectWarning(UserWarning):
-    """Something about an object was repaired, or looks odd."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Made:
-    """A surface and its fields, before anything is measured on it."""
-
-    name: str
-    surface: Surface
-    vertices: Array
-    """(k, 3) [m]."""
-    faces: Faces
-    """(m, 3)"""
+    coarse: GridField
+    """Smooth distance field, cells of an 18th of the diameter: from far away it leads further."""
     fine: Field
-    coarse: GridField | None = None
-    """None: sampled from the fine field."""
-    closed: bool = True
-    remarks: tuple[str, ...] = ()
-    diameter: float | None = None
-    """[m], where it is known already."""
+    """Sharp distance field: exact for box, cylinder, sphere; else a grid of a quarter of the coarse cell."""
+    points_object: Array
+    """(256, 3) surface points, evenly spread [m]."""
+    normals_object: Array
+    """(256, 3) their unit outward normals."""
+    area: float
+    """Of the surface [m²]."""
+    diameter: float
+    """Largest distance between two surface points [m]."""
+    bounds_object: Array
+    """(2, 3) least and largest coordinates [m]."""
+    closed: bool
+    """Whether the surface has an inside; an open one has a distance only, negative behind it near by."""
+    sigma_point: float
+    """Error of the fine field: one standard deviation of its distance at surface points [m]."""
+    sigma_normal: float
+    """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
+    field_error: FieldError | None
+    """The same place by place; None where the fine field is exact."""
+    vertices: Array
+    """(k, 3) for drawing [m]; a cloud's points."""
+    faces: Indices
+    """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
+    remarks: tuple[str, ...]
+    """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
+    surface: Surface
+    """What `sample` draws from."""
+
+    @property
+    def radius(self) -> float:
+        """Half the diameter [m]: what a radian of rotation weighs in metres."""
+        return self.diameter / 2
+
+    @property
+    def center_object(self) -> Array:
+        """(3,) the middle of the bounds [m]."""
+        return np.asarray(self.bounds_object.mean(axis=0))
+
+    @property
+    def sample_spacing(self) -> float:
+        """√(area / 256): about how far apart `points_object` are [m]."""
+        return float(np.sqrt(self.area / SAMPLES))
 
 
-def measured(made: Made, samples: int) -> dict[str, Any]:
-    """Every field of an ObjectModel but its symmetries."""
-    bounds = np.stack([made.vertices.min(axis=0), made.vertices.max(axis=0)])
-    size = made.diameter or diameter(made.vertices)
-    points, normals = spread(made.surface, samples)
-    sigma_point, sigma_normal = typical_roughness(made.surface, made.fine)
-    coarse = made.coarse or sampled(made.fine, bounds, size)
-    return {
-        "name": made.name,
-        "coarse": coarse,
-        "fine": made.fine,
-        "points_object": frozen(points),
-        "normals_object": frozen(normals),
-        "area": made.surface.area,
-        "diameter": size,
-        "bounds_object": frozen(bounds),
-        "closed": made.closed,
-        "sigma_point": sigma_point,
-        "sigma_normal": sigma_normal,
-        "roughness": roughness(made.surface, made.fine, bounds, coarse.cell) if made.coarse else None,
-        "vertices": frozen(made.vertices),
-        "faces": made.faces,
-        "remarks": (*made.remarks, *unit_remarks(bounds)),
-        "_surface": made.surface,
-    }
+def measured(surface: Surface, fields: Fields) -> Geometry:
+    """What is to be known of a surface whose distance fields are these."""
+    vertices = surface.vertices
+    bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    points, normals = spread(surface, SAMPLES)
+    sigma_point, sigma_normal = typical_error(surface, fields.fine)
+    error = None
+    if isinstance(fields.fine, GridField):
+        error = field_error(surface, fields.fine, bounds, fields.coarse.cell)
+    return Geometry(
+        coarse=fields.coarse,
+        fine=fields.fine,
+        points_object=frozen(points),
+        normals_object=frozen(normals),
+        area=surface.area,
+        diameter=fields.diameter,
+        bounds_object=frozen(bounds),
+        closed=fields.closed,
+        sigma_point=sigma_point,
+        sigma_normal=sigma_normal,
+        field_error=error,
+        vertices=frozen(vertices),
+        faces=surface.faces,
+        remarks=(*fields.remarks, *unit_remarks(bounds)),
+        surface=surface,
+    )
 
 
-def frozen(array: Array) -> Array:
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """A copy that cannot be written to."""
     array = np.array(array)
     array.flags.writeable = False
     return array
-
-
-def sampled(exact: Field, bounds: Array, size: float) -> GridField:
-    """The coarse field of an object whose exact one is known."""
-    grid, _ = coarse_grid(bounds, size, float((bounds[1] - bounds[0]).min()))
-    distance = exact.evaluate(grid.nodes()).distance
-    return GridField(grid.origin, grid.cell, distance.reshape(grid.shape).astype(np.float32))
-
-
-def diameter(points: Array) -> float:
-    """The largest distance between two of the points (n, 3) [m]."""
-    from scipy.spatial import ConvexHull, QhullError  # an object that is kept whole needs no scipy
-    from scipy.spatial.distance import pdist
-
-    points = _outermost(points)
-    if len(points) > MOST_COMPARED:
-        with contextlib.suppress(QhullError):  # flat
-            points = points[ConvexHull(points).vertices]
-    if len(points) > MOST_COMPARED:  # a ball: extremes along many directions miss by less than a thousandth
-        direction = np.random.default_rng(0).normal(size=(1000, 3))
-        along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
-        points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
-    return float(pdist(points).max())
-
-
-def _outermost(points: Array) -> Array:
-    """Those of the points (n, 3) that may be one of the two farthest apart: of most objects a few."""
-    one = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax()]
-    for _ in range(3):
-        other = one
-        one = points[((points - other) ** 2).sum(axis=1).argmax()]
-    least = float(np.linalg.norm(one - other))
-    # Two that are farther apart than these are together at least as far from the middle between these.
-    gap = np.linalg.norm(points - (one + other) / 2, axis=1)
-    return np.asarray(points[gap >= (1 - 1e-9) * least - gap.max()])
-
-
-def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
-    """Standard deviations of the fine field on the surface: distance [m] and normal per axis [rad].
-
-    By medians, so that edges, which the field rounds off, do not speak for the faces.
-    """
-    from handsight.objects.pack import looked_up  # numba's import is long
-
-    points, normals = surface.draw(ROUGHNESS_SAMPLES, np.random.default_rng(1))
-    distance, gradient, _ = looked_up(fine, points)
-    sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
-    angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
-    return float(np.median(np.abs(distance)) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)
-
-
-def unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """A sentence if the size suggests another unit than metres."""
-    extent = float((bounds[1] - bounds[0]).max())
-    if SMALL <= extent <= LARGE:
-        return ()
-    for unit, scale in (
-        ("millimetres", 0.001),
-        ("centimetres", 0.01),
-        ("inches", 0.0254),
-        ("metres, scaled down twice", 1000.0),
-    ):
-        if SMALL < extent * scale < LARGE / 4:
-            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
-    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

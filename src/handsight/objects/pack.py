@@ -9,8 +9,14 @@ from handsight._kernels import field as kernel
 from handsight._kernels import layout as at
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array
-from handsight.objects.fields.exact import BoxField, CylinderField, SphereField
-from handsight.objects.fields.field import Field, FieldValues, GridField
+from handsight.objects.fields.field import (
+    BoxField,
+    CylinderField,
+    Field,
+    FieldValues,
+    GridField,
+    SphereField,
+)
 
 MANY = 16_384
 """Points that are worth another thread."""

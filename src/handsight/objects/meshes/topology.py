@@ -3,29 +3,28 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from handsight.checks import Array
-from handsight.objects.meshes.triangles import Faces, Triangles
+from handsight.checks import Array, Indices, Mask
+from handsight.objects.meshes.triangles import Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
     """A mesh's edges, each as its triangles run through it."""
 
-    pairs: Faces
+    pairs: Indices
     """(e, 2) vertex indices, the smaller first."""
-    of_face: Faces
+    of_face: Indices
     """(m, 3) the edge from corner 0 to 1, 1 to 2, 2 to 0."""
-    forward: NDArray[np.bool_]
+    forward: Mask
     """(m, 3) whether the triangle runs through it from the smaller index."""
-    count: Faces
+    count: Indices
     """(e,) triangles at the edge."""
 
 
-def edges_of(faces: Faces) -> Edges:
+def edges_of(faces: Indices) -> Edges:
     """The edges of triangles (m, 3)."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     ordered = np.sort(directed, axis=1)
@@ -37,7 +36,7 @@ def edges_of(faces: Faces) -> Edges:
     return Edges(ordered[first], which.reshape(-1, 3), forward.reshape(-1, 3), count)
 
 
-def _links(edges: Edges) -> tuple[Faces, Faces, NDArray[np.bool_]]:
+def _links(edges: Edges) -> tuple[Indices, Indices, Mask]:
     """Triangles (l,) and (l,) that share an edge of just two, and whether they run through it oppositely."""
     face = np.repeat(np.arange(len(edges.of_face)), 3)
     edge, forward = edges.of_face.reshape(-1), edges.forward.reshape(-1)
@@ -48,19 +47,7 @@ def _links(edges: Edges) -> tuple[Faces, Faces, NDArray[np.bool_]]:
     return face[i], face[j], forward[i] != forward[j]
 
 
-def neighbours(faces: Faces) -> Faces:
-    """(m, 3) the triangle across each edge; the triangle itself where there is none, or more than one."""
-    edges = edges_of(faces)
-    m = len(faces)
-    beside = np.repeat(np.arange(m)[:, None], 3, axis=1).reshape(-1)
-    order = np.argsort(edges.of_face.reshape(-1), kind="stable")
-    start = (np.cumsum(edges.count) - edges.count)[edges.count == 2]
-    i, j = order[start], order[start + 1]
-    beside[i], beside[j] = j // 3, i // 3
-    return beside.reshape(-1, 3)
-
-
-def consistent(faces: Faces) -> tuple[Faces, int, bool]:
+def consistent(faces: Indices) -> tuple[Indices, int, bool]:
     """Triangles turned so that neighbours agree, how many were turned, and whether all could agree.
 
     Each triangle stands twice in a graph, as it is and turned; neighbours that agree are linked side to side,
@@ -82,7 +69,7 @@ def consistent(faces: Faces) -> tuple[Faces, int, bool]:
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces), int(flip.sum()), orientable
 
 
-def pieces(faces: Faces) -> NDArray[np.int64]:
+def pieces(faces: Indices) -> Indices:
     """(m,) the connected piece of each triangle, through shared vertices."""
     if not len(faces):
         return np.empty(0, dtype=np.int64)
