@@ -1,5 +1,6 @@
 import contextlib
 import dataclasses
+import io
 import os
 import subprocess
 import sys
@@ -59,18 +60,21 @@ def test_the_same_mesh_is_built_once(folder, counted):
     assert len(counted) == 2
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut", "text", "flipped", "array"])
+@pytest.mark.parametrize("damage", ["empty", "cut", "text", "flipped", "header", "array"])
 def test_a_damaged_file_is_built_again(folder, counted, damage):
     first = box()
     (file,) = folder.iterdir()
     whole = file.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
+    header = whole.replace(b"(256, 3)", b"(255, 3)")  # it could be read
     if damage == "array":
         with file.open("wb") as out:
             np.save(out, np.zeros(3))
     else:
-        file.write_bytes({"empty": b"", "cut": whole[:middle], "text": b"no", "flipped": flipped}[damage])
+        file.write_bytes(
+            {"empty": b"", "cut": whole[:middle], "text": b"no", "flipped": flipped, "header": header}[damage]
+        )
     same(box(), first)
     assert len(counted) == 2
     assert file.read_bytes() == whole
@@ -81,7 +85,8 @@ def test_a_file_of_another_content_or_another_object_is_built_again(folder, coun
     (other,) = folder.iterdir()
     first = box()
     (file,) = set(folder.iterdir()) - {other}
-    np.savez(file, coarse=np.zeros(3))
+    with file.open("wb") as out:
+        np.savez(out, coarse=np.zeros(3))
     same(box(), first)
     file.write_bytes(other.read_bytes())
     same(box(), first)
@@ -96,9 +101,10 @@ def test_pickled_content_is_never_loaded(folder, counted):
         def __reduce__(self):
             return sys.exit, ("a pickle was loaded",)
 
-    with np.load(file) as kept:
-        names = kept.files
-    np.savez(file, **dict.fromkeys(names, np.array([Trap()], dtype=object)))
+    trap = io.BytesIO()
+    np.save(trap, np.array([Trap()], dtype=object))
+    name = file.stem.removeprefix("field-")
+    file.write_bytes(cache._checksum(name, trap.getvalue()) + trap.getvalue())
     box()
     assert len(counted) == 2
 
@@ -121,9 +127,9 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
         os.utime(file, (0, 0))
     for k in range(1, 6):
         cache.remembered(f"{k}" * 8, lambda: geometry)
-        os.utime(folder / f"field-{f'{k}' * 8}.npz", (k, k))
+        os.utime(folder / f"field-{f'{k}' * 8}.npys", (k, k))
     assert sorted(f.name for f in folder.iterdir()) == [
-        "field-33333333.npz", "field-44444444.npz", "field-55555555.npz", "mine.npz",
+        "field-33333333.npys", "field-44444444.npys", "field-55555555.npys", "mine.npz",
     ]  # fmt: skip
 
 
@@ -169,7 +175,7 @@ def test_two_processes_may_build_the_same_object_at_once(folder):
                 worker.kill()
     assert [worker.returncode for worker in workers] == [0, 0]
     assert found[0] == found[1] == float(box().fine.values.astype(float).sum())
-    assert [f.suffix for f in folder.iterdir()] == [".npz"]
+    assert [f.suffix for f in folder.iterdir()] == [".npys"]
 
 
 @pytest.fixture

@@ -6,12 +6,10 @@ the hash of what it was computed from. Losing the folder costs time, nothing els
 
 import contextlib
 import hashlib
+import io
 import os
-import struct
 import tempfile
-import tokenize
 import warnings
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -33,11 +31,8 @@ KEPT = 200
 """Files; the oldest go first."""
 _GRIDS = ("coarse", "fine", "field_error")
 _ARRAYS = ("points_object", "normals_object", "bounds_object", "vertices", "faces")
-_DAMAGED = (
-    OSError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError,
-    struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What reading raises on a file that is cut short, flipped or foreign."""
+_NUMBERS = ("area", "diameter", "sigma_point", "sigma_normal", "closed")
+_KEPT = (*_GRIDS, *_ARRAYS, "grids", "numbers", "remarks", "areas", "normals")
 _warned: set[str] = set()
 
 
@@ -56,12 +51,12 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     What is damaged, or is not what the name says, is computed again. Safe under several processes: a file
     appears complete or not at all. Where the folder cannot be written, one ObjectWarning, and no error.
     """
-    path = cache_folder() / f"field-{name}.npz"
-    with contextlib.suppress(*_DAMAGED):
+    path = cache_folder() / f"field-{name}.npys"
+    with contextlib.suppress(OSError, ValueError, EOFError):
         return _loaded(path, name)
     geometry = compute()
     try:
-        _store(path, _arrays(geometry, name))
+        _store(path, _sealed(name, _arrays(geometry)))
     except OSError as error:
         if str(path.parent) not in _warned:
             _warned.add(str(path.parent))
@@ -73,7 +68,7 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     return geometry
 
 
-def _arrays(geometry: Geometry, name: str) -> dict[str, NDArray[Any]]:
+def _arrays(geometry: Geometry) -> dict[str, NDArray[Any]]:
     grids: list[Any] = [getattr(geometry, k) for k in _GRIDS]
     surface: Any = geometry.surface
     cloud = not isinstance(surface, Triangles)
@@ -81,23 +76,32 @@ def _arrays(geometry: Geometry, name: str) -> dict[str, NDArray[Any]]:
         **{k: grid.values for k, grid in zip(_GRIDS, grids, strict=True)},
         **{k: getattr(geometry, k) for k in _ARRAYS},
         "grids": np.stack([np.append(grid.origin, grid.cell) for grid in grids]),
-        "numbers": np.array(
-            [getattr(geometry, k) for k in ("area", "diameter", "sigma_point", "sigma_normal", "closed")],
-            dtype=np.float64,
-        ),
-        "texts": np.array([name, *geometry.remarks], dtype=np.str_),
+        "numbers": np.array([float(getattr(geometry, k)) for k in _NUMBERS]),
+        "remarks": np.array(geometry.remarks, dtype=np.str_),
         "areas": surface.areas if cloud else np.empty(0),
         "normals": surface.normals if cloud else np.empty((0, 3)),
     }
 
 
+def _sealed(name: str, arrays: dict[str, NDArray[Any]]) -> bytes:
+    """The arrays one after another, behind a checksum of these and the name."""
+    stream = io.BytesIO()
+    for k in _KEPT:
+        np.save(stream, arrays[k], allow_pickle=False)
+    return _checksum(name, stream.getvalue()) + stream.getvalue()
+
+
+def _checksum(name: str, content: bytes | memoryview) -> bytes:
+    return zlib.crc32(content, zlib.crc32(name.encode())).to_bytes(4, "little")
+
+
 def _loaded(path: Path, name: str) -> Geometry:
-    """Raises one of _DAMAGED where there is no such file, or another one."""
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-        arrays = {k: file[k] for k in file.files}
-    found, *remarks = (str(text) for text in arrays["texts"])
-    if found != name:
-        raise ValueError("kept under another name")
+    """Raises OSError where there is no such file, ValueError where it is not what was kept."""
+    data = memoryview(path.read_bytes())
+    if data[:4] != _checksum(name, data[4:]):
+        raise ValueError("damaged, or another object")
+    stream = io.BytesIO(data[4:])
+    arrays = {k: np.load(stream, allow_pickle=False) for k in _KEPT}
     grids = [(at[:3], float(at[3]), arrays[k]) for k, at in zip(_GRIDS, arrays["grids"], strict=True)]
     area, diameter, sigma_point, sigma_normal, closed = arrays["numbers"].tolist()
     surface: Surface = Triangles(arrays["vertices"], arrays["faces"])
@@ -115,17 +119,17 @@ def _loaded(path: Path, name: str) -> Geometry:
         sigma_point=sigma_point,
         sigma_normal=sigma_normal,
         closed=bool(closed),
-        remarks=tuple(remarks),
+        remarks=tuple(str(remark) for remark in arrays["remarks"]),
         surface=surface,
     )
 
 
-def _store(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+def _store(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix="field-", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
+            file.write(data)
         os.replace(temporary, path)
     finally:  # still there only where that failed
         with contextlib.suppress(OSError):
@@ -136,7 +140,7 @@ def _store(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
 def _forget_oldest(kept: Path) -> None:
     """Another process may remove the same files at the same time."""
     ages = []
-    for file in kept.glob("field-*.npz"):
+    for file in kept.glob("field-*"):
         with contextlib.suppress(OSError):
             ages.append((file.stat().st_mtime, file))
     for _, file in sorted(ages)[:-KEPT]:

@@ -89,7 +89,7 @@ def measured(surface: Surface, fields: Fields) -> Geometry:
         sigma_normal=sigma_normal,
         field_error=error,
         vertices=frozen(vertices),
-        faces=surface.faces,
+        faces=frozen(surface.faces),
         remarks=(*fields.remarks, *unit_remarks(bounds)),
         surface=surface,
     )
