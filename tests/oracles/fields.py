@@ -1,10 +1,11 @@
 """Distance, gradient and Hessian of an object's fields in plain NumPy and SciPy: what the kernel is judged by."""
 
 import numpy as np
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, RegularGridInterpolator
 
 from handsight.checks import Array
 from handsight.objects.fields.field import BoxField, CylinderField, Field, FieldValues, GridField, SphereField
+from handsight.objects.fields.field_error import FieldError
 
 _EYE = np.eye(3)
 _CUBIC = BSpline.basis_element(np.arange(-2, 3))
@@ -20,6 +21,13 @@ def evaluate(field: Field, points: Array) -> FieldValues:
     """Distance and derivatives at the points (n, 3) [m] of the object's frame."""
     kinds = {GridField: _grid, BoxField: _box, CylinderField: _cylinder, SphereField: _sphere}
     return kinds[type(field)](field, np.asarray(points, dtype=np.float64))
+
+
+def variances(error: FieldError, points: Array) -> Array:
+    """(n, 2) variances of a field's distance [m²] and normal [rad²] near points (n, 3) [m]: linear between nodes."""
+    axes = [o + error.cell * np.arange(n) for o, n in zip(error.origin, error.values.shape[:3], strict=True)]
+    inside = np.clip(points, error.origin, [axis[-1] for axis in axes])
+    return RegularGridInterpolator(axes, error.values)(inside)
 
 
 def _grid(field: GridField, points: Array) -> FieldValues:

@@ -119,13 +119,9 @@ def _largest_gap(grid: Grid, gap: Array, inside: Mask) -> float:
     """The width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
     largest = 0.0
     cube, sign = gap.reshape(grid.shape), inside.reshape(grid.shape)
-    for axis in range(3):
-        low = [slice(None)] * 3
-        high = [slice(None)] * 3
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
-        crossing = sign[tuple(low)] != sign[tuple(high)]
-        width = np.minimum(cube[tuple(low)], cube[tuple(high)])[crossing]
-        largest = max(largest, float(2 * width.max()) if len(width) else 0.0)
+    for axis, n in enumerate(grid.shape):
+        nearer = np.minimum(cube.take(range(n - 1), axis), cube.take(range(1, n), axis))
+        largest = max(largest, float(2 * nearer[np.diff(sign, axis=axis)].max(initial=0.0)))
     return largest
 
 

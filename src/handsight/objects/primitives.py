@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array, Indices
+from handsight.checks import Array
 from handsight.objects.fields.field import BoxField, CylinderField, Field, SphereField
 from handsight.objects.fields.grids import Fields, sampled
 from handsight.objects.geometry import Geometry, measured
@@ -18,28 +18,22 @@ SEGMENTS = 96
 _SIDES_EQUAL = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rounded:
+@dataclass(frozen=True, eq=False)
+class Rounded(Triangles):
     """The curved surface that a mesh of facets stands for, where its distance field is exact."""
 
-    facets: Triangles
     field: Field
-    area: float
-    """Exact [m²]."""
+    exact_area: float
+    """[m²]."""
 
     @property
-    def vertices(self) -> Array:
-        """(k, 3) of the facets [m]."""
-        return self.facets.vertices
-
-    @property
-    def faces(self) -> Indices:
-        """(m, 3) the facets."""
-        return self.facets.faces
+    def area(self) -> float:
+        """Of the curved surface [m²]."""
+        return self.exact_area
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """n points (n, 3) [m] and normals (n, 3) on the exact surface."""
-        points, _ = self.facets.draw(n, rng)
+        points, _ = super().draw(n, rng)
         values = self.field.evaluate(points)
         return points - values.distance[:, None] * values.gradient, values.gradient
 
@@ -51,14 +45,15 @@ def box(half: Array) -> Geometry:
 
 def cylinder(radius: float, half_height: float) -> Geometry:
     """A cylinder about z; `radius` and half the height [m]."""
-    exact, area = CylinderField(radius, half_height), 2 * np.pi * radius * (radius + 2 * half_height)
-    return _geometry(Rounded(cylinder_triangles(radius, half_height), exact, area), exact)
+    facets, exact = cylinder_triangles(radius, half_height), CylinderField(radius, half_height)
+    area = 2 * np.pi * radius * (radius + 2 * half_height)
+    return _geometry(Rounded(facets.vertices, facets.faces, exact, area), exact)
 
 
 def sphere(radius: float) -> Geometry:
     """A ball of that radius [m]."""
-    exact = SphereField(radius)
-    return _geometry(Rounded(sphere_triangles(radius), exact, 4 * np.pi * radius**2), exact)
+    facets, exact = sphere_triangles(radius), SphereField(radius)
+    return _geometry(Rounded(facets.vertices, facets.faces, exact, 4 * np.pi * radius**2), exact)
 
 
 def _geometry(surface: Surface, exact: Field) -> Geometry:
