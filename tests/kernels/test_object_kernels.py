@@ -1,21 +1,23 @@
-"""The kernels that build objects, and look them up, against their twins in plain NumPy (`handsight.objects._plain`)."""
+"""The kernels that build objects, and evaluate their fields, against brute force and definitions (`oracles`)."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import trimesh
 
 from handsight._kernels import warm
 from handsight._kernels.linking import linked
-from handsight._kernels.nearest_triangle import all_feet
+from handsight._kernels.nearest_triangle import closest_points
 from handsight._kernels.spreading import snapped, spread_out
-from handsight._kernels.winding import winding_at
-from handsight.objects import ObjectModel, _plain
-from handsight.objects.nearest import NearestPoint
-from handsight.objects.tree import boxes, halves
-from handsight.objects.winding import Winding
+from handsight.objects import ObjectModel
+from handsight.objects.meshes.box_tree import box_tree
+from handsight.objects.meshes.closest_points import ClosestPointSearch
+from handsight.objects.meshes.winding import Winding
 from objects.object_shapes import box_mesh, divided, prism, triangles
+from oracles import fields as field_oracle
+from oracles import meshes as oracle
 
 TINY = 1e-12
 # Weights in a sliver are a quotient of numbers that nearly cancel.
@@ -84,100 +86,104 @@ def around(mesh, rng):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_feet_are_those_of_trying_every_triangle(name, rng):
+def test_closest_points_are_those_of_trying_every_triangle(name, rng):
     mesh = shape(name)
-    points, corners = around(mesh, rng), mesh.vertices[mesh.faces]
-    feet, index = NearestPoint(mesh).feet(points)
+    points = around(mesh, rng)
+    found, index = ClosestPointSearch(mesh).closest(points)
     np.testing.assert_array_equal(index, np.arange(len(points)))
-    plain = _plain.feet(points, corners)[0]
+    expected = oracle.closest_points(points, mesh.corners)[0]
     scale = 1 + np.linalg.norm(points, axis=1)
-    assert (np.abs(feet.distance - plain) <= CLOSE.get(name, TINY) * scale).all()
-    assert (np.abs(np.linalg.norm(points - feet.points, axis=1) - feet.distance) <= TINY * scale).all()
-    # Which of several equally near triangles it is, either may say; the foot is where its weights put it.
-    np.testing.assert_allclose(feet.corners.sum(axis=1), 1, atol=TINY)
-    assert feet.corners.min() >= 0
-    on_face = (feet.corners[:, None] @ corners[feet.face])[:, 0]
-    np.testing.assert_allclose(on_face, feet.points, atol=TINY)
+    assert (np.abs(found.distance - expected) <= CLOSE.get(name, TINY) * scale).all()
+    assert (np.abs(np.linalg.norm(points - found.points, axis=1) - found.distance) <= TINY * scale).all()
+    # Which of several equally near triangles it is, either may say; the point is where its weights put it.
+    np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=TINY)
+    assert found.weights.min() >= 0
+    on_face = (found.weights[:, None] @ mesh.corners[found.face])[:, 0]
+    np.testing.assert_allclose(on_face, found.points, atol=TINY)
+    # Those nearer than a limit are the same ones, and all of them.
+    near, index = ClosestPointSearch(mesh).closest(points, within=0.01)
+    np.testing.assert_array_equal(index, np.flatnonzero(expected < 0.01))
+    np.testing.assert_allclose(near.distance, found.distance[index], rtol=0, atol=CLOSE.get(name, TINY))
+
+
+@pytest.mark.parametrize("name", ["box", "prism", "bumpy", "one"])
+def test_closest_points_are_those_of_trimesh(name, rng):
+    mesh = shape(name)
+    points = around(mesh, rng)[:300]
+    each = np.repeat(points, len(mesh.faces), axis=0)
+    nearest = trimesh.triangles.closest_point(np.tile(mesh.corners, (len(points), 1, 1)), each)
+    gap = np.linalg.norm(nearest - each, axis=1).reshape(len(points), -1).min(axis=1)
+    np.testing.assert_allclose(ClosestPointSearch(mesh).closest(points)[0].distance, gap, rtol=0, atol=TINY)
 
 
 @pytest.mark.parametrize("name", ["box", "bumpy"])
-def test_feet_on_edges_and_at_corners_have_weights_of_exactly_zero(name, rng):
+def test_closest_points_on_edges_and_at_corners_have_weights_of_exactly_zero(name, rng):
     mesh = shape(name)
     points = around(mesh, rng)[:300]
-    feet, _ = NearestPoint(mesh).feet(points)
-    plain, weights = (_plain.feet(points, mesh.vertices[mesh.faces])[k] for k in (2, 3))
-    same = feet.face == plain
+    found, _ = ClosestPointSearch(mesh).closest(points)
+    _, _, face, weights = oracle.closest_points(points, mesh.corners)
+    same = found.face == face
     assert same.mean() > 0.4  # a convex edge belongs to two
-    np.testing.assert_array_equal((feet.corners == 0)[same], (weights == 0)[same])
-    np.testing.assert_allclose(feet.corners[same], weights[same], atol=1e-9)
+    np.testing.assert_array_equal((found.weights == 0)[same], (weights == 0)[same])
+    np.testing.assert_allclose(found.weights[same], weights[same], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_feet_beyond_the_limit_are_left_out(name, rng):
-    mesh, within = shape(name), 0.01
-    points = around(mesh, rng)
-    feet, index = NearestPoint(mesh).feet(points, within)
-    plain = _plain.feet(points, mesh.vertices[mesh.faces])[0]
-    np.testing.assert_array_equal(index, np.flatnonzero(plain < within))
-    np.testing.assert_allclose(feet.distance, plain[index], rtol=0, atol=CLOSE.get(name, TINY))
-
-
-def test_no_points_have_no_feet():
-    feet, index = NearestPoint(shape("box")).feet(np.empty((0, 3)))
-    assert len(index) == len(feet.distance) == 0
+def test_no_points_have_no_closest_points():
+    found, index = ClosestPointSearch(shape("box")).closest(np.empty((0, 3)))
+    assert len(index) == len(found.distance) == 0
 
 
 def test_a_tree_holds_every_thing_once_in_boxes_around_it(rng):
     centers = rng.normal(size=(1001, 3))
-    parts = halves(centers, 16)
-    np.testing.assert_array_equal(np.sort(parts.order), np.arange(1001))
-    sizes = np.diff(parts.starts)
+    tree = box_tree(centers, 16)
+    np.testing.assert_array_equal(np.sort(tree.order), np.arange(1001))
+    sizes = np.diff(tree.starts)
     assert 1 <= sizes.min() <= sizes.max() <= 16
-    x = centers[parts.order]
-    bounds = boxes(x, x, parts.starts)
+    x = centers[tree.order]
+    bounds = tree.boxes(x, x)
     count = len(sizes)
     assert len(bounds) == 2 * count - 1
     for k in range(len(bounds)):
         first = last = k
         while first < count - 1:
             first, last = 2 * first + 1, 2 * last + 2
-        own = x[parts.starts[first - count + 1] : parts.starts[last - count + 2]]
+        own = x[tree.starts[first - count + 1] : tree.starts[last - count + 2]]
         np.testing.assert_array_equal(bounds[k], [*own.min(axis=0), *own.max(axis=0)])
 
 
 def test_things_in_one_place_are_halved_too():
-    parts = halves(np.zeros((100, 3)), 16)
-    np.testing.assert_array_equal(np.sort(parts.order), np.arange(100))
-    assert np.diff(parts.starts).max() <= 16
+    tree = box_tree(np.zeros((100, 3)), 16)
+    np.testing.assert_array_equal(np.sort(tree.order), np.arange(100))
+    assert np.diff(tree.starts).max() <= 16
 
 
 @pytest.mark.parametrize("name", ["box", "prism", "bumpy", "needle", "one"])
-def test_winding_numbers_of_meshes_are_the_twins(name, rng):
+def test_winding_numbers_of_meshes_are_sums_of_solid_angles(name, rng):
     mesh = shape(name)
     winding = Winding.of_mesh(mesh)
     points = around(mesh, rng)
     # On the surface itself rounding decides between the sides.
-    points = points[_plain.feet(points, mesh.vertices[mesh.faces])[0] > 1e-6]
-    plain = _plain.winding(points, winding.patches, winding.elements)
-    np.testing.assert_allclose(winding.at(points), plain, rtol=0, atol=1e-9)
+    points = points[oracle.closest_points(points, mesh.corners)[0] > 1e-6]
+    expected = oracle.winding(points, winding.patches, winding.elements)
+    np.testing.assert_allclose(winding.at(points), expected, rtol=0, atol=1e-9)
 
 
-def test_winding_numbers_of_a_large_mesh_are_the_twins(rng):
+def test_winding_numbers_of_a_large_mesh_are_sums_over_patches(rng):
     """Where most patches are far."""
     winding = Winding.of_mesh(triangles(*divided(*bumpy(), 2)))
     points = rng.uniform(-0.08, 0.08, (500, 3))
-    plain = _plain.winding(points, winding.patches, winding.elements)
-    np.testing.assert_allclose(winding.at(points), plain, rtol=0, atol=1e-9)
+    expected = oracle.winding(points, winding.patches, winding.elements)
+    np.testing.assert_allclose(winding.at(points), expected, rtol=0, atol=1e-9)
     assert set(winding.at(points).round(1)) == {0.0, 1.0}
 
 
-def test_winding_numbers_of_clouds_are_the_twins(rng):
+def test_winding_numbers_of_clouds_are_sums_of_dipoles(rng):
     model = ObjectModel.cylinder(0.03, 0.1)
     points, normals = model.sample(3000)
     winding = Winding(points, normals * model.area / 3000)
     asked = np.vstack([rng.uniform(-0.08, 0.08, (400, 3)), points[:20], [[5.0, 0, 0]]])
-    plain = _plain.winding(asked, winding.patches, winding.elements)
-    np.testing.assert_allclose(winding.at(asked), plain, rtol=0, atol=1e-9)
+    expected = oracle.winding(asked, winding.patches, winding.elements)
+    np.testing.assert_allclose(winding.at(asked), expected, rtol=0, atol=1e-9)
 
 
 def same_partition(a, b):
@@ -189,12 +195,12 @@ def same_partition(a, b):
 @pytest.mark.parametrize("limit", [0.0, 0.8, 1.2, np.inf])
 @pytest.mark.parametrize("grid", [(7, 8, 9), (1, 1, 40), (12, 1, 5), (1, 1, 1)])
 @pytest.mark.parametrize("part", [1.0, 0.6])
-def test_nodes_hang_together_as_the_twin_says(limit, grid, part, rng):
+def test_nodes_hang_together_as_the_components_of_their_graph(limit, grid, part, rng):
     count = int(np.prod(grid))
     index = np.flatnonzero(rng.random(count) < part)
     distance, free = rng.random(len(index)), rng.random(len(index)) < 0.9
     label = linked(index, grid, distance, free, limit)
-    assert same_partition(label, _plain.linked(index, grid, distance, free, limit))
+    assert same_partition(label, oracle.linked(index, grid, distance, free, limit))
     # Sets are counted in the order of their first nodes.
     first = np.unique(label, return_index=True)[1]
     assert (np.diff(first) > 0).all()
@@ -205,26 +211,26 @@ def cost(features, chosen):
 
 
 @pytest.mark.parametrize("steps", [0, 1, 12])
-def test_points_are_spread_as_the_twin_spreads_them(steps, rng):
+def test_points_are_spread_by_farthest_points_and_lloyds_steps(steps, rng):
     features = np.hstack([rng.uniform(-0.05, 0.05, (1500, 3)), 0.01 * rng.normal(size=(1500, 3))])
-    chosen, plain = spread_out(features, 60, steps), _plain.spread_out(features, 60, steps)
-    np.testing.assert_allclose(chosen, plain, rtol=0, atol=1e-12)
+    chosen, expected = spread_out(features, 60, steps), oracle.spread_out(features, 60, steps)
+    np.testing.assert_allclose(chosen, expected, rtol=0, atol=1e-12)
 
 
-def test_points_of_a_lattice_are_spread_as_well_as_the_twin_spreads_them():
+def test_points_of_a_lattice_are_spread_as_well_whatever_rounding_chooses():
     """Many are equally far: rounding chooses among them."""
     axis = np.linspace(-0.05, 0.05, 12)
     places = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     features = np.hstack([places, np.zeros_like(places)])
-    found, plain = (cost(features, way(features, 50, 12)) for way in (spread_out, _plain.spread_out))
-    assert found == pytest.approx(plain, rel=0.05)
+    found, expected = (cost(features, way(features, 50, 12)) for way in (spread_out, oracle.spread_out))
+    assert found == pytest.approx(expected, rel=0.05)
 
 
-def test_places_are_snapped_to_the_points_that_the_twin_takes(rng):
+def test_places_are_snapped_to_the_nearest_points_not_yet_taken(rng):
     features, middles = rng.normal(size=(500, 6)), rng.normal(size=(200, 6))
     middles[:50] = features[0]  # all ask for the same
     index = snapped(features, middles)
-    np.testing.assert_array_equal(index, _plain.snapped(features, middles))
+    np.testing.assert_array_equal(index, oracle.snapped(features, middles))
     assert len(set(index)) == 200
     np.testing.assert_array_equal(np.sort(snapped(features, features[::-1].copy())), np.arange(500))
 
@@ -237,7 +243,7 @@ def test_as_many_places_as_points_are_these_points(rng):
 
 def test_several_threads_at_once_are_answered_as_one_is(rng):
     mesh = triangles(*divided(*bumpy(), 1))
-    nearest, winding = NearestPoint(mesh), Winding.of_mesh(mesh)
+    search, winding = ClosestPointSearch(mesh), Winding.of_mesh(mesh)
     sets = [rng.uniform(-0.08, 0.08, (5000, 3)) for _ in range(4)]
     model = ObjectModel.from_mesh(mesh.vertices, mesh.faces)
     gate = threading.Barrier(4)
@@ -245,7 +251,7 @@ def test_several_threads_at_once_are_answered_as_one_is(rng):
     def answers(points, wait=True):
         if wait:
             gate.wait(timeout=60)
-        return all_feet(points, np.inf, nearest._tree), winding.at(points), *model.evaluate(points)
+        return closest_points(points, np.inf, search._tree), winding.at(points), *model.evaluate(points)
 
     alone = [answers(points, wait=False) for points in sets]
     with ThreadPoolExecutor(4) as pool:
@@ -256,28 +262,34 @@ def test_several_threads_at_once_are_answered_as_one_is(rng):
             np.testing.assert_allclose(a[:, 0] if k == 0 else a, b[:, 0] if k == 0 else b, rtol=0, atol=1e-12)
 
 
-def test_an_object_is_looked_up_as_the_twin_does(rng):
+def test_fields_are_evaluated_by_their_definitions(rng):
     mesh = ObjectModel.from_mesh(*bumpy())
     points = np.vstack([rng.uniform(-0.1, 0.1, (3000, 3)), rng.normal(size=(100, 3))])
-    for model in (mesh, ObjectModel.box((0.06, 0.09, 0.14)), ObjectModel.cylinder(0.03, 0.1)):
+    for model in (
+        mesh,
+        ObjectModel.box((0.06, 0.09, 0.14)),
+        ObjectModel.cylinder(0.03, 0.1),
+        ObjectModel.sphere(0.04),
+    ):
         for fine, field in ((True, model.fine), (False, model.coarse)):
-            for found, plain in zip(model.evaluate(points, fine=fine), field.evaluate(points), strict=True):
+            for found, expected in zip(
+                model.evaluate(points, fine=fine), field_oracle.evaluate(field, points), strict=True
+            ):
                 assert found.dtype == np.float64
-                assert found.shape == plain.shape
-                np.testing.assert_allclose(found, plain, rtol=1e-9, atol=1e-9)
+                assert found.shape == expected.shape
+                np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     assert [v.shape for v in mesh.evaluate(np.empty((0, 3)))] == [(0,), (0, 3), (0, 3, 3)]
 
 
-def test_winding_and_feet_take_any_layout_of_points(rng):
+def test_closest_points_and_winding_numbers_take_any_layout_of_points(rng):
     mesh = shape("box")
+    search, winding = ClosestPointSearch(mesh), Winding.of_mesh(mesh)
     points = rng.uniform(-0.1, 0.1, (50, 3))
     still = points.copy()
     still.flags.writeable = False
     for same in (np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], still):
-        np.testing.assert_array_equal(
-            NearestPoint(mesh).feet(same)[0].distance, NearestPoint(mesh).feet(points)[0].distance
-        )
-        np.testing.assert_array_equal(Winding.of_mesh(mesh).at(same), Winding.of_mesh(mesh).at(points))
+        np.testing.assert_array_equal(search.closest(same)[0].distance, search.closest(points)[0].distance)
+        np.testing.assert_array_equal(winding.at(same), winding.at(points))
 
 
 def test_warming_compiles_what_building_an_object_calls(rng):
@@ -287,7 +299,7 @@ def test_warming_compiles_what_building_an_object_calls(rng):
     warm.warm(lambda name, seconds: told.append((name, seconds)))
     assert [name for name, _ in told] == list(warm.GROUPS)
     kernels = (
-        nearest_triangle.feet,
+        nearest_triangle.closest,
         winding.winding,
         linking.linked,
         spreading.spread_out,
@@ -301,7 +313,3 @@ def test_warming_compiles_what_building_an_object_calls(rng):
     ObjectModel.box((size, size, size)).evaluate(np.zeros((3, 3)))
     ObjectModel.from_points(*model.sample(500))
     assert [len(kernel.signatures) for kernel in kernels] == before
-    assert (
-        winding_at(np.zeros((1, 3)), *(lambda w: (w.patches, w.elements))(Winding.of_mesh(shape("box"))))
-        > 0.5
-    )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handsight.objects.surface import Triangles
+from handsight.objects.meshes.triangles import Triangles
 
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 BOX_FACES = [
@@ -55,22 +55,6 @@ def prism(n, radius=0.04, height=0.1):
 
 def triangles(vertices, faces):
     return Triangles(np.asarray(vertices, dtype=float), np.asarray(faces))
-
-
-def brute_distance(points, mesh):
-    """Distances (n,) to a mesh by a loop over its triangles: planes, edges and corners one by one."""
-    least = np.full(len(points), np.inf)
-    for a, b, c in mesh.vertices[mesh.faces]:
-        n = np.cross(b - a, c - a)
-        height = (points - a) @ n / np.linalg.norm(n)
-        foot = points - np.outer(height, n / np.linalg.norm(n))
-        inside = np.ones(len(points), dtype=bool)
-        for p, q in ((a, b), (b, c), (c, a)):
-            inside &= np.cross(q - p, foot - p) @ n >= 0
-            t = np.clip((points - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
-            least = np.minimum(least, np.linalg.norm(points - p - np.outer(t, q - p), axis=1))
-        least = np.where(inside, np.minimum(least, np.abs(height)), least)
-    return least
 
 
 def data_file(name):

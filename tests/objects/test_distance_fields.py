@@ -6,25 +6,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from handsight.objects import FieldValues, ObjectModel
-from handsight.objects.exact import BoxField, CylinderField, SphereField
-from handsight.objects.field import GridField
-from objects.object_shapes import box_mesh, brute_distance, triangles
+from handsight.objects import ObjectModel
+from handsight.objects.fields.field import BoxField, CylinderField, GridField, SphereField
+from objects.object_shapes import box_mesh, triangles
+from oracles import fields, meshes
 
 HALF = np.array([0.03, 0.045, 0.07])
 CELL = 0.005
 
 
-def gridded(field, half_width=0.1):
+def gridded(distance, half_width=0.1):
     n = round(2 * half_width / CELL) + 1
     axis = np.linspace(-half_width, half_width, n)
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    values = field.evaluate(nodes).distance.reshape(n, n, n).astype(np.float32)
+    values = distance(nodes).reshape(n, n, n).astype(np.float32)
     return GridField(np.full(3, -half_width), CELL, values)
 
 
 EXACT = [BoxField(HALF), CylinderField(0.033, 0.0575), SphereField(0.04)]
-FIELDS = [*EXACT, *(gridded(field) for field in EXACT)]
+FIELDS = [*EXACT, *(gridded(lambda p, f=field: fields.evaluate(f, p).distance) for field in EXACT)]
 names = [f"{kind} {shape}" for kind in ("exact", "grid of") for shape in ("box", "cylinder", "sphere")]
 
 
@@ -61,7 +61,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(field, rng):
 def test_the_exact_box_is_as_far_as_its_triangles_say(rng):
     points = rng.uniform(-0.12, 0.12, (2000, 3))
     distance = BoxField(HALF).evaluate(points).distance
-    brute = brute_distance(points, triangles(*box_mesh(2 * HALF)))
+    brute = meshes.closest_points(points, triangles(*box_mesh(2 * HALF)).corners)[0]
     np.testing.assert_allclose(np.abs(distance), brute, atol=1e-12)
     np.testing.assert_array_equal(distance < 0, (np.abs(points) < HALF).all(axis=1))
 
@@ -109,12 +109,8 @@ def test_the_centre_is_answered_the_same_way_every_time():
 
 
 def test_a_grid_reproduces_a_plane_exactly(rng):
-    class Plane:
-        def evaluate(self, points):
-            return FieldValues(points @ [0.6, 0.0, 0.8] - 0.01, points, points)
-
     points = rng.uniform(-0.09, 0.09, (200, 3))
-    distance, gradient, hessian = gridded(Plane()).evaluate(points)
+    distance, gradient, hessian = gridded(lambda p: p @ [0.6, 0.0, 0.8] - 0.01).evaluate(points)
     np.testing.assert_allclose(distance, points @ [0.6, 0.0, 0.8] - 0.01, atol=2e-8)
     np.testing.assert_allclose(gradient, np.broadcast_to([0.6, 0.0, 0.8], gradient.shape), atol=2e-5)
     np.testing.assert_allclose(hessian, 0.0, atol=5e-3)
@@ -123,7 +119,7 @@ def test_a_grid_reproduces_a_plane_exactly(rng):
 def test_the_smoothing_of_a_grid_is_the_sixth_of_the_cell_squared_times_the_curvature(rng):
     normals = rng.normal(size=(300, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    distance, gradient, _ = gridded(SphereField(0.04)).evaluate(0.04 * normals)
+    distance, gradient, _ = FIELDS[5].evaluate(0.04 * normals)
     # The kernel has variance cell²/3 per axis, and a sphere's Laplacian is 2 / radius.
     np.testing.assert_allclose(distance, CELL**2 / 6 * 2 / 0.04, rtol=0.15)
     assert (np.linalg.norm(np.cross(gradient, normals), axis=1) < 2e-3).all()

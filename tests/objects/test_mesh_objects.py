@@ -3,30 +3,11 @@ import pytest
 
 from handsight.errors import InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
-from handsight.objects.nearest import NearestPoint
-from handsight.objects.topology import holes_of
-from handsight.objects.winding import Winding
-from objects.object_shapes import BOX_FACES, box_mesh, brute_distance, divided, holed_box, prism, triangles
+from handsight.objects.meshes.topology import holes_of
+from handsight.objects.meshes.winding import Winding
+from objects.object_shapes import BOX_FACES, box_mesh, divided, holed_box, prism, triangles
 
 SIZE = np.array([0.06, 0.09, 0.14])
-
-
-def nearest_is_brute_force(mesh, rng):
-    low, high = mesh.vertices.min(axis=0) - 0.03, mesh.vertices.max(axis=0) + 0.03
-    points = rng.uniform(low, high, (400, 3))
-    feet, index = NearestPoint(mesh).feet(points)
-    np.testing.assert_array_equal(index, np.arange(400))
-    brute = brute_distance(points, mesh)
-    np.testing.assert_allclose(feet.distance, brute, atol=2e-4)
-    assert (np.abs(feet.distance - brute) < 1e-12).mean() > 0.95
-    np.testing.assert_allclose(np.linalg.norm(points - feet.points, axis=1), feet.distance, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "shape", [box_mesh(SIZE), prism(7), divided(*prism(5), 2)], ids=["box", "prism", "divided"]
-)
-def test_nearest_points_are_those_of_brute_force(shape, rng):
-    nearest_is_brute_force(triangles(*shape), rng)
 
 
 def test_the_winding_number_is_1_inside_and_0_outside(rng):

@@ -7,9 +7,9 @@ import trimesh
 
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
-from handsight.objects import files as object_files
-from handsight.objects.files import read_shape
-from handsight.objects.pcd import lzf_unpacked
+from handsight.objects.files import read as object_files
+from handsight.objects.files.pcd import lzf_unpacked
+from handsight.objects.files.read import read_shape
 from objects.object_shapes import box_mesh
 
 VERTICES, FACES = box_mesh((60, 90, 50))

@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist
 
 from handsight.errors import HandsightError, InvalidInput
 from handsight.objects import ObjectModel, ObjectWarning, Symmetries
-from handsight.objects.build import diameter
+from handsight.objects.surface import diameter
 from objects.object_shapes import box_mesh, divided
 
 SIZE = np.array([0.06, 0.09, 0.14])
@@ -141,7 +141,7 @@ def test_a_mesh_of_a_box_agrees_with_the_exact_box(models, rng):
     assert error[near].max() < 0.7 * models["mesh"].fine.cell
 
 
-def test_roughness_is_zero_for_exact_fields_and_a_fraction_of_a_cell_for_facets(models):
+def test_the_field_error_is_zero_for_exact_fields_and_a_fraction_of_a_cell_for_facets(models):
     assert models["box"].sigma_point == 0
     assert models["box"].sigma_normal < 1e-7
     for kind in ("mesh", "cloud"):
@@ -149,7 +149,7 @@ def test_roughness_is_zero_for_exact_fields_and_a_fraction_of_a_cell_for_facets(
         assert models[kind].sigma_normal < np.deg2rad(2)
 
 
-def test_roughness_of_a_noisy_cloud_is_about_its_noise(models, rng):
+def test_the_field_error_of_a_noisy_cloud_is_about_its_noise(models, rng):
     points, normals = models["box"].sample(4000)
     noisy = ObjectModel.from_points(points + 5e-4 * rng.normal(size=(len(points), 1)) * normals, normals)
     assert 2.5e-4 < noisy.sigma_point < 7e-4

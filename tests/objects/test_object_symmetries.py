@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
+from scipy.optimize import minimize_scalar
 
 from handsight import se3
 from handsight.errors import InvalidInput, InvalidTransform
@@ -120,13 +120,15 @@ def test_the_best_spin_is_the_minimum_along_the_axis(seed):
     symmetries = Symmetries([OFF_AXIS])
     T, T_reference = se3.random(rng, 2, spread=0.1)
 
-    def cost(angle):
-        return distance(T @ about(off_point, angle * off_axis), T_reference).item() ** 2
+    def cost(angles):
+        return distance(T @ about(off_point, angles[:, None] * off_axis), T_reference) ** 2
 
-    least = min(
-        minimize(lambda a: cost(a[0]), start, method="Nelder-Mead", options={"xatol": 1e-10}).fun
-        for start in np.linspace(-np.pi, np.pi, 7)
-    )
+    angles = np.linspace(-np.pi, np.pi, 721)
+    best = angles[cost(angles).argmin()]
+    bounds = best - 0.01, best + 0.01
+    least = minimize_scalar(
+        lambda a: cost(np.array([a]))[0], bounds=bounds, method="bounded", options={"xatol": 1e-9}
+    ).fun
     assert distance(nearest(symmetries, T, T_reference, RADIUS), T_reference) ** 2 <= least + 1e-12
 
 

@@ -1,4 +1,4 @@
-"""Which nodes of a grid hang together. Twin: `handsight.objects._plain.linked`."""
+"""Which nodes of a grid hang together."""
 
 from typing import Any
 

@@ -1,9 +1,9 @@
-"""The nearest point of many triangles, by a tree of boxes around them. Twin: `handsight.objects._plain.feet`.
+"""The closest point of many triangles, by a tree of boxes around them.
 
-The tree (`handsight.objects.tree`) is complete and lies in an array: the children of box k are 2k + 1 and 2k + 2, and
-the last row of boxes holds the triangles from `starts[i]` to `starts[i + 1]` each, a part. Nearest points are where
-the surface is seen head on, and a box along the axes is thick there where the surface is oblique; so each part's own
-boxes stand in a frame of its own, along its normal.
+The tree (`handsight.objects.meshes.box_tree`) is complete and lies in an array: the children of box k are 2k + 1 and
+2k + 2, and the last row of boxes, the leaves, holds the triangles from `starts[i]` to `starts[i + 1]` each. Closest
+points are where the surface is seen head on, and a box along the axes is thick there where the surface is oblique; so
+each leaf's own boxes stand in a frame of its own, along its normal.
 """
 
 from typing import Any
@@ -12,163 +12,144 @@ import numpy as np
 
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.threads import in_parts
+from handsight._kernels.vec3 import Vec3, add, dot, matrix, mul, scale, store, sub, tmul, vector
 
 FLAT = 1e-14
 """A triangle whose doubled area squared is below this part of its sides' product is taken for its edges."""
 DEPTH = 64
 """More boxes than ever wait: one for each level of the tree."""
 RESULT = 8
-"""Numbers for each foot: distance, point (3), weights of the corners (3), triangle."""
+"""Numbers for each closest point: distance, point (3), weights of the corners (3), triangle."""
 _LEAST = 1000
 
 
 @inner
-def _box_gap2(boxes: Any, k: int, x: float, y: float, z: float) -> float:
-    """The squared distance to box k, which is its least and its greatest corner."""
-    dx = max(max(boxes[k, 0] - x, x - boxes[k, 3]), 0.0)
-    dy = max(max(boxes[k, 1] - y, y - boxes[k, 4]), 0.0)
-    dz = max(max(boxes[k, 2] - z, z - boxes[k, 5]), 0.0)
-    return dx * dx + dy * dy + dz * dz
+def _gap2(boxes: Any, k: int, p: Vec3) -> float:
+    """The squared distance from p to box k, which is its least and its greatest corner."""
+    x = max(max(boxes[k, 0] - p[0], p[0] - boxes[k, 3]), 0.0)
+    y = max(max(boxes[k, 1] - p[1], p[1] - boxes[k, 4]), 0.0)
+    z = max(max(boxes[k, 2] - p[2], p[2] - boxes[k, 5]), 0.0)
+    return x * x + y * y + z * z
 
 
 @inner
-def _weights(T: Any, t: int, x: float, y: float, z: float) -> Any:
-    """Weights of the corners in the point of triangle t nearest to (x, y, z); an exact 0 off an edge."""
-    ax, ay, az = T[t, 0, 0], T[t, 0, 1], T[t, 0, 2]
-    ux, uy, uz = T[t, 1, 0] - ax, T[t, 1, 1] - ay, T[t, 1, 2] - az
-    vx, vy, vz = T[t, 2, 0] - ax, T[t, 2, 1] - ay, T[t, 2, 2] - az
-    px, py, pz = x - ax, y - ay, z - az
-    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
-    pu, pv = px * ux + py * uy + pz * uz, px * vx + py * vy + pz * vz
+def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
+    """Weights of the corners in the point of triangle abc closest to p; an exact 0 off an edge."""
+    u, v, w = sub(b, a), sub(c, a), sub(p, a)
+    uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     # Which corner, edge or the inside it is: Ericson, Real-Time Collision Detection, 5.1.5, one division at most.
-    if pu <= 0 and pv <= 0:
+    if wu <= 0 and wv <= 0:
         return 1.0, 0.0, 0.0
-    qu, qv = pu - uu, pv - uv
-    if qu >= 0 and qv <= qu:
+    bu, bv = wu - uu, wv - uv
+    if bu >= 0 and bv <= bu:
         return 0.0, 1.0, 0.0
-    ru, rv = pu - uv, pv - vv
-    if rv >= 0 and ru <= rv:
+    cu, cv = wu - uv, wv - vv
+    if cv >= 0 and cu <= cv:
         return 0.0, 0.0, 1.0
     # The weights times the doubled area squared.
-    total, b, c = uu * vv - uv * uv, vv * pu - uv * pv, uu * pv - uv * pu
-    a = total - b - c
-    if c <= 0 and pu > 0 and qu <= 0:
-        s = pu / uu
+    area2, second, third = uu * vv - uv * uv, vv * wu - uv * wv, uu * wv - uv * wu
+    first = area2 - second - third
+    if third <= 0 and wu > 0 and bu <= 0:
+        s = wu / uu
         return 1 - s, s, 0.0
-    if b <= 0 and pv > 0 and rv <= 0:
-        s = pv / vv
+    if second <= 0 and wv > 0 and cv <= 0:
+        s = wv / vv
         return 1 - s, 0.0, s
-    if a <= 0 and qv > qu and ru >= rv:
-        s = (qv - qu) / ((qv - qu) + (ru - rv))
+    if first <= 0 and bv > bu and cu >= cv:
+        s = (bv - bu) / ((bv - bu) + (cu - cv))
         return 0.0, 1 - s, s
-    if total <= FLAT * uu * vv or min(a, min(b, c)) < 0:
-        return _on_edges(uu, uv, vv, pu, pv)
-    share = 1 / total
-    return a * share, b * share, c * share
+    if area2 <= FLAT * uu * vv or min(first, min(second, third)) < 0:
+        return _on_edges(uu, uv, vv, wu, wv)
+    return scale((first, second, third), 1 / area2)
 
 
 @inner
-def _on_edges(uu: float, uv: float, vv: float, pu: float, pv: float) -> Any:
+def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
     """As `_weights`, of the edges alone, by what each squared distance has above that to the first corner."""
-    s = min(pu / uu, 1.0) if pu > 0 else 0.0
-    t = min(pv / vv, 1.0) if pv > 0 else 0.0
-    along, size = pv - pu + uu - uv, uu - 2 * uv + vv
+    s = min(wu / uu, 1.0) if wu > 0 else 0.0
+    t = min(wv / vv, 1.0) if wv > 0 else 0.0
+    along, size = wv - wu + uu - uv, uu - 2 * uv + vv
     r = min(along / size, 1.0) if along > 0 and size > 0 else 0.0
-    first, second = s * (s * uu - 2 * pu), t * (t * vv - 2 * pv)
-    third = (1 - r) * ((1 - r) * uu - 2 * pu) + r * (r * vv - 2 * pv) + 2 * r * (1 - r) * uv
-    if first <= second and first <= third:
+    ab, ac = s * (s * uu - 2 * wu), t * (t * vv - 2 * wv)
+    bc = (1 - r) * ((1 - r) * uu - 2 * wu) + r * (r * vv - 2 * wv) + 2 * r * (1 - r) * uv
+    if ab <= ac and ab <= bc:
         return 1 - s, s, 0.0
-    if second <= third:
+    if ac <= bc:
         return 1 - t, 0.0, t
     return 0.0, 1 - r, r
 
 
 @inner
-def _tried(T: Any, t: int, x: float, y: float, z: float, out: Any) -> None:
-    """Puts the foot on triangle t into `out` where that is nearer; `out[0]` is squared here."""
-    a, b, c = _weights(T, t, x, y, z)
-    fx = a * T[t, 0, 0] + b * T[t, 1, 0] + c * T[t, 2, 0]
-    fy = a * T[t, 0, 1] + b * T[t, 1, 1] + c * T[t, 2, 1]
-    fz = a * T[t, 0, 2] + b * T[t, 1, 2] + c * T[t, 2, 2]
-    gap2 = (x - fx) * (x - fx) + (y - fy) * (y - fy) + (z - fz) * (z - fz)
-    if gap2 < out[0]:
-        out[0], out[1], out[2], out[3] = gap2, fx, fy, fz
-        out[4], out[5], out[6], out[7] = a, b, c, t
+def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
+    """Puts the closest point on a leaf's triangles, in its frame, into `found` where it is closer.
 
-
-@inner
-def _part(frames: Any, triangles: Any, within: Any, first: int, last: int, at: Any, out: Any) -> None:
-    """Tries the triangles from first to last of one part that may be nearer, in its frame `frames` (9)."""
-    R, (x, y, z) = frames, at
-    a = R[0] * x + R[1] * y + R[2] * z
-    b = R[3] * x + R[4] * y + R[5] * z
-    c = R[6] * x + R[7] * y + R[8] * z
-    for t in range(first, last):
-        if _box_gap2(within, t, a, b, c) < out[0]:
-            _tried(triangles, t, a, b, c, out)
+    `found[0]` is the squared distance here.
+    """
+    starts, _, frames, triangles, around = tree
+    p = mul(matrix(frames[leaf]), point)
+    for t in range(starts[leaf], starts[leaf + 1]):
+        if _gap2(around, t, p) < found[0]:
+            a, b, c = vector(triangles[t, 0]), vector(triangles[t, 1]), vector(triangles[t, 2])
+            weights = _weights(a, b, c, p)
+            closest = add(add(scale(a, weights[0]), scale(b, weights[1])), scale(c, weights[2]))
+            gap = sub(p, closest)
+            if dot(gap, gap) < found[0]:
+                found[0], found[7] = dot(gap, gap), t
+                store(closest, found[1:4])
+                store(weights, found[4:7])
 
 
 @entry
-def feet(points: Any, within: float, tree: Any, out: Any) -> None:
+def closest(points: Any, within: float, tree: Any, out: Any) -> None:
     """`out` (n, 8): see RESULT; of points (n, 3) that are nowhere within [m], the distance is infinite.
 
-    `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 9); in the parts' frames `triangles` (m, 3, 3) and the
-    box `around` each (m, 6).
+    `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 3, 3); in the leaves' frames `triangles` (m, 3, 3) and
+    the box `around` each (m, 6).
     """
-    starts, boxes, frames, triangles, around = tree
-    parts = len(starts) - 1
+    starts, boxes, frames, _, _ = tree
+    leaves = len(starts) - 1
     waiting, gaps = np.empty(DEPTH, np.int64), np.empty(DEPTH)
-    before = 0
+    last = 0
     for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        found = out[i]
+        p, found = vector(points[i]), out[i]
         found[0], found[7] = within * within, -1.0
-        # Neighbours in space follow each other: the last one's part leaves little to search.
-        _part(frames[before], triangles, around, starts[before], starts[before + 1], (x, y, z), found)
-        waiting[0], gaps[0], count = 0, _box_gap2(boxes, 0, x, y, z), 1
+        # Neighbours in space follow each other: the last one's leaf leaves little to search.
+        _try_leaf(tree, last, p, found)
+        waiting[0], gaps[0], count = 0, _gap2(boxes, 0, p), 1
         while count:
             count -= 1
             k = waiting[count]
             if gaps[count] >= found[0]:
                 continue
-            part = k - parts + 1
-            if part >= 0:
-                held = found[0]
-                _part(frames[part], triangles, around, starts[part], starts[part + 1], (x, y, z), found)
-                if found[0] < held:
-                    before = part
+            leaf = k - leaves + 1
+            if leaf >= 0:
+                before = found[0]
+                _try_leaf(tree, leaf, p, found)
+                if found[0] < before:
+                    last = leaf
                 continue
             near, far = 2 * k + 1, 2 * k + 2
-            near_gap, far_gap = _box_gap2(boxes, near, x, y, z), _box_gap2(boxes, far, x, y, z)
+            near_gap, far_gap = _gap2(boxes, near, p), _gap2(boxes, far, p)
             if far_gap < near_gap:
                 near, far, near_gap, far_gap = far, near, far_gap, near_gap
             waiting[count], gaps[count] = far, far_gap
             waiting[count + 1], gaps[count + 1] = near, near_gap
             count += 2
-        _back(found, frames[before])
+        if found[7] < 0:
+            found[0] = np.inf
+        else:
+            found[0] = np.sqrt(found[0])
+            store(tmul(matrix(frames[last]), vector(found[1:4])), found[1:4])
 
 
-@inner
-def _back(found: Any, R: Any) -> None:
-    """Takes a foot in the frame R (9) of its part back to the mesh's; its distance is no square any more."""
-    if found[7] < 0:
-        found[0] = np.inf
-        return
-    a, b, c = found[1], found[2], found[3]
-    found[0] = np.sqrt(found[0])
-    found[1] = R[0] * a + R[3] * b + R[6] * c
-    found[2] = R[1] * a + R[4] * b + R[7] * c
-    found[3] = R[2] * a + R[5] * b + R[8] * c
-
-
-def all_feet(points: Any, within: float, tree: Any) -> Any:
-    """As `feet` (n, 8), on several threads."""
+def closest_points(points: Any, within: float, tree: Any) -> Any:
+    """As `closest` (n, 8), on several threads."""
     out = np.zeros((len(points), RESULT))
-    in_parts(lambda a, b: feet(points[a:b], within, tree, out[a:b]), len(points), _LEAST)
+    in_parts(lambda a, b: closest(points[a:b], within, tree, out[a:b]), len(points), _LEAST)
     return out
 
 
 def warm() -> None:
     """Compiles every kernel, or loads it."""
-    tree = np.array([0, 1]), np.zeros((1, 6)), np.zeros((1, 9)), np.zeros((1, 3, 3)), np.zeros((1, 6))
-    feet(np.zeros((1, 3)), np.inf, tree, np.zeros((1, RESULT)))
+    tree = np.array([0, 1]), np.zeros((1, 6)), np.zeros((1, 3, 3)), np.zeros((1, 3, 3)), np.zeros((1, 6))
+    closest(np.zeros((1, 3)), np.inf, tree, np.zeros((1, RESULT)))

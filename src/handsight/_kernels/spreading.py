@@ -1,4 +1,4 @@
-"""Points spread evenly over many. Twins: `spread_out` and `snapped` of `handsight.objects._plain`."""
+"""Points spread evenly over many."""
 
 from typing import Any
 

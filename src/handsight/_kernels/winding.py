@@ -1,4 +1,4 @@
-"""How often a surface winds around points. Twin: `handsight.objects._plain.winding`."""
+"""How often a surface winds around points."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.threads import in_parts
+from handsight._kernels.vec3 import Vec3, cross, dot, norm, sub, vector
 
 FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
 """A patch, a triangle is one dipole beyond this many of its radii."""
@@ -13,31 +14,26 @@ _LEAST = 200
 
 
 @inner
-def _solid_angle(T: Any, t: int, x: float, y: float, z: float) -> float:
-    """Of triangle t seen from (x, y, z), signed (Oosterom, Strackee 1983)."""
-    ax, ay, az = T[t, 0, 0] - x, T[t, 0, 1] - y, T[t, 0, 2] - z
-    bx, by, bz = T[t, 1, 0] - x, T[t, 1, 1] - y, T[t, 1, 2] - z
-    cx, cy, cz = T[t, 2, 0] - x, T[t, 2, 1] - y, T[t, 2, 2] - z
-    a = np.sqrt(ax * ax + ay * ay + az * az)
-    b = np.sqrt(bx * bx + by * by + bz * bz)
-    c = np.sqrt(cx * cx + cy * cy + cz * cz)
-    volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
-    return 2 * np.arctan2(volume, a * b * c + ab * c + bc * a + ca * b)
+def _solid_angle(a: Vec3, b: Vec3, c: Vec3) -> float:
+    """Of a triangle seen from the origin, signed (Oosterom, Strackee 1983)."""
+    la, lb, lc = norm(a), norm(b), norm(c)
+    volume = dot(a, cross(b, c))
+    return 2 * np.arctan2(volume, la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
 
 
 @inner
-def _near(elements: Any, first: int, last: int, x: float, y: float, z: float) -> float:
+def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
     """Solid angles of the elements from first to last."""
     centers, vectors, reach, corners = elements
     total = 0.0
     for t in range(first, last):
-        dx, dy, dz = centers[t, 0] - x, centers[t, 1] - y, centers[t, 2] - z
-        gap = np.sqrt(dx * dx + dy * dy + dz * dz)
+        way = sub(vector(centers[t]), p)
+        gap = norm(way)
         if len(corners) and gap < FAR_TRIANGLE * reach[t]:
-            total += _solid_angle(corners, t, x, y, z)
+            a, b, c = vector(corners[t, 0]), vector(corners[t, 1]), vector(corners[t, 2])
+            total += _solid_angle(sub(a, p), sub(b, p), sub(c, p))
         elif gap > 0:
-            total += (vectors[t, 0] * dx + vectors[t, 1] * dy + vectors[t, 2] * dz) / (gap * gap * gap)
+            total += dot(vector(vectors[t]), way) / (gap * gap * gap)
     return total
 
 
@@ -50,16 +46,14 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
     """
     starts, middles, vectors, radii = patches
     for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        total = 0.0
-        for p in range(len(middles)):
-            dx, dy, dz = middles[p, 0] - x, middles[p, 1] - y, middles[p, 2] - z
-            gap2 = dx * dx + dy * dy + dz * dz
-            if gap2 <= (FAR_PATCH * radii[p]) ** 2:
-                total += _near(elements, starts[p], starts[p + 1], x, y, z)
+        p, total = vector(points[i]), 0.0
+        for k in range(len(middles)):
+            way = sub(vector(middles[k]), p)
+            gap2 = dot(way, way)
+            if gap2 <= (FAR_PATCH * radii[k]) ** 2:
+                total += _near(elements, starts[k], starts[k + 1], p)
             else:
-                along = vectors[p, 0] * dx + vectors[p, 1] * dy + vectors[p, 2] * dz
-                total += along / (gap2 * np.sqrt(gap2))
+                total += dot(vector(vectors[k]), way) / (gap2 * np.sqrt(gap2))
         out[i] = total / (4 * np.pi)
 
 

@@ -1,157 +1,78 @@
-"""What every object model measures on its surface, whatever the surface came from."""
+"""Geometries of meshes, clouds and files: from the cache, or read, repaired and measured."""
 
-import contextlib
-from dataclasses import dataclass
-from typing import Any
+import dataclasses
+import os
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.objects.field import Field, GridField
-from handsight.objects.grid import coarse_grid
-from handsight.objects.roughness import roughness
-from handsight.objects.surface import Faces, Surface, spread
+from handsight.objects import cache
+from handsight.objects.fields.grids import Fields
+from handsight.objects.files.read import content, shape_of
+from handsight.objects.geometry import Geometry, measured
+from handsight.objects.meshes.triangles import Triangles, checked
+from handsight.objects.surface import Surface
 
-SMALLEST, LARGEST = 1e-6, 1e6
-"""Sizes outside these [m] are refused."""
-SMALL, LARGE = 0.005, 2.0
-"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
-ROUGHNESS_SAMPLES = 2000
-MOST_COMPARED = 2000
-"""Points whose distances are all taken."""
-# The median of |x| over a standard deviation, and of the length of a vector of two such.
-_MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
+# What brings scipy is imported where it is needed: an object from the cache does without.
 
 
-def check_extent(points: Array, name: str) -> float:
-    """The largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
-    with np.errstate(over="ignore"):
-        extent = float(np.ptp(points, axis=0).max())
-    if extent == 0:
-        raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
-    if not SMALLEST <= extent <= LARGEST or np.abs(points).max() > LARGEST:
-        raise InvalidObject(f"{name}: expected a size of {SMALLEST:g} to {LARGEST:g} m, got {extent:.4g}")
-    return extent
+def of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Geometry:
+    """The geometry of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject."""
+    mesh = checked(vertices, faces)
+    name = cache.key("mesh", mesh.vertices, mesh.faces)
+    return cache.remembered(name, lambda: measured(*_of_mesh(mesh)))
 
 
-class ObjectWarning(UserWarning):
-    """Something about an object was repaired, or looks odd."""
+def of_points(points: ArrayLike, normals: ArrayLike | None) -> Geometry:
+    """The geometry of surface points (n, 3) [m], normals outward or None; InvalidInput, InvalidObject."""
+    places, directions = _checked_points(points, normals)
+    name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
+    return cache.remembered(name, lambda: measured(*_of_points(places, directions)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Made:
-    """A surface and its fields, before anything is measured on it."""
-
-    name: str
-    surface: Surface
-    vertices: Array
-    """(k, 3) [m]."""
-    faces: Faces
-    """(m, 3)"""
-    fine: Field
-    coarse: GridField | None = None
-    """None: sampled from the fine field."""
-    closed: bool = True
-    remarks: tuple[str, ...] = ()
-    diameter: float | None = None
-    """[m], where it is known already."""
+def of_file(path: str | os.PathLike[str], scale: float) -> Geometry:
+    """The geometry of the mesh or cloud in a file whose unit is `scale` metres; raises InvalidFile, InvalidObject."""
+    file, data = Path(path), content(path)
+    # By name as well: remarks begin with it, and its end says what the bytes mean.
+    name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
+    return cache.remembered(name, lambda: _of_file(file, data, scale))
 
 
-def measured(made: Made, samples: int) -> dict[str, Any]:
-    """Every field of an ObjectModel but its symmetries."""
-    bounds = np.stack([made.vertices.min(axis=0), made.vertices.max(axis=0)])
-    size = made.diameter or diameter(made.vertices)
-    points, normals = spread(made.surface, samples)
-    sigma_point, sigma_normal = typical_roughness(made.surface, made.fine)
-    coarse = made.coarse or sampled(made.fine, bounds, size)
-    return {
-        "name": made.name,
-        "coarse": coarse,
-        "fine": made.fine,
-        "points_object": frozen(points),
-        "normals_object": frozen(normals),
-        "area": made.surface.area,
-        "diameter": size,
-        "bounds_object": frozen(bounds),
-        "closed": made.closed,
-        "sigma_point": sigma_point,
-        "sigma_normal": sigma_normal,
-        "roughness": roughness(made.surface, made.fine, bounds, coarse.cell) if made.coarse else None,
-        "vertices": frozen(made.vertices),
-        "faces": made.faces,
-        "remarks": (*made.remarks, *unit_remarks(bounds)),
-        "_surface": made.surface,
-    }
+def _of_mesh(mesh: Triangles) -> tuple[Surface, Fields]:
+    from handsight.objects.meshes.mesh_fields import mesh_fields
+    from handsight.objects.meshes.repair import repaired
+
+    mesh, tree, remarks = repaired(mesh)
+    fields = mesh_fields(mesh, tree)
+    return mesh, dataclasses.replace(fields, remarks=(*remarks, *fields.remarks))
 
 
-def frozen(array: Array) -> Array:
-    """A copy that cannot be written to."""
-    array = np.array(array)
-    array.flags.writeable = False
-    return array
+def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array, Array | None]:
+    places = checks.finite(points, "points", (None, 3))
+    return places, None if normals is None else checks.unit(normals, "normals", (len(places), 3))
 
 
-def sampled(exact: Field, bounds: Array, size: float) -> GridField:
-    """The coarse field of an object whose exact one is known."""
-    grid, _ = coarse_grid(bounds, size, float((bounds[1] - bounds[0]).min()))
-    distance = exact.evaluate(grid.nodes()).distance
-    return GridField(grid.origin, grid.cell, distance.reshape(grid.shape).astype(np.float32))
+def _of_points(points: Array, normals: Array | None) -> tuple[Surface, Fields]:
+    from handsight.objects.cloud import cloud_fields, cloud_from
+
+    cloud, remarks = cloud_from(points, normals)
+    fields = cloud_fields(cloud)
+    return cloud, dataclasses.replace(fields, remarks=(*remarks, *fields.remarks))
 
 
-def diameter(points: Array) -> float:
-    """The largest distance between two of the points (n, 3) [m]."""
-    from scipy.spatial import ConvexHull, QhullError  # an object that is kept whole needs no scipy
-    from scipy.spatial.distance import pdist
-
-    points = _outermost(points)
-    if len(points) > MOST_COMPARED:
-        with contextlib.suppress(QhullError):  # flat
-            points = points[ConvexHull(points).vertices]
-    if len(points) > MOST_COMPARED:  # a ball: extremes along many directions miss by less than a thousandth
-        direction = np.random.default_rng(0).normal(size=(1000, 3))
-        along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
-        points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
-    return float(pdist(points).max())
-
-
-def _outermost(points: Array) -> Array:
-    """Those of the points (n, 3) that may be one of the two farthest apart: of most objects a few."""
-    one = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax()]
-    for _ in range(3):
-        other = one
-        one = points[((points - other) ** 2).sum(axis=1).argmax()]
-    least = float(np.linalg.norm(one - other))
-    # Two that are farther apart than these are together at least as far from the middle between these.
-    gap = np.linalg.norm(points - (one + other) / 2, axis=1)
-    return np.asarray(points[gap >= (1 - 1e-9) * least - gap.max()])
-
-
-def typical_roughness(surface: Surface, fine: Field) -> tuple[float, float]:
-    """Standard deviations of the fine field on the surface: distance [m] and normal per axis [rad].
-
-    By medians, so that edges, which the field rounds off, do not speak for the faces.
-    """
-    from handsight.objects.record import evaluate  # numba's import is long
-
-    points, normals = surface.draw(ROUGHNESS_SAMPLES, np.random.default_rng(1))
-    distance, gradient, _ = evaluate(fine, points)
-    sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
-    angle = np.arctan2(sine, (gradient * normals).sum(axis=1))
-    return float(np.median(np.abs(distance)) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)
-
-
-def unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """A sentence if the size suggests another unit than metres."""
-    extent = float((bounds[1] - bounds[0]).max())
-    if SMALL <= extent <= LARGE:
-        return ()
-    for unit, scale in (
-        ("millimetres", 0.001),
-        ("centimetres", 0.01),
-        ("inches", 0.0254),
-        ("metres, scaled down twice", 1000.0),
-    ):
-        if SMALL < extent * scale < LARGE / 4:
-            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
-    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)
+def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
+    shape = shape_of(file, data)
+    points = scale * shape.vertices
+    try:
+        if shape.faces is None:
+            surface, fields = _of_points(*_checked_points(points, shape.normals))
+        else:
+            surface, fields = _of_mesh(checked(points, shape.faces))
+    except InvalidObject as error:
+        raise InvalidObject(f"{file.name}: {error}") from None
+    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *fields.remarks))
+    return measured(surface, dataclasses.replace(fields, remarks=remarks))

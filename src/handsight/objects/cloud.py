@@ -8,16 +8,19 @@ not removed: each point given is taken for surface.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from handsight.checks import Array
+from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
-from handsight.objects.build import check_extent
-from handsight.objects.grid import Fields, Grid, grids, interpolated
-from handsight.objects.normals import LEAST_POINTS, estimated_normals
-from handsight.objects.winding import Winding
+from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
+from handsight.objects.meshes.winding import Winding
+from handsight.objects.surface import check_extent, diameter, distinct, drawn_by_area
 
+LEAST_POINTS = 20
+NEIGHBOURS = 12
+"""Points through which a plane is laid where normals are missing."""
 PLANES = 10
 """Points whose planes are averaged."""
 AREA_NEIGHBOURS = 8
@@ -26,19 +29,23 @@ NEAR, FAR = 2.0, 4.0
 BAND = 4
 LARGEST_HOLE = 0.25
 """As for meshes: a cloud with a gap wider than this part of the diameter has no inside."""
-_SAME_POINT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
     """Oriented surface points."""
 
-    points: Array
+    vertices: Array
     """(n, 3) [m]."""
     normals: Array
     """(n, 3) unit, outward."""
     areas: Array
     """(n,) the surface each stands for [m²]."""
+
+    @property
+    def faces(self) -> Indices:
+        """(0, 3): a cloud has none."""
+        return np.empty((0, 3), dtype=np.int64)
 
     @property
     def area(self) -> float:
@@ -52,9 +59,8 @@ class Cloud:
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """n of the points (n, 3) [m] and their normals (n, 3), more often where they are sparse."""
-        at = (np.arange(n) + rng.random(n)) / max(n, 1)
-        index = np.searchsorted(np.cumsum(self.areas) / self.area, at).clip(max=len(self.areas) - 1)
-        return self.points[index], self.normals[index]
+        index = drawn_by_area(self.areas, n, rng)
+        return self.vertices[index], self.normals[index]
 
 
 def cloud_from(points: Array, normals: Array | None) -> tuple[Cloud, tuple[str, ...]]:
@@ -66,8 +72,7 @@ def cloud_from(points: Array, normals: Array | None) -> tuple[Cloud, tuple[str, 
     if len(points) < LEAST_POINTS:
         raise InvalidObject(f"points: expected at least {LEAST_POINTS} points, got {len(points)}")
     extent = check_extent(points, "points")
-    keys = np.round((points - points.min(axis=0)) / (_SAME_POINT * extent)).astype(np.int64)
-    first = np.sort(np.unique(keys, axis=0, return_index=True)[1])
+    first, _ = distinct(points, extent)
     if len(first) < len(points):
         remarks.append(f"{len(points) - len(first)} repeated points were dropped")
         points, normals = points[first], None if normals is None else normals[first]
@@ -77,55 +82,52 @@ def cloud_from(points: Array, normals: Array | None) -> tuple[Cloud, tuple[str, 
         raise InvalidObject("points: expected a surface, got points on one line")
     tree = cKDTree(points)
     if normals is None:
-        normals = estimated_normals(points, tree)
+        normals = _estimated_normals(points, tree)
     reach = tree.query(points, k=AREA_NEIGHBOURS + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     return Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5)), tuple(remarks)
 
 
-def cloud_fields(cloud: Cloud, diameter: float) -> Fields:
+def cloud_fields(cloud: Cloud) -> Fields:
     """The smooth and the sharp field of a cloud, and whether it has an inside."""
-    coarse, fine, remarks = grids(cloud.points, diameter)
-    tree = cKDTree(cloud.points)
-    winding = Winding(cloud.points, cloud.areas[:, None] * cloud.normals)
+    size = diameter(cloud.vertices)
+    coarse, fine, remarks = grids(cloud.vertices, size)
+    tree = cKDTree(cloud.vertices)
+    winding = Winding(cloud.vertices, cloud.areas[:, None] * cloud.normals)
     nodes = coarse.nodes()
     gap = tree.query(nodes)[0]
-    inside = winding.at(nodes) > 0.5
-    closed = _largest_gap(coarse, gap, inside) < LARGEST_HOLE * diameter and _winds(cloud, winding)
+    inside = winding.inside(nodes)
+    closed = _largest_gap(coarse, gap, inside) < LARGEST_HOLE * size and _winds(cloud, winding)
     values = _distances(cloud, tree, nodes, winding if closed else None)
     sharp = interpolated(coarse, values, fine)
     band = BAND * fine.cell
     index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
     sharp[index] = _distances(cloud, tree, fine.nodes_at(index), winding if closed else None)
-    return Fields(coarse.field(values), fine.field(sharp), closed, remarks)
+    return Fields(coarse.field(values), fine.field(sharp), size, closed, remarks)
 
 
 def _winds(cloud: Cloud, winding: Winding) -> bool:
     """Whether the cloud winds once around what is behind its points, and not around what is in front."""
-    index = np.random.default_rng(3).permutation(len(cloud.points))[:400]
+    index = np.random.default_rng(3).permutation(len(cloud.vertices))[:400]
     # Nearer than two spacings single points are felt.
     step = 2 * cloud.spacing * cloud.normals[index]
-    behind, front = winding.at(cloud.points[index] - step), winding.at(cloud.points[index] + step)
+    behind, front = winding.at(cloud.vertices[index] - step), winding.at(cloud.vertices[index] + step)
     return bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
 
 
-def _largest_gap(grid: Grid, gap: Array, inside: NDArray[np.bool_]) -> float:
+def _largest_gap(grid: Grid, gap: Array, inside: Mask) -> float:
     """The width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
     largest = 0.0
     cube, sign = gap.reshape(grid.shape), inside.reshape(grid.shape)
-    for axis in range(3):
-        low = [slice(None)] * 3
-        high = [slice(None)] * 3
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
-        crossing = sign[tuple(low)] != sign[tuple(high)]
-        width = np.minimum(cube[tuple(low)], cube[tuple(high)])[crossing]
-        largest = max(largest, float(2 * width.max()) if len(width) else 0.0)
+    for axis, n in enumerate(grid.shape):
+        nearer = np.minimum(cube.take(range(n - 1), axis), cube.take(range(1, n), axis))
+        largest = max(largest, float(2 * nearer[np.diff(sign, axis=axis)].max(initial=0.0)))
     return largest
 
 
 def _distances(cloud: Cloud, tree: cKDTree, nodes: Array, winding: Winding | None) -> Array:
     """Signed distances (n,) [m] of the nodes; without a winding number, by the nearest point's normal."""
-    k = min(PLANES, len(cloud.points))
+    k = min(PLANES, len(cloud.vertices))
     gap, index = tree.query(nodes, k=k)
     near = gap[:, 0]
     # Wide enough for a few points, wherever they are.
@@ -134,7 +136,7 @@ def _distances(cloud: Cloud, tree: cKDTree, nodes: Array, winding: Winding | Non
     # The far side of a thin wall has no say.
     agreement = np.einsum("nki,ni->nk", cloud.normals[index], cloud.normals[index[:, 0]])
     weight *= np.maximum(agreement, 0.0) + 1e-9
-    height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.points[index], cloud.normals[index])
+    height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
     plane = (weight * height).sum(axis=1) / weight.sum(axis=1)
     share = np.clip((near / cloud.spacing - NEAR) / (FAR - NEAR), 0.0, 1.0)
     share = share * share * (3 - 2 * share)
@@ -145,5 +147,48 @@ def _distances(cloud: Cloud, tree: cKDTree, nodes: Array, winding: Winding | Non
     else:
         far = near.copy()
         away = np.flatnonzero(share > 0)
-        far[away] *= np.where(winding.at(nodes[away]) > 0.5, -1.0, 1.0)
+        far[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
     return np.asarray((1 - share) * plane + share * far)
+
+
+def _estimated_normals(points: Array, tree: cKDTree) -> Array:
+    """Unit outward normals (n, 3) of surface points (n, 3) [m].
+
+    Of the plane through each point's neighbours; made to agree along the tree of neighbours whose planes
+    differ least (Hoppe et al. 1992); then turned, each connected part, so that they point away from it on
+    the whole.
+    """
+    neighbours = tree.query(points, k=min(NEIGHBOURS, len(points)))[1]
+    patch = points[neighbours]
+    patch = patch - patch.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))[1][:, :, 0]
+    row = np.repeat(np.arange(len(points)), neighbours.shape[1] - 1)
+    column = neighbours[:, 1:].reshape(-1)
+    cost = 1.0 - np.abs((normals[row] * normals[column]).sum(axis=1)) + 1e-6
+    graph = coo_array((cost, (row, column)), shape=(len(points), len(points)))
+    count, part = connected_components(graph, directed=False)
+    agreed = _agreed(normals, minimum_spanning_tree(graph.tocsr()), part, count)
+    for k in range(count):
+        own = part == k
+        if _outward(points[own], agreed[own]) < 0:
+            agreed[own] *= -1
+    return agreed
+
+
+def _agreed(normals: Array, forest: object, part: Indices, count: int) -> Array:
+    """The normals, each turned to agree with the one before it along the forest."""
+    normals = normals.copy()
+    for k in range(count):
+        start = int(np.argmax(part == k))
+        order, before = breadth_first_order(forest, start, directed=False)
+        sign = np.ones(len(normals))
+        same = (normals[order[1:]] * normals[before[order[1:]]]).sum(axis=1) >= 0
+        for i, j, agrees in zip(order[1:].tolist(), before[order[1:]].tolist(), same.tolist(), strict=True):
+            sign[i] = sign[j] if agrees else -sign[j]
+        normals[order] *= sign[order, None]
+    return normals
+
+
+def _outward(points: Array, normals: Array) -> float:
+    """Above 0 where the normals point away from the points' middle more than towards it."""
+    return float(((points - points.mean(axis=0)) * normals).sum())

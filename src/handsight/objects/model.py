@@ -4,7 +4,8 @@ import dataclasses
 import os
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,59 +13,24 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.objects import primitives
-from handsight.objects.build import LARGEST, SMALLEST, Made, ObjectWarning, measured
-from handsight.objects.exact import BoxField, CylinderField, SphereField
-from handsight.objects.field import Field, FieldValues, GridField
-from handsight.objects.roughness import Roughness
-from handsight.objects.surface import Faces, Rounded, Surface
+from handsight.objects import build, primitives
+from handsight.objects.fields.field import FieldValues
+from handsight.objects.geometry import Geometry
+from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning
 from handsight.objects.symmetry import Symmetries
-from handsight.objects.whole import measured_file
 
 if TYPE_CHECKING:
     from handsight.objects.record import ModelRecord
 
-SAMPLES = 256
-"""Surface points that phase 1 of the correction matches contacts with."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class ObjectModel:
+class ObjectModel(Geometry):
     """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`."""
 
     name: str
     """What it is called in plots; a file's stem. May be empty."""
-    coarse: GridField
-    """Smooth distance field, cells of an 18th of the diameter: from far away it leads further."""
-    fine: Field
-    """Sharp distance field: exact for box, cylinder, sphere; else a grid of a quarter of the coarse cell."""
-    points_object: Array
-    """(256, 3) surface points, evenly spread [m]."""
-    normals_object: Array
-    """(256, 3) their unit outward normals."""
-    area: float
-    """Of the surface [m²]."""
-    diameter: float
-    """Largest distance between two surface points [m]."""
-    bounds_object: Array
-    """(2, 3) least and largest coordinates [m]."""
-    closed: bool
-    """Whether the surface has an inside; an open one has a distance only, negative behind it near by."""
     symmetries: Symmetries
     """The rotations that leave the surface the same, as far as declared."""
-    sigma_point: float
-    """Roughness of the fine field: one standard deviation of its distance at surface points [m]."""
-    sigma_normal: float
-    """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
-    roughness: Roughness | None
-    """The same place by place; None where the fine field is exact."""
-    vertices: Array
-    """(k, 3) for drawing [m]; a cloud's points."""
-    faces: Faces
-    """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
-    remarks: tuple[str, ...]
-    """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
-    _surface: Surface
     _record: "ModelRecord | None" = dataclasses.field(init=False, default=None)
 
     def __repr__(self) -> str:
@@ -74,21 +40,6 @@ class ObjectModel:
             f"<ObjectModel {self.name or 'without a name'}: {size} mm, {'closed' if self.closed else 'open'}>"
         )
 
-    @property
-    def radius(self) -> float:
-        """Half the diameter [m]: what a radian of rotation weighs in metres."""
-        return self.diameter / 2
-
-    @property
-    def center_object(self) -> Array:
-        """(3,) the middle of the bounds [m]."""
-        return np.asarray(self.bounds_object.mean(axis=0))
-
-    @property
-    def sample_spacing(self) -> float:
-        """√(area / 256): about how far apart `points_object` are [m]."""
-        return float(np.sqrt(self.area / SAMPLES))
-
     @classmethod
     def box(cls, size: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
         """A box centred at the origin, sides `size` (3,) [m] along x, y, z; raises InvalidInput."""
@@ -96,9 +47,7 @@ class ObjectModel:
         if not (sides > 0).all():
             raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
         _check_range(sides, "size")
-        triangles = primitives.box_triangles(sides / 2)
-        made = Made("box", triangles, triangles.vertices, triangles.faces, BoxField(sides / 2))
-        return cls._from(measured(made, SAMPLES), symmetries or primitives.box_symmetries(sides))
+        return cls._from(primitives.box(sides / 2), "box", symmetries or primitives.box_symmetries(sides))
 
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
@@ -106,20 +55,15 @@ class ObjectModel:
         radius, height = checks.positive(radius, "radius"), checks.positive(height, "height")
         _check_range(radius, "radius")
         _check_range(height, "height")
-        triangles = primitives.cylinder_triangles(radius, height / 2)
-        exact, area = CylinderField(radius, height / 2), 2 * np.pi * radius * (radius + height)
-        made = Made("cylinder", Rounded(triangles, exact, area), triangles.vertices, triangles.faces, exact)
-        return cls._from(measured(made, SAMPLES), symmetries or primitives.cylinder_symmetries())
+        shape = primitives.cylinder(radius, height / 2)
+        return cls._from(shape, "cylinder", symmetries or primitives.cylinder_symmetries())
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
         radius = checks.positive(radius, "radius")
         _check_range(radius, "radius")
-        triangles, exact = primitives.sphere_triangles(radius), SphereField(radius)
-        rounded = Rounded(triangles, exact, 4 * np.pi * radius**2)
-        made = Made("sphere", rounded, triangles.vertices, triangles.faces, exact)
-        return cls._from(measured(made, SAMPLES), symmetries or primitives.sphere_symmetries())
+        return cls._from(primitives.sphere(radius), "sphere", symmetries or primitives.sphere_symmetries())
 
     @classmethod
     def from_mesh(
@@ -130,9 +74,7 @@ class ObjectModel:
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
         surface is valid. Raises InvalidObject where there is no surface.
         """
-        from handsight.objects.sources import made_of_mesh  # it brings scipy and trimesh
-
-        return cls._from(measured(made_of_mesh(vertices, faces), SAMPLES), symmetries or Symmetries())
+        return cls._from(build.of_mesh(vertices, faces), "", symmetries or Symmetries())
 
     @classmethod
     def from_points(
@@ -143,9 +85,7 @@ class ObjectModel:
         `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
-        from handsight.objects.sources import made_of_points  # as above
-
-        return cls._from(measured(made_of_points(points, normals), SAMPLES), symmetries or Symmetries())
+        return cls._from(build.of_points(points, normals), "", symmetries or Symmetries())
 
     @classmethod
     def from_file(
@@ -157,37 +97,37 @@ class ObjectModel:
         where it holds no surface, both starting with the file's name.
         """
         scale = checks.positive(scale, "scale")
-        return cls._from(measured_file(path, scale, SAMPLES), symmetries or Symmetries())
+        return cls._from(build.of_file(path, scale), Path(path).stem, symmetries or Symmetries())
 
     @classmethod
-    def _from(cls, values: dict[str, Any], symmetries: Symmetries) -> Self:
+    def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
         _check_symmetries(symmetries)
-        for remark in values["remarks"]:
+        for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
-        return cls(**values, symmetries=symmetries)
+        measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
+        return cls(**measured, name=name, symmetries=symmetries)
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
         """n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             raise InvalidInput(f"n: expected a whole number above 0, got {n!r:.60}")
-        return self._surface.draw(int(n), np.random.default_rng(seed))
+        return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
         """Distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
         points = checks.finite(points_object, "points_object", (None, 3))
-        from handsight.objects.record import evaluate_record  # numba's import is long
-
-        return evaluate_record(self.record.model["fine" if fine else "coarse"], self.record.nodes, points)
+        return (self.fine if fine else self.coarse).evaluate(points)
 
     @property
     def record(self) -> "ModelRecord":
         """The same as kernels take it; made once."""
-        if self._record is None:
-            from handsight.objects.record import model_record  # as above
+        record = self._record
+        if record is None:
+            from handsight.objects.record import model_record  # numba's import is long
 
-            object.__setattr__(self, "_record", model_record(self))
-        assert self._record is not None
-        return self._record
+            record = model_record(self)
+            object.__setattr__(self, "_record", record)
+        return record
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""

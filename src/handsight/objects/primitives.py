@@ -1,16 +1,67 @@
-"""Box, cylinder and sphere: their triangles for drawing and the rotations that leave them the same."""
+"""Box, cylinder and sphere: their exact fields, triangles for drawing, and the rotations that leave them the same."""
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.objects.surface import Triangles
+from handsight.objects.fields.field import BoxField, CylinderField, Field, SphereField
+from handsight.objects.fields.grids import Fields, sampled
+from handsight.objects.geometry import Geometry, measured
+from handsight.objects.meshes.triangles import Triangles
+from handsight.objects.surface import Surface, diameter
 from handsight.objects.symmetry import Symmetries
 
 SEGMENTS = 96
 _SIDES_EQUAL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Rounded(Triangles):
+    """The curved surface that a mesh of facets stands for, where its distance field is exact."""
+
+    field: Field
+    exact_area: float
+    """[m²]."""
+
+    @property
+    def area(self) -> float:
+        """Of the curved surface [m²]."""
+        return self.exact_area
+
+    def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """n points (n, 3) [m] and normals (n, 3) on the exact surface."""
+        points, _ = super().draw(n, rng)
+        values = self.field.evaluate(points)
+        return points - values.distance[:, None] * values.gradient, values.gradient
+
+
+def box(half: Array) -> Geometry:
+    """A box with half sides `half` (3,) [m]."""
+    return _geometry(box_triangles(half), BoxField(half))
+
+
+def cylinder(radius: float, half_height: float) -> Geometry:
+    """A cylinder about z; `radius` and half the height [m]."""
+    facets, exact = cylinder_triangles(radius, half_height), CylinderField(radius, half_height)
+    area = 2 * np.pi * radius * (radius + 2 * half_height)
+    return _geometry(Rounded(facets.vertices, facets.faces, exact, area), exact)
+
+
+def sphere(radius: float) -> Geometry:
+    """A ball of that radius [m]."""
+    facets, exact = sphere_triangles(radius), SphereField(radius)
+    return _geometry(Rounded(facets.vertices, facets.faces, exact, 4 * np.pi * radius**2), exact)
+
+
+def _geometry(surface: Surface, exact: Field) -> Geometry:
+    bounds, size = (
+        np.stack([surface.vertices.min(axis=0), surface.vertices.max(axis=0)]),
+        diameter(surface.vertices),
+    )
+    return measured(surface, Fields(sampled(exact, bounds, size), exact, size))
 
 
 def box_triangles(half: Array) -> Triangles:

@@ -9,8 +9,14 @@ from handsight._kernels import field as kernel
 from handsight._kernels import records
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array
-from handsight.objects.exact import BoxField, CylinderField, SphereField
-from handsight.objects.field import Field, FieldValues, GridField
+from handsight.objects.fields.field import (
+    BoxField,
+    CylinderField,
+    Field,
+    FieldValues,
+    GridField,
+    SphereField,
+)
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
@@ -61,10 +67,10 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     row["edge_curvature2"] = 1 / (EDGE * model.coarse.cell) ** 2
     row["error"]["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
     row["error"]["least_normal"] = LEAST_ERROR[1] ** 2
-    if model.roughness is not None:
-        error = model.roughness.values.astype(np.float32).reshape(-1)
-        row["error"]["inverse_cell"], row["error"]["origin"] = 1 / model.roughness.cell, model.roughness.origin
-        row["error"]["shape"] = model.roughness.values.shape[:3]
+    if model.field_error is not None:
+        error = model.field_error.values.astype(np.float32).reshape(-1)
+        row["error"]["inverse_cell"], row["error"]["origin"] = 1 / model.field_error.cell, model.field_error.origin
+        row["error"]["shape"] = model.field_error.values.shape[:3]
         row["error"]["nodes"] = len(coarse) + len(fine)
     _fill_symmetry(row["symmetry"], model.symmetries)
     row["normal_weight2"] = (NORMAL_WEIGHT * model.diameter) ** 2
@@ -78,15 +84,15 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     return ModelRecord(record, np.concatenate([coarse, fine, error]), bool(known))
 
 
-def evaluate(field: Field, points_object: Array) -> FieldValues:
-    """Distance, gradient and Hessian of a field at points (n, 3) [m], on all cores."""
+def field_record(field: Field) -> tuple[Record, Nodes]:
+    """The FIELD record (1,) of a field on its own, and its nodes."""
     record = np.zeros(1, dtype=records.FIELD)
     _fill_field(record[0], field, 0)
-    return evaluate_record(record, np.require(_nodes(field), np.float32, ["W"]), points_object)
+    return record, np.array(_nodes(field))
 
 
-def evaluate_record(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
-    """The same of a FIELD record (1,)."""
+def evaluate(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
+    """Distance, gradient and Hessian of a field, its record (1,), at points (n, 3) [m], on all cores."""
     points = np.require(points_object, np.float64, ["C", "W"])
     values = np.empty((len(points), 13))
 

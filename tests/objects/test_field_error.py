@@ -1,10 +1,11 @@
-"""A model says where it is rough: at the edges a grid rounds off, and not on the faces."""
+"""A model says where its field is off: at the edges a grid rounds off, and not on the faces."""
 
 import numpy as np
 import pytest
 import trimesh
 
 import handsight as hs
+from oracles import fields
 
 
 @pytest.fixture(scope="module")
@@ -28,19 +29,19 @@ def on_top(model, low, high, count=400):
     return np.column_stack([x, y, np.full(count, 0.07)]), np.tile([0, 0, 1.0], (count, 1))
 
 
-def test_a_face_is_smooth_and_an_edge_is_not(box_mesh):
+def test_the_field_is_right_on_a_face_and_off_at_an_edge(box_mesh):
     face, _ = on_top(box_mesh, -0.3, 0.3)
     edge, _ = on_top(box_mesh, 0.97, 1.0)
-    on_face, at_edge = (box_mesh.roughness.variances(p).mean(axis=0) for p in (face, edge))
+    on_face, at_edge = (fields.variances(box_mesh.field_error, p).mean(axis=0) for p in (face, edge))
     assert np.sqrt(on_face[0]) < 2e-5
     assert np.sqrt(on_face[1]) < np.deg2rad(0.5)
     assert np.sqrt(at_edge[1]) > np.deg2rad(5)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.9, 1.0), (0.97, 1.0)])
-def test_the_roughness_at_an_edge_is_about_what_the_field_is_off_by(box_mesh, low, high):
+def test_the_error_at_an_edge_is_about_what_the_field_is_off_by(box_mesh, low, high):
     points, normals = on_top(box_mesh, low, high)
-    said = np.sqrt(box_mesh.roughness.variances(points).mean(axis=0))
+    said = np.sqrt(fields.variances(box_mesh.field_error, points).mean(axis=0))
     found = np.sqrt(measured(box_mesh, points, normals))
     # Averaged over half a cell around: the order of magnitude is what it promises.
     assert (said < 4 * found + [2e-5, 0.01]).all()
@@ -48,10 +49,10 @@ def test_the_roughness_at_an_edge_is_about_what_the_field_is_off_by(box_mesh, lo
 
 
 def test_far_away_it_is_that_of_the_nearest_place(box_mesh):
-    far = box_mesh.roughness.variances(np.array([[10.0, 0, 0], [-10.0, 5, 3]]))
+    far = fields.variances(box_mesh.field_error, np.array([[10.0, 0, 0], [-10.0, 5, 3]]))
     assert np.isfinite(far).all()
     assert (far >= 0).all()
 
 
 def test_exact_objects_have_none():
-    assert hs.ObjectModel.box((0.06, 0.09, 0.14)).roughness is None
+    assert hs.ObjectModel.box((0.06, 0.09, 0.14)).field_error is None

@@ -1,4 +1,4 @@
-"""What the kernels of this room compute, in plain NumPy and SciPy: their meaning, for the tests and the reader."""
+"""What the kernels that build objects compute, in plain NumPy and SciPy: brute force, and the definitions."""
 
 import itertools
 
@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels.winding import FAR_PATCH, FAR_TRIANGLE
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 
-Indices = NDArray[np.int64]
 _PAIRS = 2_000_000
 
 
@@ -17,15 +16,18 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
-def feet(points: Array, triangles: Array) -> tuple[Array, Array, Indices, Array]:
-    """Distances (n,) [m] of points (n, 3) to triangles (m, 3, 3), feet (n, 3), triangle (n,), weights (n, 3)."""
+def closest_points(points: Array, triangles: Array) -> tuple[Array, Array, Indices, Array]:
+    """Distances (n,) [m] of points (n, 3) to triangles (m, 3, 3), closest points (n, 3), triangle (n,), weights (n, 3).
+
+    Of every point with every triangle.
+    """
     n, m = len(points), len(triangles)
     weights = nearest_on_triangles(np.repeat(points, m, axis=0), np.tile(triangles, (n, 1, 1)))
     weights = weights.reshape(n, m, 3)
-    foot = np.einsum("nmk,mki->nmi", weights, triangles)
-    distance = np.linalg.norm(points[:, None] - foot, axis=2)
+    closest = np.einsum("nmk,mki->nmi", weights, triangles)
+    distance = np.linalg.norm(points[:, None] - closest, axis=2)
     best, row = distance.argmin(axis=1), np.arange(n)
-    return distance[row, best], foot[row, best], best, weights[row, best]
+    return distance[row, best], closest[row, best], best, weights[row, best]
 
 
 def nearest_on_triangles(points: Array, triangles: Array) -> Array:

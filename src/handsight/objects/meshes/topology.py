@@ -3,33 +3,32 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from handsight.checks import Array
-from handsight.objects.surface import Faces, Triangles
+from handsight.checks import Array, Indices, Mask
+from handsight.objects.meshes.triangles import Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
     """A mesh's edges, each as its triangles run through it."""
 
-    pairs: Faces
+    pairs: Indices
     """(e, 2) vertex indices, the smaller first."""
-    of_face: Faces
+    of_face: Indices
     """(m, 3) the edge from corner 0 to 1, 1 to 2, 2 to 0."""
-    forward: NDArray[np.bool_]
+    forward: Mask
     """(m, 3) whether the triangle runs through it from the smaller index."""
-    count: Faces
+    count: Indices
     """(e,) triangles at the edge."""
 
 
-def edges_of(faces: Faces) -> Edges:
+def edges_of(faces: Indices) -> Edges:
     """The edges of triangles (m, 3)."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     ordered = np.sort(directed, axis=1)
-    size = int(faces.max()) + 1 if len(faces) else 1
+    size = int(faces.max()) + 1
     _, first, which, count = np.unique(
         ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
     )
@@ -37,30 +36,22 @@ def edges_of(faces: Faces) -> Edges:
     return Edges(ordered[first], which.reshape(-1, 3), forward.reshape(-1, 3), count)
 
 
-def _links(edges: Edges) -> tuple[Faces, Faces, NDArray[np.bool_]]:
+def _links(edges: Edges) -> tuple[Indices, Indices, Mask]:
     """Triangles (l,) and (l,) that share an edge of just two, and whether they run through it oppositely."""
-    face = np.repeat(np.arange(len(edges.of_face)), 3)
-    edge, forward = edges.of_face.reshape(-1), edges.forward.reshape(-1)
-    order = np.argsort(edge, kind="stable")
-    start = np.cumsum(edges.count) - edges.count
-    two = start[edges.count == 2]
-    i, j = order[two], order[two + 1]
-    return face[i], face[j], forward[i] != forward[j]
+    order = np.argsort(edges.of_face, axis=None, kind="stable")
+    first = (np.cumsum(edges.count) - edges.count)[edges.count == 2]
+    i, j = order[first], order[first + 1]
+    forward = edges.forward.reshape(-1)
+    return i // 3, j // 3, forward[i] != forward[j]
 
 
-def neighbours(faces: Faces) -> Faces:
-    """(m, 3) the triangle across each edge; the triangle itself where there is none, or more than one."""
-    edges = edges_of(faces)
-    m = len(faces)
-    beside = np.repeat(np.arange(m)[:, None], 3, axis=1).reshape(-1)
-    order = np.argsort(edges.of_face.reshape(-1), kind="stable")
-    start = (np.cumsum(edges.count) - edges.count)[edges.count == 2]
-    i, j = order[start], order[start + 1]
-    beside[i], beside[j] = j // 3, i // 3
-    return beside.reshape(-1, 3)
+def _components(row: Indices, column: Indices, size: int) -> Indices:
+    """(size,) the connected component of each node of a graph with links from `row` (l,) to `column` (l,)."""
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size, size))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def consistent(faces: Faces) -> tuple[Faces, int, bool]:
+def consistent(faces: Indices) -> tuple[Indices, int, bool]:
     """Triangles turned so that neighbours agree, how many were turned, and whether all could agree.
 
     Each triangle stands twice in a graph, as it is and turned; neighbours that agree are linked side to side,
@@ -72,8 +63,7 @@ def consistent(faces: Faces) -> tuple[Faces, int, bool]:
         return faces, 0, True
     row = np.concatenate([i, i + m])
     column = np.concatenate([np.where(agree, j, j + m), np.where(agree, j + m, j)])
-    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(2 * m, 2 * m))
-    label = connected_components(graph, directed=False)[1]
+    label = _components(row, column, 2 * m)
     as_is, turned = label[:m], label[m:]
     orientable = bool((as_is != turned).all())
     # The two halves of a piece carry two labels; the more common one "as it is" wins.
@@ -82,16 +72,10 @@ def consistent(faces: Faces) -> tuple[Faces, int, bool]:
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces), int(flip.sum()), orientable
 
 
-def pieces(faces: Faces) -> NDArray[np.int64]:
+def pieces(faces: Indices) -> Indices:
     """(m,) the connected piece of each triangle, through shared vertices."""
-    if not len(faces):
-        return np.empty(0, dtype=np.int64)
-    row = np.concatenate([faces[:, 0], faces[:, 1]])
-    column = np.concatenate([faces[:, 1], faces[:, 2]])
-    size = int(faces.max()) + 1
-    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size, size))
-    label = connected_components(graph, directed=False)[1]
-    return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1).astype(np.int64)
+    label = _components(faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1), int(faces.max()) + 1)
+    return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,10 +98,10 @@ def holes_of(mesh: Triangles) -> Holes:
     if not len(pairs):
         return Holes(np.empty((0, 3)), np.empty(0), segments)
     used, local = np.unique(pairs, return_inverse=True)
-    local = local.reshape(-1, 2)
-    graph = coo_array((np.ones(len(local), dtype=np.int8), tuple(local.T)), shape=(len(used), len(used)))
-    count, label = connected_components(graph, directed=False)
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    start, end = local.reshape(-1, 2).T
+    label = _components(start, end, len(used))
+    low = np.full((label.max() + 1, 3), np.inf)
+    high = -low
     np.minimum.at(low, label, mesh.vertices[used])
     np.maximum.at(high, label, mesh.vertices[used])
     return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1), segments)

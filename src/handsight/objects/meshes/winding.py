@@ -6,9 +6,9 @@ patch acts as one dipole, its area vector at its centre; near by every triangle 
 
 import numpy as np
 
-from handsight.checks import Array
-from handsight.objects.surface import Triangles
-from handsight.objects.tree import Halves, halves, merged
+from handsight.checks import Array, Mask
+from handsight.objects.meshes.box_tree import BoxTree, box_tree
+from handsight.objects.meshes.triangles import Triangles
 
 MOST_PATCHES = 4000
 
@@ -17,16 +17,16 @@ class Winding:
     """The winding number of a triangle mesh or of an oriented cloud, at any points."""
 
     def __init__(
-        self, centers: Array, area_vectors: Array, corners: Array | None = None, parts: Halves | None = None
+        self, centers: Array, area_vectors: Array, corners: Array | None = None, tree: BoxTree | None = None
     ) -> None:
         """`centers` (m, 3) [m], `area_vectors` (m, 3) outward [m²]; `corners` (m, 3, 3) of triangles.
 
-        `parts`: the patches, where they are known already.
+        `tree`: its leaves are the patches; where it is known already.
         """
-        parts = parts or halves(centers)
-        starts = merged(parts.starts, MOST_PATCHES)
+        tree = tree or box_tree(centers)
+        starts = tree.merged(MOST_PATCHES)
         first, sizes = starts[:-1], np.diff(starts)
-        centers, vectors = centers[parts.order], area_vectors[parts.order]
+        centers, vectors = centers[tree.order], area_vectors[tree.order]
         weight = np.linalg.norm(vectors, axis=1) + 1e-300
         total = np.add.reduceat(weight, first)
         middles = np.add.reduceat(centers * weight[:, None], first) / total[:, None]
@@ -34,20 +34,23 @@ class Winding:
         if corners is None:
             corners, reach = np.empty((0, 3, 3)), np.zeros(len(centers))
         else:
-            corners = corners[parts.order]
+            corners = corners[tree.order]
             reach = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
         radii = np.maximum.reduceat(spread + reach, first)
         self.patches = starts, middles, np.add.reduceat(vectors, first), radii
         self.elements = centers, vectors, reach, corners
 
     @classmethod
-    def of_mesh(cls, mesh: Triangles, parts: Halves | None = None) -> "Winding":
+    def of_mesh(cls, mesh: Triangles, tree: BoxTree | None = None) -> "Winding":
         """The winding number of a mesh."""
-        corners = mesh.vertices[mesh.faces]
-        return cls(corners.mean(axis=1), mesh.doubled_normals / 2, corners, parts)
+        return cls(mesh.corners.mean(axis=1), mesh.doubled_normals / 2, mesh.corners, tree)
 
     def at(self, points: Array) -> Array:
         """Winding numbers (n,) at the points (n, 3) [m]."""
         from handsight._kernels.winding import winding_at  # numba's import is long
 
         return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))
+
+    def inside(self, points: Array) -> Mask:
+        """(n,) whether the surface winds around the points (n, 3) [m] more than half a time."""
+        return np.asarray(self.at(points) > 0.5)

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from handsight.checks import Array
-from handsight.objects.surface import Faces
+from handsight.checks import Array, Indices
 
 
 class BadText(ValueError):
@@ -22,7 +21,7 @@ def number_rows(data: bytes) -> Array:
     return _numbers([word for words in lines for word in words]).reshape(-1, width)
 
 
-def off_shape(data: bytes) -> tuple[Array, Array | None, Faces]:
+def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
     """Vertices (k, 3), normals (k, 3) or None, and triangles (m, 3) of an OFF, NOFF or COFF text.
 
     Polygons are cut into fans.
@@ -64,7 +63,7 @@ def _numbers(words: list[str]) -> Array:
         raise BadText(f"expected numbers: {str(error)[:80]}") from None
 
 
-def _fans(rows: list[list[str]]) -> Faces:
+def _fans(rows: list[list[str]]) -> Indices:
     """Triangles (m, 3) of polygons, each row its number of corners and their indices."""
     triangles: list[tuple[int, int, int]] = []
     for k, words in enumerate(rows):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array
-from handsight.objects.field import GridField
+from handsight.objects.fields.field import Field, GridField
 
 COARSE_PER_DIAMETER = 18
 COARSE_PER_WIDTH = 4
@@ -45,10 +45,12 @@ class Fields:
     """Both distance fields of a surface."""
 
     coarse: GridField
-    fine: GridField
-    closed: bool
+    fine: Field
+    diameter: float
+    """The largest distance between two points of the surface [m]."""
+    closed: bool = True
     """Whether the surface has an inside."""
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:
@@ -60,6 +62,12 @@ def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]
         return coarse, fine, ()
     cells = f"{1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm"
     return coarse, fine, (f"very long or thin: its distance fields are coarser than usual, cells of {cells}",)
+
+
+def sampled(exact: Field, bounds: Array, diameter: float) -> GridField:
+    """The coarse field of an object whose exact one is known; `bounds` (2, 3), `diameter` [m]."""
+    grid, _ = coarse_grid(bounds, diameter, float((bounds[1] - bounds[0]).min()))
+    return grid.field(exact.evaluate(grid.nodes()).distance)
 
 
 def thinnest(vertices: Array) -> float:

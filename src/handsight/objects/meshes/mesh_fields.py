@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from handsight.checks import Array
-from handsight.objects.grid import Fields, Grid, grids, interpolated
-from handsight.objects.nearest import Feet, NearestPoint
-from handsight.objects.repair import side_samples
-from handsight.objects.surface import Triangles
-from handsight.objects.topology import Holes, holes_of, pseudonormals
-from handsight.objects.tree import Halves
-from handsight.objects.winding import Winding
+from handsight.checks import Array, Indices, Mask
+from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
+from handsight.objects.meshes.box_tree import BoxTree
+from handsight.objects.meshes.closest_points import ClosestPoints, ClosestPointSearch
+from handsight.objects.meshes.repair import side_samples
+from handsight.objects.meshes.topology import Holes, holes_of, pseudonormals
+from handsight.objects.meshes.triangles import Triangles
+from handsight.objects.meshes.winding import Winding
+from handsight.objects.surface import diameter
 
 BAND = 4
 """Fine nodes within this many cells of the surface carry exact distances."""
@@ -22,18 +22,21 @@ wide, inside and outside are a guess, and past a quarter that would be most of t
 CLOSED_SHARE = 0.95
 LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
-SPEAKERS = 16
+VOTES = 16
+"""Nodes of each linked set whose winding numbers are taken."""
 
 
-def mesh_fields(mesh: Triangles, diameter: float, parts: Halves) -> Fields:
-    """The smooth and the sharp field of a repaired mesh, halved into parts, and whether it has an inside."""
-    coarse, fine, remarks = grids(mesh.vertices, diameter)
-    nearest, winding, holes = NearestPoint(mesh, parts), Winding.of_mesh(mesh, parts), holes_of(mesh)
-    closed = is_closed(mesh, winding, holes, diameter)
-    side: Side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
-    values = _signed(coarse, nearest, side)
-    sharp = _refined(coarse, values, fine, nearest, side)
-    return Fields(coarse.field(values), fine.field(sharp), closed, remarks)
+def mesh_fields(mesh: Triangles, tree: BoxTree) -> Fields:
+    """The smooth and the sharp field of a repaired mesh, and whether it has an inside; `tree` over its triangles."""
+    size = diameter(mesh.vertices)
+    coarse, fine, remarks = grids(mesh.vertices, size)
+    search, winding, holes = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree), holes_of(mesh)
+    closed = is_closed(mesh, winding, holes, size)
+    side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
+    nodes = coarse.nodes()
+    values = side.signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
+    sharp = _refined(coarse, values, fine, search, side)
+    return Fields(coarse.field(values), fine.field(sharp), size, closed, remarks)
 
 
 def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
@@ -48,16 +51,22 @@ def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) 
     return bool(good.mean() >= CLOSED_SHARE)
 
 
-class Side:
-    """Says on which side of the surface points lie."""
-
-    def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
-        """Signed distances (n,) [m] of grid nodes, given where they touch down."""
-        raise NotImplementedError
+def _refined(
+    coarse: Grid, values: Array, fine: Grid, search: ClosestPointSearch, side: "ByWinding | ByNormal"
+) -> Array:
+    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones."""
+    sharp = interpolated(coarse, values, fine)
+    band = BAND * fine.cell
+    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
+    index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
+    closest, near = search.closest(fine.nodes_at(index), within=band)
+    index = index[near]
+    sharp[index] = side.signed(index, fine, closest)
+    return sharp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ByWinding(Side):
+class ByWinding:
     """Inside is where the surface winds around a point more than half a time.
 
     Two neighbouring nodes whose distances add up to more than the step between them have no surface between
@@ -68,10 +77,11 @@ class ByWinding(Side):
     winding: Winding
     holes: Holes
 
-    def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
-        """Signed distances (n,) [m] of grid nodes, given where they touch down."""
+    def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
+        """Signed distances (n,) [m] of these nodes of a grid, given their closest points."""
         from handsight._kernels.linking import linked  # numba's import is long
 
+        points = grid.nodes_at(index)
         free = np.ones(len(points), dtype=bool)
         for middle, extent in zip(self.holes.middles, self.holes.extents, strict=True):
             free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
@@ -79,30 +89,30 @@ class ByWinding(Side):
         todo = np.arange(len(points))
         for margin in LINK_MARGINS:
             limit = margin * grid.cell  # right across a face it is the step, give or take the rounding
-            label = linked(grid_index[todo], grid.shape, feet.distance[todo], free[todo], limit)
+            label = linked(index[todo], grid.shape, closest.distance[todo], free[todo], limit)
             votes, agreed = self._votes(label, points[todo])
             inside[todo] = votes[label]
             todo = todo[~agreed[label]]
             if not len(todo):
                 break
-        return np.asarray(np.where(inside, -feet.distance, feet.distance))
+        return np.asarray(np.where(inside, -closest.distance, closest.distance))
 
-    def _votes(self, label: NDArray[np.int64], points: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether each set is inside, and whether its speakers agree.
+    def _votes(self, label: Indices, points: Array) -> tuple[Mask, Mask]:
+        """Whether each set is inside, and whether its voters agree.
 
         They do not where a distance that is a little too large has linked the two sides.
         """
         order = np.argsort(label, kind="stable")
         size = np.bincount(label)
         start = np.cumsum(size) - size
-        spread = np.random.default_rng(4).random((len(size), SPEAKERS))
-        speakers = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
-        asked, which = np.unique(speakers, return_inverse=True)
-        inside = (self.winding.at(points[asked]) > 0.5)[which].reshape(speakers.shape)
+        spread = np.random.default_rng(4).random((len(size), VOTES))
+        voters = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
+        asked, which = np.unique(voters, return_inverse=True)
+        inside = self.winding.inside(points[asked])[which].reshape(voters.shape)
         return inside[:, 0], np.asarray(inside.all(axis=1) | ~inside.any(axis=1))
 
 
-class ByNormal(Side):
+class ByNormal:
     """Behind an open surface is where its normal at the nearest point looks away, and less so near its rim.
 
     The distance behind the surface is negative and meets the positive one around the rim continuously:
@@ -120,34 +130,16 @@ class ByNormal(Side):
         at = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)
         self._rim = cKDTree(start[segment] + at[:, None] * along[segment]) if len(segment) else None
 
-    def signed(self, grid_index: NDArray[np.int64], grid: Grid, points: Array, feet: Feet) -> Array:
-        """Signed distances (n,) [m] of grid nodes, given where they touch down."""
-        zero = feet.corners == 0
+    def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
+        """Signed distances (n,) [m] of these nodes of a grid, given their closest points."""
+        zero = closest.weights == 0
         count = zero.sum(axis=1)
-        # Opposite corner 0 is edge 12, and so on; with two zeros the foot is at the third corner.
+        # Opposite corner 0 is edge 12, and so on; with two zeros it is the third corner.
         edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
         corner = 4 + (~zero).argmax(axis=1)
         feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
-        normal = self._normals[feet.face, feature]
-        behind = ((points - feet.points) * normal).sum(axis=1) < 0
-        rim = np.full(len(points), np.inf) if self._rim is None else self._rim.query(feet.points)[0]
-        d = feet.distance
+        normal = self._normals[closest.face, feature]
+        behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
+        rim = np.full(len(index), np.inf) if self._rim is None else self._rim.query(closest.points)[0]
+        d = closest.distance
         return np.asarray(np.where(behind, d - 2 * np.minimum(d, rim), d))
-
-
-def _signed(grid: Grid, nearest: NearestPoint, side: Side) -> Array:
-    """Signed distances at every node of the coarse grid."""
-    nodes = grid.nodes()
-    return side.signed(np.arange(len(nodes)), grid, nodes, nearest.feet(nodes)[0])
-
-
-def _refined(coarse: Grid, values: Array, fine: Grid, nearest: NearestPoint, side: Side) -> Array:
-    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones."""
-    sharp = interpolated(coarse, values, fine)
-    band = BAND * fine.cell
-    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
-    index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
-    feet, close = nearest.feet(fine.nodes_at(index), within=band)
-    index = index[close]
-    sharp[index] = side.signed(index, fine, fine.nodes_at(index), feet)
-    return sharp

@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.errors import InvalidFile
-from handsight.objects.pcd import pcd_columns
-from handsight.objects.surface import Faces
-from handsight.objects.text import BadText, number_rows, off_shape
+from handsight.objects.files.pcd import pcd_columns
+from handsight.objects.files.text import BadText, number_rows, off_shape
 
 LARGEST_FILE = 2_000_000_000
 """Bytes; more is refused."""
@@ -35,9 +33,9 @@ class Shape:
 
     vertices: Array
     """(k, 3)"""
-    faces: Faces | None
+    faces: Indices | None = None
     """(m, 3); None: a cloud."""
-    normals: Array | None
+    normals: Array | None = None
     """(k, 3) of a cloud, of any length; None: not in the file."""
     remarks: tuple[str, ...] = ()
 
@@ -96,7 +94,7 @@ def _finite_rows(shape: Shape) -> Shape:
 
 
 def _by_trimesh(data: bytes, kind: str) -> Shape:
-    import trimesh  # long to import, and not needed for an object that is kept whole
+    import trimesh  # long to import, and not needed for an object from the cache
 
     scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
@@ -109,7 +107,7 @@ def _by_trimesh(data: bytes, kind: str) -> Shape:
         if triangles is not None:
             faces.append(np.asarray(triangles, dtype=np.int64).reshape(-1, 3) + start)
         start += len(points)
-    return Shape(np.concatenate(vertices), np.concatenate(faces), None)
+    return Shape(np.concatenate(vertices), np.concatenate(faces))
 
 
 def _stl(data: bytes) -> Shape:
@@ -157,7 +155,7 @@ def _ply(data: bytes) -> Shape:
         raise BadText("expected the vertex properties x, y, z")
     faces = getattr(geometry, "faces", None)
     if faces is not None and len(faces):
-        return Shape(columns, np.asarray(faces, dtype=np.int64), None)
+        return Shape(columns, np.asarray(faces, dtype=np.int64))
     return Shape(columns, None, _columns(vertex, ("nx", "ny", "nz")))
 
 
@@ -185,16 +183,10 @@ def _off(data: bytes) -> Shape:
 
 def _pcd(data: bytes) -> Shape:
     columns = pcd_columns(data)
-    points = _named(columns, ("x", "y", "z"))
+    points = _columns(columns, ("x", "y", "z"))
     if points is None:
         raise BadText(f"expected the fields x y z, got {' '.join(columns)}")
-    return Shape(points, None, _named(columns, ("normal_x", "normal_y", "normal_z")))
-
-
-def _named(columns: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array | None:
-    if not all(name in columns for name in names):
-        return None
-    return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
+    return Shape(points, None, _columns(columns, ("normal_x", "normal_y", "normal_z")))
 
 
 def _xyz(data: bytes) -> Shape:

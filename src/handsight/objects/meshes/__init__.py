@@ -1,0 +1,1 @@
+"""Triangle meshes: repair, closest points, winding numbers, and the distance fields that follow."""
