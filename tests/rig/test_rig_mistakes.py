@@ -6,7 +6,7 @@ import pytest
 
 from handsight.errors import HandsightError, InvalidFile
 from handsight.rig import Rig
-from handsight.rig.tree import LARGEST_FILE
+from handsight.rig.yaml_file import LARGEST_FILE
 from rig.rigs import rig_text
 
 

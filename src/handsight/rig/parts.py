@@ -148,6 +148,6 @@ class Rig:
 
         Raises InvalidFile with file, line, and the nearest valid name where there is one.
         """
-        from handsight.rig.reading import read
+        from handsight.rig.load import read
 
         return read(Path(path))

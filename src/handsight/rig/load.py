@@ -13,8 +13,8 @@ from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.errors import HandsightError, MissingExtra
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
-from handsight.rig.tree import Node, load
-from handsight.rig.values import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight.rig.yaml_file import Node, load
+from handsight.rig.parts import Camera, Finger, ObjectEntry, Rig, Table, Topics
 
 VERSION = 1
 LONGEST_TIP = 0.2

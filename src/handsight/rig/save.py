@@ -11,7 +11,7 @@ from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
 from handsight.errors import InvalidFile
 from handsight.hand.paths import PACKAGE
-from handsight.rig.values import Camera, Finger, ObjectEntry, Rig
+from handsight.rig.parts import Camera, Finger, ObjectEntry, Rig
 
 
 def write(rig: Rig, path: Path) -> None:
