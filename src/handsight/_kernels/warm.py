@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import (
-    chain,
     correct,
     field,
     layout,
@@ -75,7 +74,6 @@ def _objects() -> None:
 
 
 def _hands() -> None:
-    chain.warm()
     tips.warm()
     placing.warm()
 

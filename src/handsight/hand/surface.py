@@ -8,9 +8,8 @@ import numpy as np
 import trimesh
 
 from handsight import se3
-from handsight._kernels import chain
 from handsight.checks import Array, Indices
-from handsight.hand.chains import Chains
+from handsight.hand.kinematics import Chains
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
@@ -32,14 +31,18 @@ class HandSurface:
     chains: Chains
     """Of `bodies`, from the palm."""
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints whose positions it takes to place the points."""
+        return self.chains.joints
+
     def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """(m, 3) where the points are [m]; raises InvalidInput as `Hand.Ts_palm_tip` does.
 
         Needs the joints of every link that has points, fingers without a tip among them.
         """
-        Ts, _ = self.chains.poses(joint_positions)
-        points = np.empty_like(self.points_body)
-        chain.carried(self.points_body, self.body_of, Ts, points)
+        Ts = self.chains.poses(joint_positions)[self.body_of, :3]
+        points: Array = (Ts[:, :, :3] @ self.points_body[..., None])[..., 0] + Ts[:, :, 3]
         return points
 
 
