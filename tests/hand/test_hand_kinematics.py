@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hand.hands import ALLEGRO_TIPS, SHADOW, SHADOW_TIPS, allegro_file, shadow_file, within_limits
 from handsight import se3
+from handsight._kernels import chain
 from handsight.hand import Hand
 from oracles import product_of_exponentials
 
@@ -104,6 +105,15 @@ def test_the_shadow_hands_tips_are_where_a_product_of_exponentials_has_them(palm
         positions = within_limits(hand, rng)
         expected = product_of_exponentials.poses_between(model, positions, palm, SHADOW_TIPS.values())
         np.testing.assert_allclose(hand.Ts_palm_tip(positions), expected, atol=1e-13)
+
+
+def test_points_are_carried_with_the_bodies_they_are_fixed_on(shadow_hand, rng):
+    Ts = shadow_hand.Ts_palm_tip(within_limits(shadow_hand, rng))
+    bodies, points, carried = rng.integers(5, size=7), rng.normal(size=(7, 3)), np.empty((7, 3))
+    chain.carried(points, bodies, Ts, carried)
+    np.testing.assert_allclose(
+        carried, [se3.apply(Ts[i], p[None])[0] for i, p in zip(bodies, points, strict=True)]
+    )
 
 
 def assert_jacobians_are_derivatives(hand, positions, points_tip, step=1e-5):

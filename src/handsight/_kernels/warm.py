@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import (
+    chain,
     correct,
     field,
     layout,
@@ -74,6 +75,7 @@ def _objects() -> None:
 
 
 def _hands() -> None:
+    chain.warm()
     tips.warm()
     placing.warm()
 

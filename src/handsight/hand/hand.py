@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
+from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of, missing
 from handsight.hand.description import Description, read
-from handsight.hand.kinematics import HINGE, SLIDE, Chains, Robot, ancestors, chains, joints_of, missing
 from handsight.hand.surface import HandSurface, sample, triangles_of
 
 BEYOND = {HINGE: 0.35, SLIDE: 0.02}
@@ -31,8 +31,8 @@ class HandPose:
     """(t, 4, 4) in the order of the hand's tips."""
     moving_joints: tuple[str, ...]
     """The joints that move any of the tips in the palm."""
-    twists_palm: Array
-    """(6, j) by each of `moving_joints`: how the point at the palm's origin moves [m], and the turn [rad]."""
+    axes_palm: Array
+    """(s, 6) for each joint of each chain its axis and a point on it [m], as they lie now."""
     chains: Chains
 
     def jacobians(self, points_palm: ArrayLike, tips: Sequence[int] | None = None) -> Array:
@@ -45,13 +45,13 @@ class HandPose:
         count = len(self.Ts_palm_tip)
         if tips is None:
             points, rows = checks.finite(points_palm, "points_palm", (count, 3)), np.arange(count)
-            return self.chains.jacobians(points, rows, self.twists_palm)
+            return self.chains.jacobians(points, rows, self.axes_palm)
         points = checks.finite(points_palm, "points_palm", (len(tips), 3))
         if not all(0 <= tip < count for tip in tips):
             raise InvalidInput(
                 f"tips: expected numbers from 0 to {count - 1}, got {checks.brief(list(tips))}"
             )
-        return self.chains.jacobians(points, np.asarray(tips, dtype=np.int64), self.twists_palm)
+        return self.chains.jacobians(points, np.asarray(tips, dtype=np.int64), self.axes_palm)
 
 
 class Hand:
@@ -77,11 +77,10 @@ class Hand:
         self.file, self.palm, self.tips = file, palm, dict(tips)
         self.missing_meshes = description.missing_meshes
         self._name, self._model = description.name, description.model
-        self._robot = Robot(self._model)
         self._bodies = {name: i for i in range(self._model.nbody) if (name := str(self._model.body(i).name))}
         self._palm = self._body(palm, "palm")
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
-        self._chains = chains(self._robot, self._palm, bodies, self._name)
+        self._chains = chains(self._model, self._palm, bodies, self._name)
         self.moving = self._chains.joints
         self._kinds, limits = _joints(self._model)
         self.joint_names = tuple(self._kinds)
@@ -106,12 +105,12 @@ class Hand:
         and hand together). Coupled joints are read as the others are. Raises InvalidInput naming what is missing or
         not finite; `check` looks at more.
         """
-        return self._chains.poses(joint_positions)
+        return self._chains.poses(joint_positions)[0]
 
     def kinematics(self, joint_positions: Mapping[str, float]) -> HandPose:
         """Poses of the tips with what their Jacobians need; raises InvalidInput as `Ts_palm_tip` does."""
-        Ts_palm_tip, twists = self._chains.poses_and_twists(joint_positions)
-        return HandPose(Ts_palm_tip, self.moving, twists, self._chains)
+        Ts_palm_tip, axes = self._chains.poses(joint_positions)
+        return HandPose(Ts_palm_tip, self.moving, axes, self._chains)
 
     def T_world_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """(4, 4) the palm in the base frame of the file: useful where that has the arm in it.
@@ -120,9 +119,9 @@ class Hand:
         neither hinge nor slide.
         """
         if self._arm is None:
-            self._arm = chains(self._robot, _WORLD, [self._palm], self._name)
-        T_world_palm: Array = self._arm.poses(joint_positions)[0]
-        return T_world_palm
+            self._arm = chains(self._model, _WORLD, [self._palm], self._name)
+        Ts_world_palm, _ = self._arm.poses(joint_positions)
+        return np.asarray(Ts_world_palm[0])
 
     def check(self, joint_positions: Mapping[str, float]) -> None:
         """Nothing, where the positions can be this robot's.
@@ -186,7 +185,7 @@ class Hand:
             body_of=body_of.astype(np.int64),
             points_body=points - inward * normals,
             normals=normals,
-            chains=chains(self._robot, self._palm, with_points, self._name),
+            chains=chains(self._model, self._palm, with_points, self._name),
         )
 
     def _links(self) -> list[int]:

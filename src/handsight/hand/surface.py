@@ -8,8 +8,9 @@ import numpy as np
 import trimesh
 
 from handsight import se3
+from handsight._kernels import chain
 from handsight.checks import Array, Indices
-from handsight.hand.kinematics import Chains
+from handsight.hand.chains import Chains
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
@@ -41,8 +42,9 @@ class HandSurface:
 
         Needs the joints of every link that has points, fingers without a tip among them.
         """
-        Ts = self.chains.poses(joint_positions)[self.body_of, :3]
-        points: Array = (Ts[:, :, :3] @ self.points_body[..., None])[..., 0] + Ts[:, :, 3]
+        Ts, _ = self.chains.poses(joint_positions)
+        points = np.empty_like(self.points_body)
+        chain.carried(self.points_body, self.body_of, Ts, points)
         return points
 
 
