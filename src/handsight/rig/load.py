@@ -1,269 +1,145 @@
-"""`rig.yaml` to a `Rig`: strict, versioned. docs/robots.md shows every key."""
+"""`rig.yaml` to a rig: strict, versioned. docs/robots.md shows every key, `handsight.rig.form` what each may be."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from handsight import checks, se3
-from handsight.checks import among
-from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
+from handsight.checks import Array
+from handsight.contact import WrenchCalibration
 from handsight.errors import HandsightError, MissingExtra
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
-from handsight.rig.yaml_file import Node, load
-from handsight.rig.parts import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight.rig.form import (
+    VERSION,
+    CameraForm,
+    FingerForm,
+    FramesForm,
+    ObjectForm,
+    PoseForm,
+    RigForm,
+    SensorForm,
+    WorldForm,
+)
+from handsight.rig.parts import Camera, Finger, ObjectEntry, Table, Topics
+from handsight.rig.yaml_file import YamlFile
 
-VERSION = 1
-LONGEST_TIP = 0.2
-"""[m]; checked by the shapes themselves as well."""
+Rig = TypeVar("Rig")
 
 
-def read(path: Path) -> Rig:
-    """The rig of a file; raises InvalidFile with file, line and path of what is wrong."""
-    root = load(path)
-    version = root.number("version")
-    if version != VERSION:
-        raise root.fail("version", f"expected {VERSION}, got {version:g}")
-    fingers_node = root.needed("fingers")
-    fingers = {name: _finger(_entry(fingers_node, name)) for name in fingers_node.keys}
-    if not fingers:
-        raise root.fail("fingers", "expected at least one finger, got none")
-    hand_node = root.needed("hand")
-    hand = _hand(hand_node, path, fingers_node, {name: finger.frame for name, finger in fingers.items()})
-    joint_offset = hand_node.angle("joint_offset_deg", np.deg2rad(1.0))
-    joint_noise = hand_node.angle("joint_noise_deg", np.deg2rad(0.1))
-    hand_node.done()
-    world = root.section("world")
-    rig = Rig(
-        hand=hand,
-        fingers=fingers,
-        sigma_joint_offset=joint_offset,
-        sigma_joint=joint_noise,
-        camera=_camera(root.section("camera")),
-        table=_table(root.section("table")),
-        gravity=np.array([0.0, 0.0, -9.81]) if world is None else _gravity(world),
-        world_from="tf" if world is None else _world_from(world),
-        frames=_frames(root.section("frames")),
-        topics=_topics(root.section("topics"), tuple(fingers)),
-        objects=_objects(root.section("objects"), path.parent),
+def load(path: Path, make: Callable[..., Rig]) -> Rig:
+    """The rig of a file, as `make` (a rig's constructor) puts it together from its parts.
+
+    Raises InvalidFile with file, line and path of what is wrong.
+    """
+    file = YamlFile(path)
+    version = file.values.get("version")
+    if isinstance(version, int | float) and version != VERSION:  # its other keys are that version's
+        raise file.wrong(("version",), f"expected {VERSION}, got {version:g}")
+    form = file.read(RigForm)
+    world = form.world or WorldForm()
+    sigmas = form.hand.given()
+    return make(
+        hand=_hand(form, file),
+        fingers={name: _finger(finger) for name, finger in form.fingers.items()},
+        camera=None if form.camera is None else _camera(form.camera),
+        table=None if form.table is None else Table(**form.table.given()),
+        gravity=np.array(world.gravity, dtype=np.float64),
+        world_from=_world_from(world),
+        frames=(form.frames or FramesForm()).given(),
+        topics=_topics(form, file),
+        objects={name: _object(said, path.parent) for name, said in (form.objects or {}).items()},
+        **{name: sigmas[name] for name in ("sigma_joint_offset", "sigma_joint") if name in sigmas},
     )
-    if world is not None:
-        world.done()
-    root.done()
-    return rig
 
 
-def _entry(node: Node, name: str) -> Node:
-    return node.needed(name)
-
-
-@contextmanager
-def _at(node: Node, key: str) -> Iterator[None]:
-    """What a constructor refuses is an error at that key's line."""
+def _hand(form: RigForm, file: YamlFile) -> Hand:
+    named, tips = form.hand.file, {name: finger.frame for name, finger in form.fingers.items()}
     try:
-        yield
-    except HandsightError as error:
-        raise node.fail(key, str(error)) from None
-
-
-def _hand(node: Node, path: Path, fingers: Node, tips: dict[str, str]) -> Hand:
-    named, palm = node.text("file"), node.text("palm")
-    try:
-        found = find_file(named, beside=path.parent)
-        hand = Hand.from_file(found, palm=palm, tips=tips)
+        found = find_file(named, beside=file.path.parent)
+        hand = Hand.from_file(found, palm=form.hand.palm, tips=tips)
     except MissingExtra:
         raise
     except HandsightError as error:
         # Whose body it is that the file does not have says the error's first word.
         what, _, said = str(error).partition(": ")
-        if what == "palm":
-            raise node.fail("palm", said) from None
-        for name in tips:
-            if what == f"tips[{name!r}]":
-                raise fingers.needed(name).fail("frame", said) from None
-        raise node.fail("file", str(error)) from None
+        fields = {"palm": ("hand", "palm")} | {f"tips[{name!r}]": ("fingers", name, "frame") for name in tips}
+        if what in fields:
+            raise file.wrong(fields[what], said) from None
+        raise file.wrong(("hand", "file"), str(error)) from None
     except OSError as error:
-        raise node.fail("file", f"{checks.brief(named)}: {error.strerror}") from None
+        raise file.wrong(("hand", "file"), f"{checks.brief(named)}: {error.strerror}") from None
     if named.startswith(PACKAGE):  # its name is as good in a rig file elsewhere
         hand.file = named
     return hand
 
 
-def _finger(node: Node) -> Finger:
-    sensor = node.needed("sensor")
-    T_frame_sensor, T_frame_surface = sensor.pose("pose"), node.pose("surface")
-    noise = sensor.section("noise")
-    full_scale = sensor.vector("full_scale", 2, None)
-    if full_scale is not None and not (full_scale > 0).all():
-        raise sensor.fail("full_scale", "expected newtons and newton metres above 0, got "
-                          f"{full_scale.tolist()}")  # fmt: skip
-    finger = Finger(
-        frame=node.text("frame"),
+def _finger(form: FingerForm) -> Finger:
+    T_frame_surface, sensor = _matrix(form.surface), form.sensor
+    sigmas = {} if sensor.noise is None else sensor.noise.given()
+    sigmas |= {name: value for name, value in form.given().items() if name.startswith("sigma")}
+    return Finger(
+        frame=form.frame,
         T_frame_surface=T_frame_surface,
-        tip=_tip(node.needed("tip"), se3.inverse(T_frame_surface) @ T_frame_sensor),
+        tip=form.tip.shape(se3.inverse(T_frame_surface) @ _matrix(sensor.pose)),
         calibration=_calibration(sensor),
-        sigma_force=0.01 if noise is None else noise.positive("force", 0.01),
-        sigma_torque=5e-5 if noise is None else noise.positive("torque", 5e-5),
-        sigma_point=node.least("sigma_point", 5e-4),
-        sigma_normal=node.angle("sigma_normal_deg", np.deg2rad(1.0)),
-        full_scale=None if full_scale is None else (float(full_scale[0]), float(full_scale[1])),
+        full_scale=sensor.full_scale,
+        **sigmas,
     )
-    for part in (noise, sensor, node):
-        if part is not None:
-            part.done()
-    return finger
 
 
-def _tip(node: Node, T_surface_sensor: np.ndarray) -> Fingertip:
-    options = {
-        "cap": node.number("cap", None),
-        "max_friction": node.positive("max_friction", None),
-        "min_force": node.positive("min_force", 0.1),
-        "T_surface_sensor": T_surface_sensor,
-    }
-    shapes = [shape for shape in ("ellipsoid", "sphere") if shape in node]
-    if len(shapes) != 1:
-        came = " and ".join(shapes) or f"neither{node.misspelt('ellipsoid', 'sphere')}"
-        raise node.fail("", f"expected ellipsoid: [a, b, c] or sphere: r, got {came}")
-    round_tip = shapes[0] == "sphere"
-    sizes = node.positive("sphere") if round_tip else node.vector("ellipsoid", 3)
-    with _at(node, shapes[0]):
-        tip: Fingertip = Sphere(sizes, **options) if round_tip else Ellipsoid(sizes, **options)
-    node.done()
-    return tip
-
-
-def _calibration(sensor: Node) -> WrenchCalibration:
-    bias = sensor.section("bias")
-    calibration = WrenchCalibration(
-        bias_force=np.zeros(3) if bias is None else bias.vector("force", 3, np.zeros(3)),
-        bias_torque=np.zeros(3) if bias is None else bias.vector("torque", 3, np.zeros(3)),
-        mass=sensor.least("tip_mass", 0.0),
-        center_of_mass=sensor.vector("tip_center", 3, np.zeros(3)),
+def _calibration(sensor: SensorForm) -> WrenchCalibration:
+    bias = sensor.bias
+    return WrenchCalibration(
+        bias_force=np.zeros(3) if bias is None else np.array(bias.force, dtype=np.float64),
+        bias_torque=np.zeros(3) if bias is None else np.array(bias.torque, dtype=np.float64),
+        mass=sensor.tip_mass,
+        center_of_mass=np.array(sensor.tip_center, dtype=np.float64),
         residual_force=np.zeros(3),
         residual_torque=np.zeros(3),
         condition=1.0,
-        reading=sensor.one_of("reading", ("on_sensor", "on_tip")),
+        reading=sensor.reading,
     )
-    if bias is not None:
-        bias.done()
-    if calibration.mass > 2:
-        raise sensor.fail("tip_mass", f"expected kilograms, got {calibration.mass:g} (grams?)")
-    return calibration
 
 
-def _camera(node: Node | None) -> Camera | None:
-    if node is None:
-        return None
-    intrinsics = size = None
-    lens = node.section("intrinsics")
-    if lens is not None:
-        fx, fy, cx, cy = (lens.positive(key) for key in ("fx", "fy", "cx", "cy"))
-        intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-        size = (int(lens.positive("width")), int(lens.positive("height")))
-        lens.done()
-    usual = Camera()
-    noise = node.section("noise")
-    constant = node.section("constant_error")
-    sigma = [(usual.sigma_position, usual.sigma_rotation)]
-    sigma += [(usual.sigma_position_constant, usual.sigma_rotation_constant)]
-    for i, part in enumerate((noise, constant)):
-        if part is not None:
-            sigma[i] = (part.least("position", sigma[i][0]), part.angle("rotation_deg", sigma[i][1]))
-            part.done()
-    camera = Camera(
-        on=node.one_of("fixed_to", ("world", "palm"), "world"),
-        T_mount_camera=node.pose("pose"),
-        intrinsics=intrinsics,
-        size=size,
-        sigma_position=sigma[0][0],
-        sigma_rotation=sigma[0][1],
-        sigma_position_constant=sigma[1][0],
-        sigma_rotation_constant=sigma[1][1],
+def _camera(form: CameraForm) -> Camera:
+    sigmas = {} if form.noise is None else form.noise.given()
+    if form.constant_error is not None:
+        sigmas |= {f"{name}_constant": value for name, value in form.constant_error.given().items()}
+    k = form.intrinsics
+    return Camera(
+        on=form.fixed_to,
+        T_mount_camera=_matrix(form.pose),
+        intrinsics=None if k is None else np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]]),
+        size=None if k is None else (int(k.width), int(k.height)),
+        **sigmas,
     )
-    node.done()
-    return camera
 
 
-def _table(node: Node | None) -> Table | None:
-    if node is None:
-        return None
-    usual = Table(height=0.0)
-    table = Table(
-        height=node.number("height"),
-        sigma_height=node.positive("sigma_height", usual.sigma_height),
-        sigma_tilt=node.angle("sigma_tilt_deg", usual.sigma_tilt),
+def _topics(form: RigForm, file: YamlFile) -> Topics:
+    said = {} if form.topics is None else form.topics.given()
+    for name in said.get("wrenches", ()):
+        if name not in form.fingers:
+            unknown = f"unknown finger{checks.among(name, form.fingers)}"
+            raise file.wrong(("topics", "wrenches", name), unknown)
+    return Topics(**({"wrenches": {name: f"/{name}/wrench" for name in form.fingers}} | said))
+
+
+def _object(form: ObjectForm, folder: Path) -> ObjectEntry:
+    cylinder = form.cylinder
+    return ObjectEntry(
+        box=form.box,
+        cylinder=None if cylinder is None else (cylinder.radius, cylinder.height),
+        mesh=None if form.mesh is None else folder / form.mesh,
+        scale=1.0 if form.scale is None else form.scale,
     )
-    node.done()
-    return table
 
 
-def _gravity(world: Node) -> np.ndarray:
-    gravity = world.vector("gravity", 3, np.array([0.0, 0.0, -9.81]))
-    length = float(np.linalg.norm(gravity))
-    if not 1.5 <= length <= 30:
-        raise world.fail("gravity", f"expected a vector of 1.5 to 30 m/s², got length {length:.3g}")
-    return np.asarray(gravity)
+def _world_from(world: WorldForm) -> Literal["tf", "joints"] | None:
+    return None if world.palm_from == "nowhere" else world.palm_from
 
 
-def _world_from(world: Node) -> Literal["tf", "joints"] | None:
-    known: dict[str, Literal["tf", "joints"] | None] = {"tf": "tf", "joints": "joints", "nowhere": None}
-    return known[world.one_of("palm_from", known, "tf")]
-
-
-def _frames(node: Node | None) -> dict[str, str]:
-    names = {"world": "world", "palm": "palm", "camera": "camera"}
-    if node is not None:
-        names = {role: node.text(role, name) for role, name in names.items()}
-        node.done()
-    return names
-
-
-def _topics(node: Node | None, fingers: tuple[str, ...]) -> Topics:
-    usual = Topics()
-    if node is None:
-        return Topics(wrenches={name: f"/{name}/wrench" for name in fingers})
-    wrenches = {}
-    heard = node.section("wrenches")
-    for name in fingers if heard is None else heard.keys:
-        if name not in fingers and heard is not None:
-            raise heard.fail(name, f"unknown finger{among(name, fingers)}")
-        wrenches[name] = f"/{name}/wrench" if heard is None else heard.text(name)
-    others = {
-        key: node.text(key, getattr(usual, key))
-        for key in ("joint_states", "vision", "tf", "color", "depth", "camera_info", "truth")
-    }
-    node.done()
-    return Topics(wrenches=wrenches, **others)
-
-
-def _objects(node: Node | None, folder: Path) -> dict[str, ObjectEntry]:
-    if node is None:
-        return {}
-    return {name: _object(_entry(node, name), folder) for name in node.keys}
-
-
-def _object(node: Node, folder: Path) -> ObjectEntry:
-    kinds = [kind for kind in ("box", "cylinder", "mesh") if kind in node]
-    if len(kinds) != 1:
-        came = " and ".join(kinds) or f"none{node.misspelt('box', 'cylinder', 'mesh')}"
-        raise node.fail("", f"expected one of box, cylinder, mesh, got {came}")
-    box = node.vector("box", 3, None)
-    cylinder, mesh = node.section("cylinder"), node.text("mesh", None)
-    size = None
-    if cylinder is not None:
-        size = (cylinder.positive("radius"), cylinder.positive("height"))
-        cylinder.done()
-    if box is not None and not (box > 0).all():
-        raise node.fail("box", f"expected 3 sides above 0, got {box.tolist()}")
-    entry = ObjectEntry(
-        box=None if box is None else (float(box[0]), float(box[1]), float(box[2])),
-        cylinder=size,
-        mesh=None if mesh is None else folder / mesh,
-        scale=node.positive("scale", 1.0) if mesh is not None else 1.0,
-    )
-    node.done()
-    return entry
+def _matrix(pose: PoseForm | None) -> Array:
+    return np.eye(4) if pose is None else pose.matrix()

@@ -11,7 +11,8 @@ from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
 from handsight.errors import InvalidFile
 from handsight.hand.paths import PACKAGE
-from handsight.rig.parts import Camera, Finger, ObjectEntry, Rig
+from handsight.rig.parts import Camera, Finger, ObjectEntry
+from handsight.rig.rig import Rig
 
 
 def write(rig: Rig, path: Path) -> None:

@@ -1,31 +1,89 @@
-"""A YAML file as a tree that knows its lines: each value is asked for once, by name and kind.
+"""A YAML file as plain values that know their lines: every error is `file:line: field: expected ..., got ...`."""
 
-What was never asked for is an unknown key. Every error is `file:line: path: expected ..., got ...`.
-"""
-
-import difflib
-from collections.abc import Callable, Iterable
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
+import msgspec
 
-from handsight import checks, se3
-from handsight.checks import Array
-from handsight.errors import HandsightError, InvalidFile, MissingExtra
+from handsight import checks
+from handsight.errors import InvalidFile, MissingExtra
+from handsight.explain import Path as FieldPath
+from handsight.explain import explain, named
 
 LARGEST_FILE = 1 << 20
 """Bytes; a rig is a page or two."""
-FARTHEST = 100.0
-"""Nothing of a rig is farther away than this [m]; beyond it the unit is wrong."""
 MOST_VALUES = 50_000
 """In a file, aliases written out: of a few lines they can make billions."""
 
-_ABSENT = object()
+Form = TypeVar("Form", bound=msgspec.Struct)
 
 
-def load(path: Path) -> "Node":
-    """The file's mapping; raises InvalidFile where it is none."""
+class YamlFile:
+    """The values of a file whose outermost is a mapping."""
+
+    def __init__(self, path: Path) -> None:
+        """Reads the file; raises InvalidFile where it is no mapping of names to values, MissingExtra."""
+        self.path = path
+        self._marked = _loaded(path)
+        try:
+            size = _size(self._marked, path, {})
+        except RecursionError:
+            raise InvalidFile(f"{path}: expected YAML, got: too deep") from None
+        if size > MOST_VALUES:
+            raise InvalidFile(
+                f"{path}: expected at most {MOST_VALUES} values, got more (aliases of aliases?)"
+            )
+        self.values = self._plain(self._marked, ())
+
+    def read(self, form: type[Form]) -> Form:
+        """The file's values in a form; raises InvalidFile for the first that is not as the form wants it."""
+        try:
+            return msgspec.convert(self.values, form)
+        except msgspec.ValidationError as error:
+            raise self.wrong(*explain(error, form, self.values)) from None
+
+    def wrong(self, field: FieldPath, said: str) -> InvalidFile:
+        """The error that tells what is wrong with a field, at its line."""
+        return InvalidFile(f"{self.path}:{self.line(field)}: {named(field) or 'file'}: {said}")
+
+    def line(self, field: FieldPath) -> int:
+        """The line of a field; of what it would be in, where it is not there."""
+        value, line = self._marked, 1
+        for step in field:
+            marks = getattr(getattr(value, "lc", None), "data", None) or {}
+            try:
+                value = value[step]
+            except (KeyError, IndexError, TypeError):
+                break
+            if step in marks:
+                line = int(marks[step][0]) + 1
+            elif hasattr(value, "lc"):  # merged in from another mapping
+                line = int(value.lc.line) + 1
+        return line
+
+    def _plain(self, value: Any, field: FieldPath) -> Any:
+        """YAML's own mappings, lists and numbers as Python's; raises InvalidFile for numbers that are not finite."""
+        if isinstance(value, dict):
+            return {str(key): self._plain(part, (*field, key)) for key, part in value.items()}
+        if isinstance(value, list):
+            return [self._plain(part, (*field, i)) for i, part in enumerate(value)]
+        if isinstance(value, bool):
+            return value
+        if isinstance(value, int) and value.bit_length() > 64:
+            raise self.wrong(
+                field, f"expected a finite number, got a whole number of {value.bit_length()} bits"
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self.wrong(field, f"expected a finite number, got {float(value)}")
+        for kind in (int, float, str):
+            if isinstance(value, kind):
+                return kind(value)
+        return value
+
+
+def _loaded(path: Path) -> Any:
+    """The file's mapping with the lines of its keys, as ruamel.yaml's CommentedMap."""
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.comments import CommentedMap
@@ -50,14 +108,8 @@ def load(path: Path) -> "Node":
         said = str(error) or "too deep"
         raise InvalidFile(f"{path}: expected YAML, got: {said.splitlines()[0]:.200}") from None
     if not isinstance(value, CommentedMap):
-        raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(plain(value))}")
-    try:
-        size = _size(value, path, {})
-    except RecursionError:
-        raise InvalidFile(f"{path}: expected YAML, got: too deep") from None
-    if size > MOST_VALUES:
-        raise InvalidFile(f"{path}: expected at most {MOST_VALUES} values, got more (aliases of aliases?)")
-    return Node(path, value, "", 1)
+        raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(value)}")
+    return value
 
 
 def _size(value: Any, path: Path, known: dict[int, int], line: int = 1) -> int:
@@ -76,157 +128,8 @@ def _size(value: Any, path: Path, known: dict[int, int], line: int = 1) -> int:
         known[id(value)] = MOST_VALUES  # for as long as it is not known: what holds itself has no end
         for key in value if isinstance(value, dict) else ():
             if not isinstance(key, str):
-                said = f"expected names as keys, got {checks.brief(plain(key))} (not quoted?)"
+                said = f"expected names as keys, got {checks.brief(key)} (not quoted?)"
                 raise InvalidFile(f"{path}:{line}: {said}")
         parts = list(value.values() if isinstance(value, dict) else value)
         known[id(value)] = 1 + sum(_size(part, path, known, line) for part in parts)
     return known[id(value)]
-
-
-class Node:
-    """One mapping of the file."""
-
-    def __init__(self, file: Path, value: Any, path: str, line: int) -> None:
-        """`path`: where it is, in words; `line`: its first."""
-        self.file, self.path, self.line = file, path, line
-        self._value, self._asked = value, set[str]()
-
-    def fail(self, key: str, said: str) -> InvalidFile:
-        """An error at a key, or at this mapping where the key is empty."""
-        place = (self._value.lc.data or {}).get(key)  # what was merged in has none
-        line = self.line if place is None else place[2] + 1
-        return InvalidFile(f"{self.file}:{line}: {self._name(key)}: {said}")
-
-    def _name(self, key: str) -> str:
-        return ".".join(part for part in (self.path, str(key)) if part) or "file"
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._value
-
-    @property
-    def keys(self) -> list[str]:
-        """Names the mapping gives, for mappings whose keys are free."""
-        return [str(key) for key in self._value]
-
-    def _get(self, key: str, default: Any) -> Any:
-        self._asked.add(key)
-        value = self._value.get(key, _ABSENT)
-        if value is _ABSENT:
-            if default is _ABSENT:
-                raise self.fail(key, f"expected, got nothing{self.misspelt(key)}")
-            return default
-        return value
-
-    def misspelt(self, *keys: str) -> str:
-        """A question whether a key that nobody has asked for was meant as one of these; empty where none is alike."""
-        for spare in (str(key) for key in self._value if key not in self._asked):
-            if difflib.get_close_matches(spare, keys, n=1, cutoff=0.7):
-                return f" (is {spare!r} meant for it?)"
-        return ""
-
-    def checked(self, key: str, default: Any, check: Callable[[Any, str], Any]) -> Any:
-        """The value as `check(value, name)` returns it; the default is not checked."""
-        value = self._get(key, default)
-        if value is default:
-            return default
-        try:
-            return check(plain(value), self._name(key))
-        except HandsightError as error:
-            said = str(error).removeprefix(f"{self._name(key)}: ")
-            said += " (a text)" if isinstance(value, str) and check is not _text else ""
-            raise self.fail(key, said) from None
-
-    def section(self, key: str) -> "Node | None":
-        """A mapping under a key; None where it is absent."""
-        value = self._get(key, None)
-        return None if value is None else self._mapping(key, value)
-
-    def needed(self, key: str) -> "Node":
-        """A mapping that must be there."""
-        return self._mapping(key, self._get(key, _ABSENT))
-
-    def _mapping(self, key: str, value: Any) -> "Node":
-        if not hasattr(value, "lc") or not hasattr(value, "keys"):
-            raise self.fail(key, f"expected keys and values, got {checks.brief(plain(value))}")
-        return Node(self.file, value, self._name(key), value.lc.line + 1)
-
-    def text(self, key: str, default: Any = _ABSENT) -> Any:
-        """A text that is not empty."""
-        return self.checked(key, default, _text)
-
-    def one_of(self, key: str, names: Iterable[str], default: Any = _ABSENT) -> Any:
-        """One of some names."""
-        value = self.text(key, default)
-        if value is not default and value not in names:
-            raise self.fail(
-                key, f"expected one of {', '.join(names)}, got {value!r}{checks.among(value, names)}"
-            )
-        return value
-
-    def number(self, key: str, default: Any = _ABSENT) -> Any:
-        """A finite number."""
-        return self.checked(key, default, lambda v, name: float(checks.finite(v, name, ())))
-
-    def positive(self, key: str, default: Any = _ABSENT) -> Any:
-        """A number above zero."""
-        return self.checked(key, default, checks.positive)
-
-    def least(self, key: str, default: Any = _ABSENT) -> Any:
-        """A number, at least zero."""
-        return self.checked(key, default, _least)
-
-    def angle(self, key: str, default: float) -> float:
-        """Degrees of the file, at least zero, as radians; the default is in radians."""
-        value = self.least(key, None)
-        return default if value is None else float(np.deg2rad(value))
-
-    def vector(self, key: str, size: int, default: Any = _ABSENT) -> Any:
-        """So many finite numbers."""
-        return self.checked(key, default, lambda v, name: checks.finite(v, name, (size,)))
-
-    def pose(self, key: str) -> Array:
-        """`{position, quaternion_xyzw}` as (4, 4); the identity where absent."""
-        node = self.section(key)
-        if node is None:
-            return np.eye(4)
-        position = node.vector("position", 3, np.zeros(3))
-        if np.abs(position).max() > FARTHEST:
-            raise node.fail("position", f"expected metres, got {position.tolist()} (millimetres?)")
-        quaternion = node.checked(
-            "quaternion_xyzw", np.array([0.0, 0.0, 0.0, 1.0]), lambda v, name: checks.unit(v, name, (4,))
-        )
-        node.done()
-        return se3.compose(se3.rotation_from_quaternion(quaternion), position)
-
-    def done(self) -> None:
-        """Raises for the first key that nobody asked for."""
-        for key in self._value:
-            if key not in self._asked:
-                raise self.fail(key, f"unknown key{checks.among(str(key), self._asked)}")
-
-
-def plain(value: Any) -> Any:
-    """YAML's own lists and numbers as Python's; what is neither stays and fails its check."""
-    if isinstance(value, list):
-        return [plain(item) for item in value]
-    if isinstance(value, bool):
-        return value
-    if isinstance(value, int) and value.bit_length() > 64:
-        return f"a whole number of {value.bit_length()} bits"
-    for kind in (int, float, str):
-        if isinstance(value, kind):
-            return kind(value)
-    return value
-
-
-def _text(value: Any, name: str) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise InvalidFile(f"{name}: expected a text, got {checks.brief(value)}")
-    return value
-
-
-def _least(value: Any, name: str) -> float:
-    number = float(checks.finite(value, name, ()))
-    if number < 0:
-        raise InvalidFile(f"{name}: expected a number of at least 0, got {number:g}")
-    return number
