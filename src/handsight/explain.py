@@ -38,9 +38,17 @@ def named(path: Path) -> str:
 
 def explain(error: msgspec.ValidationError, form: Any, value: Any) -> tuple[Path, str]:
     """Where `value` is not of the `form` that msgspec wanted, and the sentence about it."""
-    said, _, where = str(error).partition(" - at `$")
+    said, mark, where = str(error).rpartition(" - at `$")
+    said, where = (said, where) if mark else (where, "")
+    try:
+        return _located(said, re.findall(r"\.{3}|[^.\[\]`]+", where), form, value)
+    except (LookupError, TypeError, ValueError):  # an unknown key that reads like msgspec's own words
+        return _sentence(str(error), (), form, value)
+
+
+def _located(said: str, steps: list[str], form: Any, value: Any) -> tuple[Path, str]:
     path: Path = ()
-    for text in re.findall(r"\.{3}|[^.\[\]`]+", where):
+    for text in steps:
         if text == "...":  # an entry of a mapping whose keys are free: msgspec does not say which
             name, (inner, said) = _first_wrong_entry(_part(form, text), value)
             return (*path, name, *inner), said
