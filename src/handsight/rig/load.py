@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
 from handsight.rig.form import (
     VERSION,
+    BiasForm,
     CameraForm,
     FingerForm,
     FramesForm,
@@ -47,7 +48,7 @@ def load(path: Path, make: Callable[..., Rig]) -> Rig:
         camera=None if form.camera is None else _camera(form.camera),
         table=None if form.table is None else Table(**form.table.given()),
         gravity=np.array(world.gravity, dtype=np.float64),
-        world_from=_world_from(world),
+        world_from=None if world.palm_from == "nowhere" else world.palm_from,
         frames=(form.frames or FramesForm()).given(),
         topics=_topics(form, file),
         objects={name: _object(said, path.parent) for name, said in (form.objects or {}).items()},
@@ -91,10 +92,10 @@ def _finger(form: FingerForm) -> Finger:
 
 
 def _calibration(sensor: SensorForm) -> WrenchCalibration:
-    bias = sensor.bias
+    bias = sensor.bias or BiasForm()
     return WrenchCalibration(
-        bias_force=np.zeros(3) if bias is None else np.array(bias.force, dtype=np.float64),
-        bias_torque=np.zeros(3) if bias is None else np.array(bias.torque, dtype=np.float64),
+        bias_force=np.array(bias.force, dtype=np.float64),
+        bias_torque=np.array(bias.torque, dtype=np.float64),
         mass=sensor.tip_mass,
         center_of_mass=np.array(sensor.tip_center, dtype=np.float64),
         residual_force=np.zeros(3),
@@ -135,10 +136,6 @@ def _object(form: ObjectForm, folder: Path) -> ObjectEntry:
         mesh=None if form.mesh is None else folder / form.mesh,
         scale=1.0 if form.scale is None else form.scale,
     )
-
-
-def _world_from(world: WorldForm) -> Literal["tf", "joints"] | None:
-    return None if world.palm_from == "nowhere" else world.palm_from
 
 
 def _matrix(pose: PoseForm | None) -> Array:
