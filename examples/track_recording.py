@@ -6,7 +6,7 @@ from pathlib import Path
 
 import handsight as hs
 from handsight.recording import RecordingWriter, TrackRow, open_recording, write_track_mcap, write_track_tum
-from handsight.rig.writing import write as write_rig
+from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of, simulate
 
 temporary = tempfile.TemporaryDirectory()

@@ -19,7 +19,7 @@ from handsight.calibrate_job import calibrate_camera
 from handsight.cli import main
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.rig import Rig
-from handsight.rig.writing import write as write_rig
+from handsight.rig.save import write as write_rig
 from handsight.simulate_job import nuisances
 from handsight.track_job import run, write
 from handsight.tracking import TrackerSettings

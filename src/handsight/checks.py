@@ -96,5 +96,8 @@ def among(name: str, valid: Iterable[str]) -> str:
 
 def brief(value: object) -> str:
     """`value` in at most 80 characters, in JSON's list form."""
-    text = str(value.tolist() if isinstance(value, np.ndarray) else value)
+    try:
+        text = str(value.tolist() if isinstance(value, np.ndarray) else value)
+    except ValueError:  # Python does not write whole numbers of thousands of digits
+        text = "a whole number of thousands of digits"
     return text if len(text) <= 80 else text[:77] + "..."

@@ -163,7 +163,7 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     says where the object is. Printed: the camera's corrected pose for the rig file, and how well it is known.
     """
     from handsight.calibrate_job import LITTLE_TURN, calibrate_camera
-    from handsight.rig.writing import pose_text
+    from handsight.rig.save import pose_text
 
     found, model = _rig_and_object(recording, rig, object)
     calibrated = calibrate_camera(recording, found, model)

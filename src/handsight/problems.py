@@ -19,6 +19,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import METHODS, PoseEstimate, PosePrior, correct_pose
 from handsight.errors import HandsightError, InvalidInput
+from handsight.explain import explain, named
 from handsight.objects import ObjectModel
 
 MODELS_KEPT = 32
@@ -198,7 +199,8 @@ def _fields(line: bytes) -> ProblemFields:
     try:
         return msgspec.convert(raw, ProblemFields)
     except msgspec.ValidationError as error:
-        raise InvalidInput(_explained(str(error), raw)) from None
+        field, said = explain(error, ProblemFields, raw)
+        raise InvalidInput(f"{named(field)}: {said}") from None
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -207,25 +209,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if twice:
         raise InvalidInput(f"{sorted(twice)[0]}: expected once, got it twice in one object")
     return dict(pairs)
-
-
-def _explained(message: str, raw: Any) -> str:
-    """msgspec's message with the field first and what came last."""
-    what, _, where = message.partition(" - at `$")
-    path = where.rstrip("`").lstrip(".")
-    unknown = re.match(r"Object contains unknown field `(.*)`", what)
-    if unknown:
-        return f"{path or 'line'}: unknown key {unknown[1]!r}"
-    missing = re.match(r"Object missing required field `(.*)`", what)
-    if missing:
-        return f"{f'{path}.' if path else ''}{missing[1]}: expected, got nothing"
-    value = raw
-    for step in re.findall(r"[^.\[\]]+", path):
-        value = value[int(step)] if isinstance(value, list) else value[step]
-    expected = (
-        what.partition(", got")[0].replace("`", "").replace(" | null", "").replace("Expected", "expected")
-    )
-    return f"{path}: {expected}, got {checks.brief(value)}"
 
 
 def _contacts(rows: list[ContactFields]) -> Contacts:

@@ -8,7 +8,7 @@ from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.recording import RecordingWriter
 from handsight.rig import ObjectEntry, Rig
-from handsight.rig.writing import write as write_rig
+from handsight.rig.save import write as write_rig
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
 from handsight.terminal import bar
 

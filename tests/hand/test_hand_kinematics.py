@@ -1,4 +1,4 @@
-"""Where the tips are and how they move, against two other programs, a product of exponentials and differences."""
+"""Where the tips are and how they move, against yourdfpy, a product of exponentials and central differences."""
 
 import pickle
 import threading
@@ -9,15 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hand.hands import ALLEGRO_TIPS, SHADOW_TIPS, allegro_file, shadow_file, within_limits
+from hand.hands import ALLEGRO_TIPS, SHADOW, SHADOW_TIPS, allegro_file, shadow_file, within_limits
 from handsight import se3
 from handsight._kernels import chain
-from handsight.hand import Hand, _plain
-
-
-def plain_poses(chains, positions):
-    values = np.array([positions[name] for name in chains.joints])
-    return _plain.poses(values, chains.starts, chains.columns, chains.steps, chains.homes)
+from handsight.hand import Hand
+from oracles import product_of_exponentials
 
 
 @pytest.mark.parametrize("palm", ["base_link", "palm", "link_5.0"])
@@ -85,37 +81,39 @@ MJCF = """<mujoco><compiler fusestatic="true" discardvisual="true"/><worldbody>
 </worldbody></mujoco>"""
 
 
-def test_joints_with_anchors_references_and_several_to_a_body_are_where_mujoco_has_them(tmp_path, rng):
+def test_joints_with_anchors_references_and_several_to_a_body_are_where_a_product_of_exponentials_has_them(
+    tmp_path, rng
+):
     mujoco = pytest.importorskip("mujoco")
     (tmp_path / "robot.xml").write_text(MJCF)
     hand = Hand.from_file(tmp_path / "robot.xml", palm="palm", tips={"f": "tip"})
     model = mujoco.MjModel.from_xml_string(MJCF.replace('"true"', '"false"'))
-    data = mujoco.MjData(model)
     for _ in range(10):
-        data.qpos[:] = rng.uniform(-1, 1, 3)
-        mujoco.mj_forward(model, data)
-        T_palm_world = se3.inverse(se3.compose(data.xmat[1].reshape(3, 3), data.xpos[1]))
-        expected = T_palm_world @ se3.compose(data.xmat[3].reshape(3, 3), data.xpos[3])
-        positions = dict(zip(("first", "second", "third"), data.qpos, strict=True))
-        np.testing.assert_allclose(hand.Ts_palm_tip(positions)[0], expected, atol=1e-9)
+        positions = dict(zip(("first", "second", "third"), rng.uniform(-1, 1, 3), strict=True))
+        expected = product_of_exponentials.poses_between(model, positions, "palm", ["tip"])
+        np.testing.assert_allclose(hand.Ts_palm_tip(positions), expected, atol=1e-13)
+        assert_jacobians_are_derivatives(hand, positions, 0.1 * rng.normal(size=(1, 3)))
     assert hand.limits.tolist() == [[-np.inf, np.inf]] * 3
 
 
-def test_the_kernels_agree_with_their_meaning(shadow_hand, robot, rng):
-    for hand in (shadow_hand, robot):
+@pytest.mark.parametrize("palm", ["robot0:palm", "robot0:ffmiddle"])
+def test_the_shadow_hands_tips_are_where_a_product_of_exponentials_has_them(palm, rng):
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(shadow_file()))
+    hand = Hand.from_file(SHADOW, palm=palm, tips=SHADOW_TIPS)
+    for _ in range(5):
         positions = within_limits(hand, rng)
-        pose = hand.kinematics(positions)
-        Ts, axes = plain_poses(pose.chains, positions)
-        np.testing.assert_allclose(pose.Ts_palm_tip, Ts, atol=1e-13)
-        np.testing.assert_allclose(pose.axes_palm, axes, atol=1e-13)
-        tips = rng.integers(len(hand.tips), size=7)
-        points, out = rng.normal(size=(7, 3)), np.zeros((7, 6, len(hand.moving)))
-        c = pose.chains
-        _plain.jacobians(points, tips, c.starts, c.columns, c.steps, axes, out)
-        np.testing.assert_allclose(pose.jacobians(points, tips), out, atol=1e-13)
-        carried = np.empty((7, 3))
-        chain.carried(points, tips, pose.Ts_palm_tip, carried)
-        np.testing.assert_allclose(carried, _plain.carried(points, tips, Ts), atol=1e-13)
+        expected = product_of_exponentials.poses_between(model, positions, palm, SHADOW_TIPS.values())
+        np.testing.assert_allclose(hand.Ts_palm_tip(positions), expected, atol=1e-13)
+
+
+def test_points_are_carried_with_the_bodies_they_are_fixed_on(shadow_hand, rng):
+    Ts = shadow_hand.Ts_palm_tip(within_limits(shadow_hand, rng))
+    bodies, points, carried = rng.integers(5, size=7), rng.normal(size=(7, 3)), np.empty((7, 3))
+    chain.carried(points, bodies, Ts, carried)
+    np.testing.assert_allclose(
+        carried, [se3.apply(Ts[i], p[None])[0] for i, p in zip(bodies, points, strict=True)]
+    )
 
 
 def assert_jacobians_are_derivatives(hand, positions, points_tip, step=1e-5):

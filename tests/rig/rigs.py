@@ -8,7 +8,7 @@ from handsight import se3
 from handsight.contact import Ellipsoid, Sphere, WrenchCalibration
 from handsight.hand import Hand
 from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
-from handsight.rig.writing import text
+from handsight.rig.save import text
 
 URDF = """<robot name="pinch">
   <link name="palm"/><link name="index_tip"/><link name="thumb_tip"/>

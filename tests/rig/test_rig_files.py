@@ -13,7 +13,7 @@ from handsight.contact import Ellipsoid, Sphere, WrenchCalibration
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.hand import Hand
 from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
-from handsight.rig.writing import text, write
+from handsight.rig.save import text, write
 from rig.rigs import TIPS, URDF, full, hand, rig_text
 
 VALUES = (Rig, Finger, Camera, Table, Topics, ObjectEntry, WrenchCalibration)

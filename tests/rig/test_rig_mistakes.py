@@ -6,7 +6,7 @@ import pytest
 
 from handsight.errors import HandsightError, InvalidFile
 from handsight.rig import Rig
-from handsight.rig.tree import LARGEST_FILE
+from handsight.rig.yaml_file import LARGEST_FILE
 from rig.rigs import rig_text
 
 
@@ -41,7 +41,7 @@ MISTAKES = [
     ('world: "map"', 'earth: "map"', "frames.earth: unknown key; valid: camera, palm, world"),
     ("version: 1", "version: 2", "version: expected 1, got 2"),
     ("version: 1", "version: one", "version: expected a finite number, got one (a text)"),
-    ("fingers:\n", "fingers: {}\nfigners:\n", "fingers: expected at least one finger, got none"),
+    ("fingers:\n", "figners:\n", "figners: unknown key; the nearest valid one is 'fingers'"),
     ("fingers:\n", "fingers: 5\nfigners:\n", "fingers: expected keys and values, got 5"),
     ("fingers:\n", "fingers: [a]\nfigners:\n", "fingers: expected keys and values, got ['a']"),
     ('palm: "palm"', 'palm: "plam"', "hand.palm: expected a body of pinch.urdf, got 'plam' (did you mean 'palm'?)"),
@@ -56,23 +56,30 @@ MISTAKES = [
     ("  height: ", "  height: 0 mm #", "table.height: expected a finite number, got 0 mm (a text)"),
     ("sigma_height: ", "sigma_height: 0 #", "table.sigma_height: expected a number above 0, got 0"),
     ("tip_mass: ", "tip_mass: 4 #", "fingers.index.sensor.tip_mass: expected kilograms, got 4 (grams?)"),
-    ("surface: {position: [", "surface: {position: [16.5e+3, 0, 0], rotation: [", "fingers.index.surface.position: expected metres, got [16500.0, 0.0, 0.0] (millimetres?)"),
+    ("surface: {position: [", "surface: {position: [16.5e+3, 0, 0]} #", "fingers.index.surface.position: expected metres, got [16500.0, 0.0, 0.0] (millimetres?)"),
     ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [9, 9, 14.5]", "fingers.index.tip.ellipsoid: semi_axes[0]: expected metres, at most 0.2, got 9 (millimetres?)"),
-    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, true, 0.02]", "fingers.index.tip.ellipsoid: expected 3 finite numbers, got [0.009, True, 0.02]"),
-    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, '0.01', 0.02]", "fingers.index.tip.ellipsoid: expected 3 finite numbers, got [0.009, '0.01', 0.02]"),
-    ("ellipsoid: [0.009, 0.01, 0.02]", "elipsoid: [0.009, 0.01, 0.02]", "fingers.index.tip: expected ellipsoid: [a, b, c] or sphere: r, got neither (is 'elipsoid' meant for it?)"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, true, 0.02]", "fingers.index.tip.ellipsoid[1]: expected a finite number, got True"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, '0.01', 0.02]", "fingers.index.tip.ellipsoid[1]: expected a finite number, got 0.01 (a text)"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "elipsoid: [0.009, 0.01, 0.02]", "fingers.index.tip.elipsoid: unknown key; the nearest valid one is 'ellipsoid'"),
     ("ellipsoid: [0.009, 0.01, 0.02]", "sphere: 1, ellipsoid: [1, 1, 1]", "fingers.index.tip: expected ellipsoid: [a, b, c] or sphere: r, got ellipsoid and sphere"),
-    ("full_scale: [30, 0.7]", "full_scale: [30, 0]", "fingers.index.sensor.full_scale: expected newtons and newton metres above 0, got [30.0, 0.0]"),
+    ("full_scale: [30, 0.7]", "full_scale: [30, 0]", "fingers.index.sensor.full_scale[1]: expected a number above 0, got 0"),
     ("reading: on_sensor", "reading: on_senser", "fingers.index.sensor.reading: expected one of on_sensor, on_tip, got 'on_senser'; the nearest valid one is 'on_sensor'"),
     ("fixed_to: palm", "fixed_to: wrist", "camera.fixed_to: expected one of world, palm, got 'wrist'; valid: palm, world"),
     ("palm_from: joints", "palm_from: sky", "world.palm_from: expected one of tf, joints, nowhere, got 'sky'"),
     ("gravity: [0.1, 9.7, 0.004]", "gravity: [0, 0, -981]", "world.gravity: expected a vector of 1.5 to 30 m/s², got length 981"),
     ("gravity: [0.1, 9.7, 0.004]", "gravity: [0, 0]", "world.gravity: expected 3 finite numbers, got [0, 0]"),
     ('"index": "/a"', '"indx": "/a"', "topics.wrenches.indx: unknown finger; the nearest valid one is 'index'"),
-    ("{box: [0.1,", "{box: [-0.1,", "objects.a box.box: expected 3 sides above 0, got [-0.1, 0.7, 0.004]"),
-    ("{box: [0.1, 0.7, 0.004]}", "{boks: [1, 1, 1]}", "objects.a box: expected one of box, cylinder, mesh, got none"),
+    ("{box: [0.1,", "{box: [-0.1,", "objects.a box.box[0]: expected a number above 0, got -0.1"),
+    ("{box: [0.1, 0.7, 0.004]}", "{boks: [1, 1, 1]}", "objects.a box.boks: unknown key; the nearest valid one is 'box'"),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], mesh: a.stl}", "objects.a box: expected one of box, cylinder, mesh, got box and mesh"),
-    ("{radius: 0.1,", "{radios: 0.1,", "objects.tin.cylinder.radius: expected, got nothing (is 'radios' meant for it?)"),
+    ("{radius: 0.1,", "{radios: 0.1,", "objects.tin.cylinder.radios: unknown key; the nearest valid one is 'radius'"),
+    ("{radius: 0.1,", "{", "objects.tin.cylinder.radius: expected, got nothing"),
+    ("{box: [0.1, 0.7, 0.004]}", "{}", "objects.a box: expected one of box, cylinder, mesh, got none"),
+    ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], scale: 2}", "objects.a box.scale: expected beside mesh only, got it beside box"),
+    ("ellipsoid: [0.009, 0.01, 0.02], ", "", "fingers.index.tip: expected ellipsoid: [a, b, c] or sphere: r, got neither"),
+    ("surface: {position: [", "surface: {quaternion_xyzw: [0, 0, 0, 0]} #", "fingers.index.surface.quaternion_xyzw: expected a direction, got a zero vector"),
+    ('"index": "/a"', '"index": [1]', "topics.wrenches.index: expected a text, got [1]"),
+    ("gravity: [0.1, 9.7, 0.004]", "gravity: 9.81", "world.gravity: expected 3 finite numbers, got 9.81"),
     ("scale: 0.004}", "scale: 0}", "objects.mug.scale: expected a number above 0, got 0"),
     ("pinch.urdf", "none.urdf", "hand.file: {folder}/none.urdf: expected a file, got none of that name"),
     ("pinch.urdf", "a" * 300, "hand.file: {folder}/aaa"),
@@ -96,12 +103,24 @@ def test_a_mistake_is_told_where_it_is(folder, said, old, new, expected):
 
 
 @pytest.mark.parametrize("section", ["version", "hand", "fingers"])
-def test_what_cannot_be_left_out_is_named(folder, said, section):
+def test_what_cannot_be_left_out_is_named_where_its_name_is_misspelt_and_where_it_is_not_there(
+    folder, said, section
+):
     line, message = refused(folder, said.replace(f"\n{section}:", f"\nx{section}:", 1))
-    assert (line, message) == (
-        2 if False else line,
-        f"{section}: expected, got nothing (is 'x{section}' meant for it?)",
-    )
+    assert line == said[: said.index(f"\n{section}:")].count("\n") + 2
+    assert message == f"x{section}: unknown key; the nearest valid one is {section!r}"
+    needed = {
+        "version": "version: 1",
+        "hand": "hand: {file: pinch.urdf, palm: palm}",
+        "fingers": "fingers: {}",
+    }
+    message = refused(folder, "\n".join(value for name, value in needed.items() if name != section))[1]
+    assert message == f"{section}: expected, got nothing"
+
+
+def test_a_rig_without_fingers_is_told(folder):
+    said = "version: 1\nhand: {file: pinch.urdf, palm: palm}\nfingers: {}\n"
+    assert refused(folder, said) == (3, "fingers: expected at least one finger, got none")
 
 
 @pytest.mark.parametrize(

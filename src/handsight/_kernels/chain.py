@@ -1,4 +1,4 @@
-"""Where bodies on chains of joints are, and how they move. Twin: `handsight.hand._plain`.
+"""Where bodies on chains of joints are, and how they move.
 
 A chain is a product of exponentials: each joint's axis stands in the base's frame as it lies when all joints are at
 their zero, and the body's pose then is its `home`. What comes first in the chain moves what comes after.

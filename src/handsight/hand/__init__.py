@@ -1,6 +1,6 @@
 """Kinematics: joint positions of a hand to poses of its tips, and points on its surface."""
 
-from handsight.hand.files import HandWarning
+from handsight.hand.description import HandWarning
 from handsight.hand.hand import Hand, HandPose
 from handsight.hand.paths import find_file
 from handsight.hand.surface import HandSurface

@@ -13,7 +13,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of, missing
-from handsight.hand.files import Description, read
+from handsight.hand.description import Description, read
 from handsight.hand.surface import HandSurface, sample, triangles_of
 
 BEYOND = {HINGE: 0.35, SLIDE: 0.02}

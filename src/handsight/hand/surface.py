@@ -32,6 +32,11 @@ class HandSurface:
     chains: Chains
     """Of `bodies`, from the palm."""
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints whose positions it takes to place the points."""
+        return self.chains.joints
+
     def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """(m, 3) where the points are [m]; raises InvalidInput as `Hand.Ts_palm_tip` does.
 

@@ -70,7 +70,7 @@ class Tracker:
         """How often the pose was corrected, and how many observations came after a later one and were left out."""
         self._skin, self.sight, self._memory = Skin(rig), Sight(rig, model), Memory(s.memory)
         self._surface = rig.hand.surface(s.outside, without=self._skin.frames) if s.outside else None
-        self._surface_joints = frozenset(self._surface.chains.joints) if self._surface else frozenset()
+        self._surface_joints = frozenset(self._surface.joints) if self._surface else frozenset()
         self._walk = np.array([s.walk_position**2] * 3 + [s.walk_rotation**2] * 3)
         self._regrasp = np.array([s.regrasp_position**2] * 3 + [s.regrasp_rotation**2] * 3)
         self._grip = Grip()

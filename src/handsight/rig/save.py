@@ -11,7 +11,8 @@ from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
 from handsight.errors import InvalidFile
 from handsight.hand.paths import PACKAGE
-from handsight.rig.values import Camera, Finger, ObjectEntry, Rig
+from handsight.rig.parts import Camera, Finger, ObjectEntry
+from handsight.rig.rig import Rig
 
 
 def write(rig: Rig, path: Path) -> None:
@@ -114,15 +115,12 @@ def _camera(camera: Camera) -> list[str]:
     ]
     if camera.intrinsics is not None and camera.size is not None:
         K, (width, height) = camera.intrinsics, camera.size
-        values = {
-            "width": width,
-            "height": height,
-            "fx": K[0, 0],
-            "fy": K[1, 1],
-            "cx": K[0, 2],
-            "cy": K[1, 2],
-        }
-        lines.append("intrinsics: {" + ", ".join(f"{k}: {_number(v)}" for k, v in values.items()) + "}")
+        values = zip(
+            ("width", "height", "fx", "fy", "cx", "cy"),
+            (width, height, *K[[0, 1, 0, 1], [0, 1, 2, 2]]),
+            strict=True,
+        )
+        lines.append("intrinsics: {" + ", ".join(f"{key}: {_number(value)}" for key, value in values) + "}")
     return lines
 
 

@@ -1,0 +1,116 @@
+"""What is wrong with a file that msgspec refused, in words: which field, what was expected, what came.
+
+A form is a `msgspec.Struct`; its `__post_init__` may raise `ValueError("key: expected ..., got ...")`, told at the key.
+"""
+
+import re
+import types
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
+
+from handsight.checks import among, brief
+
+Path = tuple[str | int, ...]
+"""Keys and places in lists, from the whole file to one value."""
+
+_KINDS = {
+    "object": "keys and values",
+    "array": "a list",
+    "str": "a text",
+    "float": "a finite number",
+    "int": "a whole number",
+    "bool": "true or false",
+}
+_BOUNDS = {
+    ">": "a number above",
+    ">=": "a number of at least",
+    "<": "a number below",
+    "<=": "a number of at most",
+}
+
+
+def named(path: Path) -> str:
+    """A path in words, as `contacts[2].point`; empty for the whole file."""
+    steps = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in path]
+    return "".join(steps).removeprefix(".")
+
+
+def explain(error: msgspec.ValidationError, form: Any, value: Any) -> tuple[Path, str]:
+    """Where `value` is not of the `form` that msgspec wanted, and the sentence about it."""
+    said, mark, where = str(error).rpartition(" - at `$")
+    said, where = (said, where) if mark else (where, "")
+    try:
+        return _located(said, re.findall(r"\.{3}|[^.\[\]`]+", where), form, value)
+    except (LookupError, TypeError, ValueError):  # an unknown key that reads like msgspec's own words
+        return _sentence(str(error), (), form, value)
+
+
+def _located(said: str, steps: list[str], form: Any, value: Any) -> tuple[Path, str]:
+    path: Path = ()
+    for text in steps:
+        if text == "...":  # an entry of a mapping whose keys are free: msgspec does not say which
+            name, (inner, said) = _first_wrong_entry(_part(form, text), value)
+            return (*path, name, *inner), said
+        step = int(text) if isinstance(value, list) else text
+        path, form, value = (*path, step), _part(form, step), value[step]
+    return _sentence(said, path, form, value)
+
+
+def _sentence(said: str, path: Path, form: Any, value: Any) -> tuple[Path, str]:
+    if found := re.fullmatch(r"Object contains unknown field `(.*)`", said, re.DOTALL):
+        return (*path, found[1]), f"unknown key{among(found[1], _fields(form))}"
+    if found := re.fullmatch(r"Object missing required field `(.*)`", said):
+        return (*path, found[1]), "expected, got nothing"
+    if said.startswith("Invalid enum value"):
+        names = [str(name) for kind in _alternatives(form) for name in get_args(kind)]
+        return path, f"expected one of {', '.join(names)}, got {value!r}{among(str(value), names)}"
+    if found := re.match(r"Expected `(\w+)[^`]*`(?: (>=?|<=?) ([\d.]+))?", said):
+        kind, bound, limit = found.groups()
+        expected = f"{_BOUNDS[bound]} {float(limit):g}" if bound else _kind(kind, form)
+        is_text = isinstance(value, str) and kind != "str"
+        return path, f"expected {expected}, got {brief(value)}{' (a text)' if is_text else ''}"
+    if found := re.match(r"(\w+): ", said):
+        return (*path, found[1]), said[found.end() :]
+    return path, said
+
+
+def _kind(kind: str, form: Any) -> str:
+    sizes = [len(get_args(part)) for part in _alternatives(form) if get_origin(part) is tuple]
+    return f"{sizes[0]} finite numbers" if kind == "array" and sizes else _KINDS.get(kind, kind)
+
+
+def _first_wrong_entry(form: Any, entries: dict[str, Any]) -> tuple[str, tuple[Path, str]]:
+    for name, value in entries.items():
+        try:
+            msgspec.convert(value, form)
+        except msgspec.ValidationError as error:
+            return name, explain(error, form, value)
+    raise ValueError("expected a mapping with an entry that is not of the form, got none")
+
+
+def _alternatives(form: Any) -> list[Any]:
+    """The types that a type allows: those of a union, without annotations."""
+    if get_origin(form) is Annotated:
+        return _alternatives(get_args(form)[0])
+    if get_origin(form) in (Union, types.UnionType):
+        return [kind for part in get_args(form) for kind in _alternatives(part)]
+    return [form]
+
+
+def _fields(form: Any) -> dict[str, Any]:
+    """Types of a form's fields by the keys they have in the file."""
+    for kind in _alternatives(form):
+        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+            return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+    return {}
+
+
+def _part(form: Any, step: str | int) -> Any:
+    """The type of what lies under a key, at a place of a list, or in any entry of a mapping."""
+    for kind in _alternatives(form):
+        if get_origin(kind) is tuple:
+            return get_args(kind)[int(step)]
+        if get_origin(kind) not in (None, Literal):
+            return get_args(kind)[-1]
+    return _fields(form).get(str(step))

@@ -1,0 +1,222 @@
+"""What a `rig.yaml` may say, each key with its unit (docs/robots.md has one); what is not said is as the parts have it.
+
+Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
+"""
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta, field
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.contact import Ellipsoid, Fingertip, Sphere
+from handsight.errors import HandsightError
+
+VERSION = 1
+FARTHEST = 100.0
+"""Nothing of a rig is farther away than this [m]; beyond it the unit is wrong."""
+HEAVIEST = 2.0
+"""Of what hangs on a sensor [kg]; beyond it the unit is wrong."""
+
+Positive = Annotated[float, Meta(gt=0)]
+AtLeastZero = Annotated[float, Meta(ge=0)]
+Text = Annotated[str, Meta(pattern=r"\S")]
+Vector = tuple[float, float, float]
+
+
+class Form(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """One mapping of the file."""
+
+    def given(self) -> dict[str, Any]:
+        """What is said, by the names that the parts have for it; degrees as radians."""
+        return {
+            item.name: float(np.deg2rad(value)) if item.encode_name.endswith("_deg") else value
+            for item in msgspec.structs.fields(self)
+            if (value := getattr(self, item.name)) is not None
+        }
+
+
+class PoseForm(Form):
+    position: Vector = (0.0, 0.0, 0.0)
+    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if max(map(abs, self.position)) > FARTHEST:
+            raise ValueError(f"position: expected metres, got {list(self.position)} (millimetres?)")
+        checks.unit(self.quaternion_xyzw, "quaternion_xyzw", (4,))
+
+    def matrix(self) -> Array:
+        """(4, 4)"""
+        quaternion = checks.unit(self.quaternion_xyzw, "quaternion_xyzw", (4,))
+        return se3.compose(
+            se3.rotation_from_quaternion(quaternion), np.array(self.position, dtype=np.float64)
+        )
+
+
+class HandForm(Form):
+    file: Text
+    """URDF or MJCF; a path from the rig file on, or `package://NAME/rest`."""
+    palm: Text
+    sigma_joint_offset: AtLeastZero | None = field(name="joint_offset_deg", default=None)
+    sigma_joint: AtLeastZero | None = field(name="joint_noise_deg", default=None)
+
+
+class TipForm(Form):
+    ellipsoid: Vector | None = None
+    """Semi-axes."""
+    sphere: float | None = None
+    """Radius."""
+    cap: float | None = None
+    max_friction: Positive | None = None
+    min_force: Positive = 0.1
+
+    def __post_init__(self) -> None:
+        said = [shape for shape in ("ellipsoid", "sphere") if getattr(self, shape) is not None]
+        if len(said) != 1:
+            came = " and ".join(said) or "neither"
+            raise ValueError(f"expected ellipsoid: [a, b, c] or sphere: r, got {came}")
+        try:
+            self.shape(np.eye(4))
+        except HandsightError as error:
+            raise ValueError(f"{said[0]}: {error}") from None
+
+    def shape(self, T_surface_sensor: Array) -> Fingertip:
+        """The tip; raises a HandsightError where there is none of such a size."""
+        options = {name: getattr(self, name) for name in ("cap", "max_friction", "min_force")}
+        if self.ellipsoid is not None:
+            return Ellipsoid(self.ellipsoid, T_surface_sensor=T_surface_sensor, **options)
+        return Sphere(self.sphere or 0.0, T_surface_sensor=T_surface_sensor, **options)
+
+
+class SensorNoiseForm(Form):
+    sigma_force: Positive | None = field(name="force", default=None)
+    sigma_torque: Positive | None = field(name="torque", default=None)
+
+
+class BiasForm(Form):
+    force: Vector = (0.0, 0.0, 0.0)
+    torque: Vector = (0.0, 0.0, 0.0)
+
+
+class SensorForm(Form):
+    reading: Literal["on_sensor", "on_tip"]
+    pose: PoseForm | None = None
+    """In the finger's frame."""
+    noise: SensorNoiseForm | None = None
+    bias: BiasForm | None = None
+    tip_mass: AtLeastZero = 0.0
+    """[kg]"""
+    tip_center: Vector = (0.0, 0.0, 0.0)
+    """Of mass, from the sensor."""
+    full_scale: tuple[Positive, Positive] | None = None
+    """Force and torque."""
+
+    def __post_init__(self) -> None:
+        if self.tip_mass > HEAVIEST:
+            raise ValueError(f"tip_mass: expected kilograms, got {self.tip_mass:g} (grams?)")
+
+
+class FingerForm(Form):
+    frame: Text
+    tip: TipForm
+    sensor: SensorForm
+    surface: PoseForm | None = None
+    """In the frame."""
+    sigma_point: AtLeastZero | None = None
+    sigma_normal: AtLeastZero | None = field(name="sigma_normal_deg", default=None)
+
+
+class VisionNoiseForm(Form):
+    sigma_position: AtLeastZero | None = field(name="position", default=None)
+    sigma_rotation: AtLeastZero | None = field(name="rotation_deg", default=None)
+
+
+class IntrinsicsForm(Form):
+    """[pixels]"""
+
+    width: Positive
+    height: Positive
+    fx: Positive
+    fy: Positive
+    cx: Positive
+    cy: Positive
+
+
+class CameraForm(Form):
+    fixed_to: Literal["world", "palm"] = "world"
+    pose: PoseForm | None = None
+    noise: VisionNoiseForm | None = None
+    constant_error: VisionNoiseForm | None = None
+    intrinsics: IntrinsicsForm | None = None
+
+
+class TableForm(Form):
+    height: float
+    sigma_height: Positive | None = None
+    sigma_tilt: AtLeastZero | None = field(name="sigma_tilt_deg", default=None)
+
+
+class WorldForm(Form):
+    gravity: Vector = (0.0, 0.0, -9.81)
+    palm_from: Literal["tf", "joints", "nowhere"] = "tf"
+
+    def __post_init__(self) -> None:
+        length = float(np.linalg.norm(self.gravity))
+        if not 1.5 <= length <= 30:
+            raise ValueError(f"gravity: expected a vector of 1.5 to 30 m/s², got length {length:.3g}")
+
+
+class FramesForm(Form):
+    world: Text = "world"
+    palm: Text = "palm"
+    camera: Text = "camera"
+
+
+class TopicsForm(Form):
+    joint_states: Text | None = None
+    wrenches: dict[str, Text] | None = None
+    vision: Text | None = None
+    tf: Text | None = None
+    color: Text | None = None
+    depth: Text | None = None
+    camera_info: Text | None = None
+    truth: Text | None = None
+
+
+class CylinderForm(Form):
+    radius: Positive
+    height: Positive
+
+
+class ObjectForm(Form):
+    box: tuple[Positive, Positive, Positive] | None = None
+    cylinder: CylinderForm | None = None
+    mesh: Text | None = None
+    """A path from the rig file on."""
+    scale: Positive | None = None
+    """Metres of a unit of the mesh."""
+
+    def __post_init__(self) -> None:
+        said = [kind for kind in ("box", "cylinder", "mesh") if getattr(self, kind) is not None]
+        if len(said) != 1:
+            raise ValueError(f"expected one of box, cylinder, mesh, got {' and '.join(said) or 'none'}")
+        if self.scale is not None and self.mesh is None:
+            raise ValueError(f"scale: expected beside mesh only, got it beside {said[0]}")
+
+
+class RigForm(Form):
+    version: float
+    hand: HandForm
+    fingers: dict[str, FingerForm]
+    camera: CameraForm | None = None
+    table: TableForm | None = None
+    world: WorldForm | None = None
+    frames: FramesForm | None = None
+    topics: TopicsForm | None = None
+    objects: dict[str, ObjectForm] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.fingers:
+            raise ValueError("fingers: expected at least one finger, got none")
