@@ -1,6 +1,6 @@
 """Time: observations to the object's pose in the palm, again and again."""
 
-from handsight.tracking.belief import Belief
+from handsight.tracking.smoother import Belief
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.touch import Skin, Touch
 from handsight.tracking.tracker import State, Tracker

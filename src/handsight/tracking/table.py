@@ -5,7 +5,7 @@ import numpy as np
 from handsight.checks import Array
 from handsight.objects import ObjectModel
 from handsight.rig import Table
-from handsight.tracking.belief import Joint
+from handsight.tracking.smoother import Joint
 
 UNLIKELY = 16.3
 """χ² of three numbers that one in a thousand exceeds: beyond it the object does not stand there."""

@@ -14,12 +14,12 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking import answers
-from handsight.tracking.belief import Belief
-from handsight.tracking.grip import Change, Grip
+from handsight.tracking import pose_uncertainty as answers
+from handsight.tracking.smoother import Belief
+from handsight.tracking.grasp_state import Change, Grip
 from handsight.tracking.memory import Memory, together
 from handsight.tracking.settings import TrackerSettings
-from handsight.tracking.sight import Sight
+from handsight.tracking.vision_update import Sight
 from handsight.tracking.table import on_table
 from handsight.tracking.touch import Skin, Touch
 

@@ -11,7 +11,7 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.observation import Observation, SeenPose
 from handsight.rig import Camera, Rig
-from handsight.tracking.belief import Belief
+from handsight.tracking.smoother import Belief
 
 Mount = Literal["world", "palm"]
 UNLIKELY = 27.9

@@ -12,7 +12,7 @@ import handsight as hs
 from handsight import se3
 from handsight._kernels import tips
 from handsight.rig import Table
-from handsight.tracking.belief import MOST_SIGHTS, Belief, Joint, displaced, grown, positive
+from handsight.tracking.smoother import MOST_SIGHTS, Belief, Joint, displaced, grown, positive
 from handsight.tracking.gaps import gaps as gaps_plain
 from handsight.tracking.table import on_table
 

@@ -8,7 +8,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.correction import Hypothesis, PoseEstimate, Residuals
 from handsight.objects import ObjectModel
-from handsight.tracking.belief import Belief, grown
+from handsight.tracking.smoother import Belief, grown
 
 EYE_3, EYE_6 = np.eye(3), np.eye(6)
 
