@@ -16,7 +16,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
-from handsight.tracking import Belief, Skin, Touch
+from handsight.tracking import PoseBiasSmoother, Skin, Touch
 from handsight.tracking.table import on_table
 
 OBJECTS = ("can", "box")
@@ -89,9 +89,9 @@ def vision_prior(observation):
 
 def standing(prior, model, T_world_palm):
     """The prior given that the object stands on the table; as it was where that contradicts it."""
-    no_error = 1e-6 * np.eye(6)
-    joint = Belief.begun(prior.T_palm_object, prior.covariance, no_error, np.zeros(3)).now
-    stood = on_table(joint, model, rig().table, T_world_palm)
+    no_bias = 1e-6 * np.eye(6)
+    state = PoseBiasSmoother.from_prior(prior.T_palm_object, prior.covariance, no_bias, np.zeros(3)).now
+    stood = on_table(state, model, rig().table, T_world_palm)
     return prior if stood is None else hs.PosePrior(stood.T_palm_object, stood.covariance[:6, :6])
 
 

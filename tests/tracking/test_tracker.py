@@ -14,7 +14,7 @@ from handsight.hand import Hand
 from handsight.observation import SeenPose
 from handsight.replay import errors_of
 from handsight.tracking import Skin, Tracker, TrackerSettings
-from handsight.tracking.pose_uncertainty import point_covariance
+from handsight.tracking.propagation import point_covariance
 
 
 def tracked(grasp, **settings):

@@ -1,0 +1,101 @@
+"""A correction propagated to now: the pose stays, its uncertainty grows with the process noise."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.correction import Hypothesis, PoseEstimate, Residuals
+from handsight.objects import ObjectModel
+
+RENEW_AFTER = 0.02
+"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
+EYE_3, EYE_6 = np.eye(3), np.eye(6)
+
+
+class Correction:
+    """The answer of a correction, with what it was made from, asked for at later instants."""
+
+    def __init__(
+        self,
+        estimate: PoseEstimate,
+        contacts: Contacts,
+        fingers: tuple[str, ...],
+        stamp: float,
+        process_noise: Array,
+    ) -> None:
+        """`contacts` were touched, by `fingers`, at `stamp` [s]; `process_noise` (6,): variance a second."""
+        self.estimate, self.contacts, self.fingers, self.stamp = estimate, contacts, fingers, stamp
+        self._process_noise = process_noise
+        self._propagated, self._propagated_to = estimate, stamp
+        self._variance: float | None = None
+
+    def at(self, stamp: float) -> PoseEstimate:
+        """The estimate propagated to `stamp` [s], give or take `RENEW_AFTER`."""
+        if stamp - self._propagated_to > RENEW_AFTER:
+            self._propagated = propagated(self.estimate, self._process_noise * (stamp - self.stamp))
+            self._propagated_to = stamp
+        return self._propagated
+
+    def sigma_position(self, stamp: float, model: ObjectModel) -> float:
+        """Largest standard deviation of the position of the object's middle [m], propagated to `stamp` [s]."""
+        if self._variance is None:
+            self._variance = sigma_position(self.estimate, model) ** 2
+        return float(np.sqrt(self._variance + self._process_noise[0] * (stamp - self.stamp)))
+
+
+def estimate_without_contacts(T_palm_object: Array, covariance: Array) -> PoseEstimate:
+    """An estimate that is its prior, a pose (4, 4) and its covariance (6, 6): contacts leave every direction open."""
+    information: Array = np.linalg.inv(covariance).astype(np.float64)
+    none = np.empty(0)
+    return PoseEstimate(
+        T_palm_object=T_palm_object,
+        covariance=covariance,
+        information=information,
+        converged=True,
+        iterations=0,
+        residuals=Residuals(none, none),
+        unobservable=EYE_6,
+        consistent=True,
+        outliers=(),
+        hypotheses=(Hypothesis(T_palm_object, information, covariance, 1.0, 0.0),),
+    )
+
+
+def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
+    """The estimate after a random walk of the pose, of `variance` (6,) along the palm's axes."""
+    if not variance.any():
+        return estimate
+    information = inflated_information(estimate.information, variance)
+    covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
+    return replace(estimate, information=information, covariance=covariance)
+
+
+def inflated_information(information: Array, variance: Array) -> Array:
+    """An information (6, 6), which may be singular, after process noise (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
+    # No noise along an axis is next to none.
+    inverse = np.diag(1 / np.maximum(variance, 1e-18))
+    after = information - information @ np.linalg.solve(information + inverse, information)
+    return np.asarray((after + after.T) / 2)
+
+
+def known_covariance(information: Array, radius: float) -> Array:
+    """(6, 6) the inverse of an information (6, 6); what a declared axis leaves at zero is no uncertainty."""
+    scale = np.array([1.0, 1, 1, 1 / radius, 1 / radius, 1 / radius])
+    values, vectors = np.linalg.eigh(information * scale[:, None] * scale)
+    spread = np.where(values > 1e-9 * max(values[-1], 1e-300), 1 / np.maximum(values, 1e-300), 0.0)
+    root = scale[:, None] * vectors
+    return np.asarray((root * spread) @ root.T)
+
+
+def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:
+    """(3, 3) of where in the palm [m] a point fixed on the object (3,) is, along no declared symmetry."""
+    by_pose = np.hstack([EYE_3, -se3.skew(estimate.T_palm_object[:3, :3] @ point_object)])
+    return np.asarray(by_pose @ known_covariance(estimate.information, model.radius) @ by_pose.T)
+
+
+def sigma_position(estimate: PoseEstimate, model: ObjectModel) -> float:
+    """Largest standard deviation of the position of the object's middle [m], along no declared symmetry."""
+    return float(np.sqrt(np.linalg.eigvalsh(point_covariance(estimate, model, model.center_object))[-1]))
