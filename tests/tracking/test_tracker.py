@@ -1,4 +1,4 @@
-"""A tracker holds, corrects when there is something new, and says when it does not know."""
+"""A tracker propagates, corrects when there is something new, and says when it does not know."""
 
 import gc
 import tracemalloc
@@ -35,8 +35,8 @@ def base_error(grasp, T):
 
 def test_a_can_is_where_touch_says_it_is(can):
     tracker = tracked(can)
-    sights = [o for o in can.observations if o.seen is not None]
-    seen = [base_error(can, tracker.sight.in_palm(o, o.T_world_palm)) for o in sights]
+    with_vision = [o for o in can.observations if o.seen is not None]
+    seen = [base_error(can, tracker.vision.in_palm(o, o.T_world_palm)) for o in with_vision]
     assert tracker.state == "tracking", tracker.reason
     assert base_error(can, tracker.estimate.T_palm_object) < min(0.004, np.mean(seen))
 
@@ -101,7 +101,7 @@ def test_a_start_named_by_the_user_needs_no_vision(can):
     assert base_error(can, tracker.estimate.T_palm_object) < 0.004
 
 
-def test_the_pose_is_held_while_nothing_changes_and_is_less_and_less_sure(box):
+def test_the_pose_stays_while_nothing_changes_and_its_covariance_grows_with_the_process_noise(box):
     tracker = tracked(box)
     last, corrections = box.observations[-1], tracker.corrections
     before = tracker.estimate
@@ -110,7 +110,7 @@ def test_the_pose_is_held_while_nothing_changes_and_is_less_and_less_sure(box):
     assert tracker.corrections == corrections
     np.testing.assert_array_equal(after.T_palm_object, before.T_palm_object)
     growth = np.diagonal(after.covariance - before.covariance)
-    np.testing.assert_allclose(growth[:3], 1.9 * tracker.settings.walk_position**2, rtol=0.05)
+    np.testing.assert_allclose(growth[:3], 1.9 * tracker.settings.process_noise_position**2, rtol=0.05)
     np.testing.assert_allclose(after.covariance @ after.information, np.eye(6), atol=1e-6)
 
 
@@ -119,18 +119,18 @@ def test_a_finger_that_lets_go_is_a_reason_to_correct(can):
     last, corrections = can.observations[-1], tracker.corrections
     tracker.update(later(last, 0.02))
     assert tracker.corrections == corrections
-    finger = tracker.touch.fingers[0]
+    finger = tracker.fingertips.fingers[0]
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker.update(later(last, 0.04, wrenches=silent))
     assert tracker.corrections == corrections + 1
-    assert tracker.touch.reasons[finger] == "silent"
+    assert tracker.fingertips.reasons[finger] == "silent"
 
 
 def test_vision_is_a_reason_to_correct(can):
     tracker = tracked(can)
     last, corrections = can.observations[-1], tracker.corrections
-    sight = next(o.seen for o in reversed(can.observations) if o.seen is not None)
-    tracker.update(replace(later(last, 0.02), seen=sight))
+    vision = next(o.seen for o in reversed(can.observations) if o.seen is not None)
+    tracker.update(replace(later(last, 0.02), seen=vision))
     assert tracker.corrections == corrections + 1
 
 
@@ -144,20 +144,20 @@ def test_a_set_rate_is_kept(can):
 
 def test_a_lifted_finger_is_remembered_for_a_while(can):
     tracker = tracked(can, memory=1.0)
-    last, finger = can.observations[-1], tracker.touch.fingers[0]
+    last, finger = can.observations[-1], tracker.fingertips.fingers[0]
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker.update(later(last, 0.5, wrenches=silent))
-    assert [kept.finger for kept in tracker._memory.besides(tracker.touch)] == [finger]
-    assert len(tracker.estimate.residuals.distance) == len(tracker.touch.fingers) + 1
+    assert [kept.finger for kept in tracker._memory.besides(tracker.fingertips)] == [finger]
+    assert len(tracker.estimate.residuals.distance) == len(tracker.fingertips.fingers) + 1
     tracker.update(later(last, 1.6, wrenches=silent))
-    assert tracker._memory.besides(tracker.touch) == []
+    assert tracker._memory.besides(tracker.fingertips) == []
     tracker.update(later(last, 1.7))
-    assert finger in tracker.touch.fingers
+    assert finger in tracker.fingertips.fingers
 
 
 def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
-    last, finger = can.observations[-1], tracker.touch.fingers[0]
+    last, finger = can.observations[-1], tracker.fingertips.fingers[0]
     kept = tracker._memory._felt[finger]
     points = kept.contacts.points_palm.copy()
     points[kept.row] += 0.03 * kept.contacts.normals_palm[kept.row]
@@ -165,10 +165,10 @@ def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker._memory._felt[finger] = replace(kept, contacts=wrong)
     tracker.update(later(last, 0.1, wrenches=silent))
-    assert tracker._memory.besides(tracker.touch) == []
+    assert tracker._memory.besides(tracker.fingertips) == []
 
 
-def test_an_object_that_nothing_holds_stays_where_it_is_in_the_world(can):
+def test_an_object_that_is_not_grasped_stays_where_it_is_in_the_world(can):
     tracker = Tracker(can.rig, can.model)
     first = can.observations[0]
     free = {name: can.rig.fingers[name].calibration for name in can.rig.fingers}
@@ -200,31 +200,31 @@ def test_a_wrong_object_is_uncertain_and_then_lost(can):
     assert "have fitted no pose for" in tracker.reason
 
 
-def test_nothing_heard_for_long_is_lost(can):
+def test_an_object_neither_touched_nor_seen_for_long_is_lost(can):
     tracker = tracked(can, lost_after=3.0, memory=0.0)
     tracker.update(later(can.observations[-1], 4.0, wrenches={}))
     assert tracker.state == "lost"
     assert tracker.reason.startswith("nothing touched and nothing seen for 4.0 s")
 
 
-def test_sights_that_cannot_be_true_are_left_out_until_they_insist(can):
+def test_vision_beyond_the_gate_is_left_out_until_five_in_a_row(can):
     tracker = tracked(can)
     last = can.observations[-1]
-    sight = next(o.seen for o in reversed(can.observations) if o.seen is not None)
-    far = SeenPose(se3.moved(sight.T_frame_object, np.array([0.5, 0, 0, 0, 0, 0])), sight.frame)
-    before = tracker.belief.T_palm_object
+    vision = next(o.seen for o in reversed(can.observations) if o.seen is not None)
+    far = SeenPose(se3.moved(vision.T_frame_object, np.array([0.5, 0, 0, 0, 0, 0])), vision.frame)
+    before = tracker.smoother.now.T_palm_object
     for k in range(1, 5):
         tracker.update(replace(later(last, 0.1 * k), seen=far))
-        np.testing.assert_array_equal(tracker.belief.T_palm_object, before)
-    assert tracker.sight.rejected == 4
+        np.testing.assert_array_equal(tracker.smoother.now.T_palm_object, before)
+    assert tracker.vision.rejected == 4
     tracker.update(replace(later(last, 0.5), seen=far))
-    assert np.abs(tracker.belief.T_palm_object - before).max() > 0.1
+    assert np.abs(tracker.smoother.now.T_palm_object - before).max() > 0.1
 
 
-def test_a_sight_without_a_place_is_counted(can):
+def test_vision_without_a_palm_to_place_it_is_counted(can):
     tracker = Tracker(can.rig, can.model)
     tracker.update(replace(can.observations[0], T_world_palm=None))
-    assert tracker.sight.unplaced == 1
+    assert tracker.vision.unplaced == 1
     assert tracker.estimate is None
 
 
@@ -260,11 +260,11 @@ def test_a_camera_the_rig_does_not_have_is_said(can):
 
 def test_memory_stays_flat(can):
     tracker = tracked(can, rate=20.0)
-    last, sight = can.observations[-1], can.observations[0].seen
+    last, vision = can.observations[-1], can.observations[0].seen
 
     def run(first, count):
         for k in range(first, first + count):
-            seen = sight if k % 10 == 0 else None
+            seen = vision if k % 10 == 0 else None
             tracker.update(replace(later(last, 0.01 * k), seen=seen))
 
     run(1, 300)
