@@ -36,25 +36,35 @@ EYE_6 = np.eye(6)
 class PoseAndBias:
     """The object's pose and vision's constant bias, jointly Gaussian."""
 
-    T_palm_object: Array
-    """(4, 4)."""
-    vision_bias: Array
-    """(6,): vision's poses are turned by (3:6) [rad] about the pivot, then shifted by (0:3) [m], in the mount's
-    frame."""
+    Ts: Array
+    """(2, 4, 4): `T_palm_object` and `T_measured_true`."""
     covariance: Array
-    """(12, 12) of the pose's perturbation (δp, δθ) along the palm's axes, and of the bias's along the mount's."""
+    """(12, 12) of the perturbations (δp, δθ) of the pose, along the palm's axes, and of the bias, along the mount's."""
+
+    @property
+    def T_palm_object(self) -> Array:
+        """(4, 4)."""
+        return np.asarray(self.Ts[0])
+
+    @property
+    def T_measured_true(self) -> Array:
+        """(4, 4) the bias: from where things are to where vision measures them, along the mount's axes, both about the
+        pivot."""
+        return np.asarray(self.Ts[1])
+
+    @property
+    def vision_bias(self) -> Array:
+        """(6,): vision's poses are shifted by (0:3) [m] and turned by (3:6) [rad] about the pivot, along the mount's
+        axes."""
+        return np.concatenate([self.Ts[1, :3, 3], se3.rotation_log(self.Ts[1, :3, :3])])
 
     def moved(self, step: Array) -> "PoseAndBias":
         """After a step (12,); the covariance stays."""
-        T = se3.moved(self.T_palm_object, step[:6])
-        return PoseAndBias(T, moved_bias(self.vision_bias, step[6:]), self.covariance)
+        return PoseAndBias(se3.moved(self.Ts, step.reshape(2, 6)), self.covariance)
 
     def difference(self, reference: "PoseAndBias") -> Array:
         """(12,) the step δ with `reference.moved(δ) = self`."""
-        bias, other = self.vision_bias, reference.vision_bias
-        turn = se3.rotation_log(se3.rotation_exp(bias[3:]) @ se3.rotation_exp(other[3:]).T)
-        pose = se3.difference(self.T_palm_object, reference.T_palm_object)
-        return np.concatenate([pose, bias[:3] - other[:3], turn])
+        return se3.difference(self.Ts, reference.Ts).reshape(12)
 
     def updated(self, H: Array, innovation: Array, noise: Array) -> "PoseAndBias":
         """After a linear measurement of m numbers (Kalman's update).
@@ -79,20 +89,21 @@ class PoseAndBias:
         joint = np.linalg.inv(P)
         joint[:6, :6] += nearest_semidefinite(information - prior)
         covariance = np.linalg.inv(joint)
-        bias = moved_bias(self.vision_bias, P[6:, :6] @ prior @ step)
-        return PoseAndBias(T_palm_object, bias, (covariance + covariance.T) / 2)
+        moved = self.moved(np.concatenate([step, P[6:, :6] @ prior @ step]))
+        return replace(moved, covariance=(covariance + covariance.T) / 2)
 
     def inflated(self, variance: Array) -> "PoseAndBias":
         """With `variance` (6,) added to the pose's."""
         covariance = self.covariance.copy()
         covariance[:6, :6] += np.diag(variance)
-        return PoseAndBias(self.T_palm_object, self.vision_bias, covariance)
+        return PoseAndBias(self.Ts, covariance)
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
         """In a palm that went elsewhere while the object stayed."""
         R = np.eye(12)
         R[:3, :3] = R[3:6, 3:6] = T_new_old[:3, :3]
-        return PoseAndBias(T_new_old @ self.T_palm_object, self.vision_bias, R @ self.covariance @ R.T)
+        Ts = np.stack([T_new_old @ self.T_palm_object, self.T_measured_true])
+        return PoseAndBias(Ts, R @ self.covariance @ R.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +160,7 @@ class PoseBiasSmoother:
         """Of a pose and a bias of mean zero, independent: a covariance (6, 6) each."""
         covariance = np.zeros((12, 12))
         covariance[:6, :6], covariance[6:, 6:] = pose_covariance, bias_covariance
-        prior = PoseAndBias(T_palm_object, np.zeros(6), covariance)
+        prior = PoseAndBias(np.stack([T_palm_object, np.eye(4)]), covariance)
         return cls(prior, pivot, solved=prior)
 
     @property
@@ -193,8 +204,9 @@ class PoseBiasSmoother:
         return float(innovation[0] @ np.linalg.solve(S, innovation[0]))
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """(4, 4) the pose that vision should measure, in the mount's frame."""
-        return biased(self.solved.vision_bias, self.pivot, T_mount_palm @ self.solved.T_palm_object)
+        """(..., 4, 4) the pose that vision should measure, in the mount's frame; `T_mount_palm` (..., 4, 4)."""
+        state = self.solved
+        return biased(T_mount_palm @ state.T_palm_object, state.T_measured_true, self.pivot)
 
     def _merged(self, T_mount_palm: Array, T_mount_object: Array, covariance: Array) -> VisionMeasurements:
         """The measurements with one more, merged into one from nearly the same palm if there is one."""
@@ -215,13 +227,13 @@ class PoseBiasSmoother:
         """Row k and a new one as one, from k's palm: innovations weighted by their information."""
         kept = self.measurements
         T_kept = kept.Ts_mount_palm[k]
-        expected = self.expected(T_kept)
-        innovation_kept = se3.difference(kept.Ts_mount_object[k], expected)
-        innovation = se3.difference(T_mount_object, self.expected(T_mount_palm))
+        expected = self.expected(np.stack([T_kept, T_mount_palm]))
+        measured = np.stack([kept.Ts_mount_object[k], T_mount_object])
+        innovation_kept, innovation = se3.difference(measured, expected)
         aged = kept.covariances[k] + along_mount(T_kept, noise - kept.process_noise[k])
         both = np.linalg.inv(np.linalg.inv(aged) + np.linalg.inv(covariance))
         mean = innovation_kept + both @ np.linalg.solve(covariance, innovation - innovation_kept)
-        return T_kept, se3.moved(expected, mean), (both + both.T) / 2, noise
+        return T_kept, se3.moved(expected[0], mean), (both + both.T) / 2, noise
 
     def _solved(self, measurements: VisionMeasurements) -> "PoseBiasSmoother":
         """The maximum a posteriori of the prior and these measurements, by Gauss-Newton from the last answer.
@@ -252,13 +264,12 @@ class PoseBiasSmoother:
         self, state: PoseAndBias, Ts_mount_palm: Array, Ts_mount_object: Array
     ) -> tuple[Array, Array]:
         """Jacobians (k, 6, 12) of the measurements by the state, and innovations (k, 6): measured less expected."""
-        bias = state.vision_bias
-        expected = biased(bias, self.pivot, Ts_mount_palm @ state.T_palm_object)
-        turn = se3.rotation_exp(bias[3:]) @ Ts_mount_palm[:, :3, :3]
+        bias = state.T_measured_true
+        expected = biased(Ts_mount_palm @ state.T_palm_object, bias, self.pivot)
         H = np.zeros((len(Ts_mount_palm), 6, 12))
-        H[:, :3, :3] = H[:, 3:, 3:6] = turn
+        H[:, :3, :3] = H[:, 3:, 3:6] = bias[:3, :3] @ Ts_mount_palm[:, :3, :3]
         H[:, :, 6:] = EYE_6
-        H[:, :3, 9:] = -se3.skew(expected[:, :3, 3] - self.pivot - bias[:3])
+        H[:, :3, 9:] = -se3.skew(expected[:, :3, 3] - self.pivot - bias[:3, 3])
         return H, se3.difference(Ts_mount_object, expected)
 
 
@@ -271,17 +282,11 @@ def along_mount(Ts_mount_palm: Array, variances: Array) -> Array:
     return out
 
 
-def biased(bias: Array, pivot: Array, Ts_mount_object: Array) -> Array:
-    """Poses (..., 4, 4) as vision measures them: turned about `pivot` (3,) and shifted, by `bias` (6,)."""
-    R = se3.rotation_exp(bias[3:])
-    position = pivot + bias[:3] + (Ts_mount_object[..., :3, 3] - pivot) @ R.T
+def biased(Ts_mount_object: Array, T_measured_true: Array, pivot: Array) -> Array:
+    """Poses (..., 4, 4) as vision measures them, with the bias (4, 4) about `pivot` (3,)."""
+    R = T_measured_true[:3, :3]
+    position = pivot + T_measured_true[:3, 3] + (Ts_mount_object[..., :3, 3] - pivot) @ R.T
     return se3.compose(R @ Ts_mount_object[..., :3, :3], position)
-
-
-def moved_bias(bias: Array, step: Array) -> Array:
-    """A bias (6,) after a step (6,)."""
-    turn = se3.rotation_log(se3.rotation_exp(step[3:]) @ se3.rotation_exp(bias[3:]))
-    return np.concatenate([bias[:3] + step[:3], turn])
 
 
 def nearest_semidefinite(information: Array) -> Array:
