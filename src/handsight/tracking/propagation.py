@@ -12,7 +12,7 @@ from handsight.objects import ObjectModel
 
 RENEW_AFTER = 0.02
 """How old the growth of a propagated covariance may be [s]: a micrometre or so."""
-EYE_3, EYE_6 = np.eye(3), np.eye(6)
+EYE_6 = np.eye(6)
 
 
 class Correction:
@@ -39,10 +39,13 @@ class Correction:
             self._propagated_to = stamp
         return self._propagated
 
-    def sigma_position(self, stamp: float, model: ObjectModel) -> float:
-        """Largest standard deviation of the position of the object's middle [m], propagated to `stamp` [s]."""
+    def sigma_of_point(self, stamp: float, model: ObjectModel, point_object: Array) -> float:
+        """Largest standard deviation of the position of a point of the object (3,) [m], propagated to `stamp` [s].
+
+        It is worked out once: ask for one point only.
+        """
         if self._variance is None:
-            self._variance = sigma_position(self.estimate, model) ** 2
+            self._variance = sigma_of_point(self.estimate, model, point_object) ** 2
         return float(np.sqrt(self._variance + self._process_noise[0] * (stamp - self.stamp)))
 
 
@@ -81,21 +84,20 @@ def inflated_information(information: Array, variance: Array) -> Array:
     return np.asarray((after + after.T) / 2)
 
 
-def known_covariance(information: Array, radius: float) -> Array:
-    """(6, 6) the inverse of an information (6, 6); what a declared axis leaves at zero is no uncertainty."""
-    scale = np.array([1.0, 1, 1, 1 / radius, 1 / radius, 1 / radius])
-    values, vectors = np.linalg.eigh(information * scale[:, None] * scale)
-    spread = np.where(values > 1e-9 * max(values[-1], 1e-300), 1 / np.maximum(values, 1e-300), 0.0)
-    root = scale[:, None] * vectors
-    return np.asarray((root * spread) @ root.T)
-
-
 def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:
-    """(3, 3) of where in the palm [m] a point fixed on the object (3,) is, along no declared symmetry."""
-    by_pose = np.hstack([EYE_3, -se3.skew(estimate.T_palm_object[:3, :3] @ point_object)])
-    return np.asarray(by_pose @ known_covariance(estimate.information, model.radius) @ by_pose.T)
+    """(3, 3) of where in the palm [m] a point fixed on the object (3,) is.
+
+    What a declared symmetry leaves at zero in the information is no uncertainty.
+    """
+    scale = np.array([1.0, 1, 1, 1 / model.radius, 1 / model.radius, 1 / model.radius])
+    values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
+    known = values > 1e-9 * values[-1]
+    deviations = scale[:, None] * vectors[:, known] / np.sqrt(values[known])
+    lever = estimate.T_palm_object[:3, :3] @ point_object
+    point = deviations[:3] - se3.skew(lever) @ deviations[3:]
+    return np.asarray(point @ point.T)
 
 
-def sigma_position(estimate: PoseEstimate, model: ObjectModel) -> float:
-    """Largest standard deviation of the position of the object's middle [m], along no declared symmetry."""
-    return float(np.sqrt(np.linalg.eigvalsh(point_covariance(estimate, model, model.center_object))[-1]))
+def sigma_of_point(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> float:
+    """Largest standard deviation of where in the palm a point fixed on the object (3,) is [m]."""
+    return float(np.sqrt(np.linalg.eigvalsh(point_covariance(estimate, model, point_object))[-1]))

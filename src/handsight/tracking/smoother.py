@@ -231,8 +231,9 @@ class PoseBiasSmoother:
         measured = np.stack([kept.Ts_mount_object[k], T_mount_object])
         innovation_kept, innovation = se3.difference(measured, expected)
         aged = kept.covariances[k] + along_mount(T_kept, noise - kept.process_noise[k])
-        both = np.linalg.inv(np.linalg.inv(aged) + np.linalg.inv(covariance))
-        mean = innovation_kept + both @ np.linalg.solve(covariance, innovation - innovation_kept)
+        gain = np.linalg.solve(aged + covariance, aged).T
+        both = aged - gain @ aged
+        mean = innovation_kept + gain @ (innovation - innovation_kept)
         return T_kept, se3.moved(expected[0], mean), (both + both.T) / 2, noise
 
     def _solved(self, measurements: VisionMeasurements) -> "PoseBiasSmoother":

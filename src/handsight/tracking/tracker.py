@@ -17,7 +17,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.grasp_state import GraspChange, GraspState
 from handsight.tracking.memory import Memory, together
-from handsight.tracking.propagation import Correction, estimate_without_contacts, sigma_position
+from handsight.tracking.propagation import Correction, estimate_without_contacts, sigma_of_point
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.table import on_table
@@ -75,6 +75,7 @@ class Tracker:
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
         self._cosine_turned = math.cos(s.turned)
+        self._middle_object = model.center_object
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
         self._now = self._measured_at = self._fits_at = self._recovered_at = -math.inf
@@ -120,8 +121,10 @@ class Tracker:
     def sigma(self) -> float:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
         if self._correction is not None:
-            return self._correction.sigma_position(self._now, self.model)
-        return math.inf if self.estimate is None else sigma_position(self.estimate, self.model)
+            return self._correction.sigma_of_point(self._now, self.model, self._middle_object)
+        if self.estimate is None:
+            return math.inf
+        return sigma_of_point(self.estimate, self.model, self._middle_object)
 
     def _with_palm(self, observation: Observation) -> Observation:
         """The observation with the palm's pose in the world, by the arm in the hand's file if the rig says so."""
