@@ -103,7 +103,7 @@ def test_one_pose_from_vision_is_a_kalman_update_where_all_is_linear(seed):
 
 
 @cache
-def turned(seed, turn, measurements=60):
+def turned(seed, turn, measurements=30):
     """A smoother after a palm that went 20 cm and turned so far about the vertical, and the object's true pose."""
     rng = np.random.default_rng(seed)
     T_palm_object = se3.compose(se3.rotation_exp(rng.normal(size=3)), np.array([0.0, -0.09, 0.1]))
@@ -139,7 +139,7 @@ def test_pose_and_bias_are_told_apart_just_as_far_as_the_palm_turns(turn):
 
 
 def test_measurements_from_one_palm_are_kept_as_one_with_the_information_of_all():
-    many, _ = turned(0, np.pi, measurements=300)
+    many, _ = turned(0, np.pi, measurements=100)
     assert len(many.measurements) == MOST_MEASUREMENTS
     still, _ = turned(0, 0.0, measurements=5)
     T = still.measurements.Ts_mount_palm[-1]
