@@ -7,8 +7,8 @@ uses.
 from handsight.contact.calibration import WrenchCalibration, calibrate_wrench, compensate
 from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason
 from handsight.contact.contacts import Contacts
-from handsight.contact.fingertip import Ellipsoid, Fingertip, Sphere, unambiguous_cap
 from handsight.contact.fingertip_text import FINGERTIP_HELP, parse_fingertip
+from handsight.contact.fingertips import Ellipsoid, Fingertip, Sphere, unambiguous_cap
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
 from handsight.contact.table import COLUMNS_HELP, convert, write_contacts
 from handsight.contact.wrench_table import WrenchRows, read_wrenches

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight.contact.contact import REASON_NAMES, ContactBatch
-from handsight.contact.fingertip import Fingertip
+from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.contact.wrench_table import WRENCHES_HELP, WrenchRows, read_wrenches, source_name
 from handsight.errors import InvalidFile, InvalidInput

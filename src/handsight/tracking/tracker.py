@@ -16,12 +16,12 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import answers
 from handsight.tracking.belief import Belief
+from handsight.tracking.contact_memory import ContactMemory, with_remembered
+from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grip import Change, Grip
-from handsight.tracking.memory import Memory, together
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.sight import Sight
 from handsight.tracking.table import on_table
-from handsight.tracking.touch import Skin, Touch
 
 State = Literal["tracking", "uncertain", "lost"]
 NO_POSE = "no pose yet: neither a start nor vision"
@@ -63,13 +63,14 @@ class Tracker:
         self.state: State = "lost"
         self.reason = NO_POSE
         self.stamp: float | None = None
-        self.touch = Touch((), None, {})
+        self.touch = FingertipContacts((), None, {})
         self.belief: Belief | None = None
         self.estimate: PoseEstimate | None = None
         self.corrections = self.late = 0
         """How often the pose was corrected, and how many observations came after a later one and were left out."""
-        self._skin, self.sight, self._memory = Skin(rig), Sight(rig, model), Memory(s.memory)
-        self._surface = rig.hand.surface(s.outside, without=self._skin.frames) if s.outside else None
+        self._fingertips, self.sight = FingertipSensors(rig), Sight(rig, model)
+        self._memory = ContactMemory(s.memory)
+        self._surface = rig.hand.surface(s.outside, without=self._fingertips.frames) if s.outside else None
         self._surface_joints = frozenset(self._surface.chains.joints) if self._surface else frozenset()
         self._walk = np.array([s.walk_position**2] * 3 + [s.walk_rotation**2] * 3)
         self._regrasp = np.array([s.regrasp_position**2] * 3 + [s.regrasp_rotation**2] * 3)
@@ -99,7 +100,7 @@ class Tracker:
             return self.estimate
         if self.rig.world_from == "joints" and observation.T_world_palm is None:
             observation = self._standing_by_joints(observation)
-        self.touch = self._skin.touch(observation)
+        self.touch = self._fingertips.contacts(observation)
         self.stamp = self._now = stamp
         self._predict(observation, elapsed)
         seen = self._look(observation)
@@ -130,7 +131,7 @@ class Tracker:
                 self.belief = self.belief.walked(self._walk * elapsed)
         if T is not None:
             self.T_world_palm = T
-        self._memory.feel(self.touch, self._now)
+        self._memory.update(self.touch, self._now)
         change = self._grip.feel(self.touch.fingers, self._now)
         if change == "gripped":
             self._memory.only(self.touch.fingers)
@@ -184,8 +185,8 @@ class Tracker:
 
     def _correct(self, belief: Belief, observation: Observation, *, seen: bool) -> None:
         """The pose from the belief and everything that is touched or remembered, anew."""
-        remembered = self._memory.besides(self.touch)
-        contacts = together(self.touch, remembered, self._walk, self._now)
+        remembered = self._memory.of_others(self.touch)
+        contacts = with_remembered(self.touch, remembered, self._walk, self._now)
         if contacts is None:
             return
         T, covariance = belief.T_palm_object, belief.pose_covariance
