@@ -5,15 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import tips
 from handsight.rig import Table
-from handsight.tracking.gaps import gaps as gaps_plain
 from handsight.tracking.propagation import inflated_information
 from handsight.tracking.smoother import (
     MOST_MEASUREMENTS,
@@ -236,26 +233,3 @@ def test_an_object_in_the_air_is_not_put_on_the_table():
     T = se3.compose(np.eye(3), np.array([0.0, 0.0, 0.5]))
     prior = state_of(T, np.diag([0.02**2] * 3 + [0.1**2] * 3 + [1.0] * 6))
     assert on_table(prior, BOX, Table(height=0.0), np.eye(4)) is None
-
-
-@settings(max_examples=30, deadline=None)
-@given(SEEDS)
-def test_the_gap_between_tips_is_their_distance(seed):
-    """Against a dense sampling of both surfaces, which can only be too far."""
-    rng = np.random.default_rng(seed)
-    axes = rng.uniform(0.005, 0.015, size=(2, 3))
-    Ts = se3.random(rng, 2, spread=0.015)
-    fast, plain = tips.gaps(Ts, axes), gaps_plain(Ts, axes)
-    np.testing.assert_allclose(fast, plain, atol=1e-12)
-    u = rng.normal(size=(3000, 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    clouds = [se3.apply(T, u * a) for T, a in zip(Ts, axes, strict=True)]
-    sampled = cKDTree(clouds[0]).query(clouds[1])[0].min()
-    if fast[0] > 0:
-        assert sampled - 1.5e-3 < fast[0] < sampled + 1e-9
-    assert fast[0] == fast[1]
-
-
-def test_a_tip_alone_is_near_none():
-    assert tips.gaps(np.eye(4)[None], np.full((1, 3), 0.01))[0] == np.inf
-    assert gaps_plain(np.eye(4)[None], np.full((1, 3), 0.01))[0] == np.inf

@@ -13,7 +13,7 @@ from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.observation import SeenPose
 from handsight.replay import errors_of
-from handsight.tracking import Skin, Tracker, TrackerSettings
+from handsight.tracking import Tracker, TrackerSettings
 from handsight.tracking.propagation import point_covariance
 
 
@@ -147,10 +147,10 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker.update(later(last, 0.5, wrenches=silent))
-    assert [kept.finger for kept in tracker._memory.besides(tracker.fingertips)] == [finger]
+    assert [kept.finger for kept in tracker._memory.of_others(tracker.fingertips)] == [finger]
     assert len(tracker.estimate.residuals.distance) == len(tracker.fingertips.fingers) + 1
     tracker.update(later(last, 1.6, wrenches=silent))
-    assert tracker._memory.besides(tracker.fingertips) == []
+    assert tracker._memory.of_others(tracker.fingertips) == []
     tracker.update(later(last, 1.7))
     assert finger in tracker.fingertips.fingers
 
@@ -158,14 +158,14 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
 def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
-    kept = tracker._memory._felt[finger]
+    kept = tracker._memory._last[finger]
     points = kept.contacts.points_palm.copy()
     points[kept.row] += 0.03 * kept.contacts.normals_palm[kept.row]
     wrong = hs.Contacts(points, kept.contacts.normals_palm, covariance=kept.contacts.covariance)
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
-    tracker._memory._felt[finger] = replace(kept, contacts=wrong)
+    tracker._memory._last[finger] = replace(kept, contacts=wrong)
     tracker.update(later(last, 0.1, wrenches=silent))
-    assert tracker._memory.besides(tracker.fingertips) == []
+    assert tracker._memory.of_others(tracker.fingertips) == []
 
 
 def test_an_object_that_is_not_grasped_stays_where_it_is_in_the_world(can):
@@ -277,70 +277,3 @@ def test_memory_stays_flat(can):
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert grown < 25_000
-
-
-def test_one_degree_of_every_joint_is_in_each_contacts_covariance(can):
-    """Against drawing the joint errors: covariance of where the same point of each tip comes to lie."""
-    skin, last = Skin(can.rig), can.held[-1]
-    none = replace(can.rig, sigma_joint=0.0, sigma_joint_offset=1e-9)
-    felt, alone = skin.touch(last), Skin(none).touch(last)
-    rng = np.random.default_rng(0)
-    hand, names = can.rig.hand, list(last.joint_positions)
-    order = list(hand.tips)
-    Ts = hand.Ts_palm_tip(last.joint_positions)
-    draws = []
-    for _ in range(2000):
-        off = rng.normal(scale=np.hypot(can.rig.sigma_joint_offset, can.rig.sigma_joint), size=len(names))
-        moved = {name: last.joint_positions[name] + d for name, d in zip(names, off, strict=True)}
-        draws.append(hand.Ts_palm_tip(moved))
-    draws = np.array(draws)
-    for i, finger in enumerate(felt.fingers):
-        k = order.index(finger)
-        local = se3.apply(se3.inverse(Ts[k]), felt.contacts.points_palm[i][None])
-        points = se3.apply(draws[:, k], local)[:, 0]
-        added = (felt.contacts.covariance[i] - alone.contacts.covariance[i])[:3, :3]
-        np.testing.assert_allclose(added, np.cov(points.T), atol=0.12 * np.trace(added))
-        assert 0.5e-3 < np.sqrt(np.trace(added) / 3) < 3e-3
-
-
-def test_tips_that_may_touch_each_other_are_trusted_less(can):
-    skin, last = Skin(can.rig), can.held[-1]
-    felt = skin.touch(last)
-    joints = dict(last.joint_positions)
-    assert {"ff", "mf"} <= set(felt.fingers)
-    assert not felt.near
-    # The forefinger's spread and bend are made the middle finger's, tilted towards it.
-    for joint in ("J2", "J1", "J0"):
-        joints[f"robot0:FF{joint}"] = joints[f"robot0:MF{joint}"]
-    joints["robot0:FFJ3"], joints["robot0:MFJ3"] = -0.1, 0.1
-    touching = skin.touch(replace(last, joint_positions=joints))
-    assert touching.fingers == felt.fingers
-    assert {"ff", "mf"} <= set(touching.near)
-    for i, finger in enumerate(felt.fingers):
-        C, alone = touching.contacts.covariance[i], felt.contacts.covariance[i]
-        if finger in ("ff", "mf"):
-            assert np.sqrt(C[0, 0] + C[1, 1] + C[2, 2]) > 2e-3 * np.sqrt(3 / 2)
-            assert np.trace(C) > 1.5 * np.trace(alone)
-        elif finger not in touching.near:
-            np.testing.assert_allclose(C, alone, rtol=0, atol=1e-3 * np.abs(alone).max())
-
-
-def test_without_joints_nothing_is_touched(can):
-    felt = Skin(can.rig).touch(replace(can.held[-1], joint_positions=None))
-    assert felt.contacts is None
-    assert set(felt.reasons.values()) == {"no joint positions"}
-
-
-def test_loads_are_what_compensate_makes_of_each_reading(can):
-    skin, last = Skin(can.rig), can.held[-1]
-    Ts = can.rig.hand.Ts_palm_tip(last.joint_positions)
-    order = list(can.rig.hand.tips)
-    surfaces = np.array([Ts[order.index(n)] @ can.rig.fingers[n].T_frame_surface for n in skin.names])
-    loads = skin._loads(last, surfaces)
-    for i, name in enumerate(skin.names):
-        finger = can.rig.fingers[name]
-        R = last.T_world_palm[:3, :3] @ surfaces[i][:3, :3] @ finger.tip.T_surface_sensor[:3, :3]
-        raw = last.wrenches[name]
-        f, m = hs.compensate(raw[:3], raw[3:], R.T @ can.rig.gravity, finger.calibration)
-        np.testing.assert_allclose(loads[i, :3], f, atol=1e-12)
-        np.testing.assert_allclose(loads[i, 3:], m, atol=1e-14)

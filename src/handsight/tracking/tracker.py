@@ -15,13 +15,13 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.tracking.contact_memory import ContactMemory, with_remembered
+from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grasp_state import GraspChange, GraspState
-from handsight.tracking.memory import Memory, together
 from handsight.tracking.propagation import Correction, estimate_without_contacts, sigma_of_point
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.table import on_table
-from handsight.tracking.touch import Skin, Touch
 from handsight.tracking.vision_update import VisionUpdate
 
 State = Literal["tracking", "uncertain", "lost"]
@@ -62,14 +62,18 @@ class Tracker:
         self.state: State = "lost"
         self.reason = NO_POSE
         self.stamp: float | None = None
-        self.fingertips = Touch((), None, {})
+        self.fingertips = FingertipContacts((), None, {})
         self.T_world_palm: Array | None = None
         self.smoother: PoseBiasSmoother | None = None
         self.estimate: PoseEstimate | None = None
         self.corrections = self.late = 0
         """How often the pose was corrected, and how many observations came after a later one and were left out."""
         self.vision = VisionUpdate(rig, model)
-        self._sensors, self._memory, self._grasp = Skin(rig), Memory(s.memory), GraspState()
+        self._sensors, self._memory, self._grasp = (
+            FingertipSensors(rig),
+            ContactMemory(s.memory),
+            GraspState(),
+        )
         self._surface = rig.hand.surface(s.outside, without=self._sensors.frames) if s.outside else None
         self._surface_joints = frozenset(self._surface.chains.joints) if self._surface else frozenset()
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
@@ -95,7 +99,7 @@ class Tracker:
             self.late += 1
             return self.estimate
         observation = self._with_palm(observation)
-        self.fingertips = self._sensors.touch(observation)
+        self.fingertips = self._sensors.contacts(observation)
         self._predict(observation.T_world_palm, stamp)
         vision = self._update_by_vision(observation)
         if self.smoother is None:
@@ -144,7 +148,7 @@ class Tracker:
         if T_world_palm is not None:
             self.T_world_palm = T_world_palm
         self.stamp = self._now = stamp
-        self._memory.feel(self.fingertips, stamp)
+        self._memory.update(self.fingertips, stamp)
         change = self._grasp.update(self.fingertips.fingers, stamp)
         if change == "grasped":
             self._memory.only(self.fingertips.fingers)
@@ -197,8 +201,8 @@ class Tracker:
     def _correct(self, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool) -> None:
         """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
         touched, last = self.fingertips, self._correction
-        remembered = self._memory.besides(touched)
-        contacts = together(touched, remembered, self._process_noise, self._now)
+        remembered = self._memory.of_others(touched)
+        contacts = with_remembered(touched, remembered, self._process_noise, self._now)
         if contacts is None or touched.contacts is None:
             return
         T, covariance = smoother.solved.T_palm_object, smoother.now.covariance[:6, :6]
