@@ -25,23 +25,23 @@ for sample in simulate(scenario):
     estimate = tracker.update(seen)
     if estimate is None:
         continue  # neither a start nor vision so far
-    if (tracker.state, tracker.touch.fingers) != said:
-        said = tracker.state, tracker.touch.fingers
-        touching = ", ".join(tracker.touch.fingers) or "nothing"
+    if (tracker.state, tracker.fingertips.fingers) != said:
+        said = tracker.state, tracker.fingertips.fingers
+        touching = ", ".join(tracker.fingertips.fingers) or "nothing"
         print(f"{seen.stamp:.2f} s: {tracker.state} {tracker.reason} (touching {touching})")
 
-print("why the others do not count:", dict(tracker.touch.reasons))
+print("why the others do not count:", dict(tracker.fingertips.reasons))
 print("position in the palm [mm]:", (1e3 * estimate.T_palm_object[:3, 3]).round(1))
 print(f"sigma {1e3 * tracker.sigma:.1f} mm, directions that touch leaves open: {len(estimate.unobservable)}")
 
 # What the joints' constant error does to the contacts, through the hand's Jacobian.
 pose = rig.hand.kinematics(robot.joint_positions)
-tips = [list(rig.hand.tips).index(finger) for finger in tracker.touch.fingers]
-by_joint = pose.jacobians(tracker.touch.contacts.points_palm, tips)[:, :3] * rig.sigma_joint_offset
+tips = [list(rig.hand.tips).index(finger) for finger in tracker.fingertips.fingers]
+by_joint = pose.jacobians(tracker.fingertips.contacts.points_palm, tips)[:, :3] * rig.sigma_joint_offset
 each = np.sqrt((by_joint**2).sum(axis=(1, 2)).mean() / 3)
 print(f"1 degree at each joint moves a contact by {1e3 * each:.1f} mm per axis")
 
-error, covariance = tracker.vision_error()
+error, covariance = tracker.vision_bias()
 print(
     "vision's constant error so far [mm]:",
     (1e3 * error[:3]).round(),

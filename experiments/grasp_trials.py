@@ -16,7 +16,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
-from handsight.tracking import Belief, Skin, Touch
+from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
 from handsight.tracking.table import on_table
 
 OBJECTS = ("can", "box")
@@ -36,7 +36,7 @@ class Trial:
     sample: Sample
     model: hs.ObjectModel
     """What the robot takes the object for."""
-    touch: Touch
+    touch: FingertipContacts
     vision: hs.PosePrior
     standing: hs.PosePrior
     """The same, given that the object stands on the table."""
@@ -56,15 +56,15 @@ def rig():
 
 
 @cache
-def skin():
+def fingertips():
     """Its fingertips."""
-    return Skin(rig())
+    return FingertipSensors(rig())
 
 
 @cache
 def surface():
     """Its links, without the tips, which touch the object."""
-    return rig().hand.surface(OUTSIDE, without=skin().frames)
+    return rig().hand.surface(OUTSIDE, without=fingertips().frames)
 
 
 def last_instant(scenario):
@@ -89,16 +89,16 @@ def vision_prior(observation):
 
 def standing(prior, model, T_world_palm):
     """The prior given that the object stands on the table; as it was where that contradicts it."""
-    no_error = 1e-6 * np.eye(6)
-    joint = Belief.begun(prior.T_palm_object, prior.covariance, no_error, np.zeros(3)).now
-    stood = on_table(joint, model, rig().table, T_world_palm)
+    no_bias = 1e-6 * np.eye(6)
+    state = PoseBiasSmoother.from_prior(prior.T_palm_object, prior.covariance, no_bias, np.zeros(3)).now
+    stood = on_table(state, model, rig().table, T_world_palm)
     return prior if stood is None else hs.PosePrior(stood.T_palm_object, stood.covariance[:6, :6])
 
 
 def trial_of(scenario, sample, model=None):
     """The problem of a sample; None where no finger touches. `model`: as the robot has it, if it is at hand."""
     observation = sample.observation
-    touch = skin().touch(observation)
+    touch = fingertips().contacts(observation)
     if touch.contacts is None:
         return None
     model = model_of(scenario) if model is None else model
@@ -164,7 +164,7 @@ def sensing_errors(scenario, draws, rng):
 
 
 def _misplaced(sample, observation):
-    touch = skin().touch(observation)
+    touch = fingertips().contacts(observation)
     found = []
     for i, finger in enumerate(touch.fingers):
         truths = [t for t in sample.contacts_truth if t.finger == finger]

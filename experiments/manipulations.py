@@ -7,7 +7,7 @@ import numpy as np
 import handsight as hs
 from grasp_errors import pose_errors
 from grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
-from grasp_trials import OUTSIDE, exact_model, rig, seen_in_palm, skin, vision_prior
+from grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
 from handsight import se3
 from handsight.replay import Step, Tally, replay
 from handsight.simulation import Sample, Scenario, simulate
@@ -85,7 +85,7 @@ def by_paper(model, samples):
         if sample.observation.seen is None:
             continue
         T = seen_in_palm(sample.observation)
-        contacts = skin().touch(sample.observation).contacts
+        contacts = fingertips().contacts(sample.observation).contacts
         if contacts is not None and len(contacts) >= LEAST_FINGERS:
             vision = vision_prior(sample.observation)
             estimate = hs.correct_pose(model, contacts, vision=vision, method=PAPER[PAPER_TRACKED])

@@ -48,14 +48,14 @@ def calibrate_camera(path: Path, rig: Rig, model: ObjectModel) -> CameraCalibrat
         for step in replay(recording.observations(), tracker, Tally()):
             if not step.fingers or not step.estimate.consistent or step.T_palm_seen is None:
                 continue
-            found = tracker.vision_error()
+            found = tracker.vision_bias()
             if found is not None:
                 error = found
                 T = step.T_world_palm
                 turns.append(np.eye(3) if T is None or rig.camera.on == "palm" else T[:3, :3])
-    if error is None or tracker.belief is None:
+    if error is None or tracker.smoother is None:
         raise InvalidInput(f"{path}: expected an object that is held and seen, got none")
-    return _calibration(rig.camera.T_mount_camera, error, tracker.belief.pivot, turns)
+    return _calibration(rig.camera.T_mount_camera, error, tracker.smoother.pivot, turns)
 
 
 def _calibration(

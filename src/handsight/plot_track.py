@@ -12,7 +12,7 @@ from handsight.errors import HandsightError
 from handsight.objects import ObjectModel
 from handsight.plot import require_matplotlib
 from handsight.replay import Step, Truths, base_center
-from handsight.tracking.answers import point_covariance
+from handsight.tracking.propagation import point_covariance
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000

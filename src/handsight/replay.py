@@ -89,9 +89,9 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             estimate=estimate,
             state=tracker.state,
             reason=tracker.reason,
-            T_palm_seen=tracker.sight.in_palm(seen, tracker.T_world_palm),
+            T_palm_seen=tracker.vision.in_palm(seen, tracker.T_world_palm),
             T_world_palm=tracker.T_world_palm,
-            fingers=tracker.touch.fingers,
+            fingers=tracker.fingertips.fingers,
             sigma=tracker.sigma,
         )
 

@@ -64,6 +64,8 @@ _SKEW = np.zeros((3, 9))
 _SKEW[2, 1] = _SKEW[0, 5] = _SKEW[1, 6] = -1.0
 _SKEW[1, 2] = _SKEW[2, 3] = _SKEW[0, 7] = 1.0
 _UNSKEW = _SKEW.T / 2
+TINY = 1e-300
+"""Of a squared angle: keeps x from 0 where sin x / x is 1 to rounding."""
 _EYE = np.eye(3)
 
 
@@ -74,10 +76,9 @@ def skew(v: Array) -> Array:
 
 def rotation_exp(w: Array) -> Array:
     """Rotations (..., 3, 3) about the vectors `w` (..., 3) by their length [rad] (Rodrigues)."""
-    half = 0.5 * np.sqrt((w * w).sum(axis=-1))[..., None, None]
-    safe = np.where(half < 1e-9, 1.0, half)
+    half = 0.5 * np.sqrt(np.maximum((w * w).sum(axis=-1), TINY))[..., None, None]
     # (1 - cos x)/x² = (sin(x/2)/(x/2))²/2 and sin x/x = sin(x/2)/(x/2) cos(x/2): nothing cancels near 0.
-    ratio = np.where(half < 1e-9, 1.0, np.sin(safe) / safe)
+    ratio = np.sin(half) / half
     S = skew(w)
     return np.asarray(_EYE + (ratio * np.cos(half)) * S + (0.5 * ratio * ratio) * (S @ S))
 
@@ -85,13 +86,11 @@ def rotation_exp(w: Array) -> Array:
 def rotation_log(R: Array) -> Array:
     """Rotation vectors (..., 3) [rad], length ≤ π; exact near 0 and near π."""
     vector = R.reshape(*R.shape[:-2], 9) @ _UNSKEW  # sin(angle) axis
-    sine = np.sqrt((vector * vector).sum(axis=-1))
+    sine = np.sqrt(np.maximum((vector * vector).sum(axis=-1), TINY))
     cosine = (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1) / 2
-    if np.any(cosine < -0.9):
+    if (cosine < -0.9).any():
         return _log_through_quaternion(R)
-    small = sine < 1e-9
-    factor = np.where(small, 1.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
-    return np.asarray(factor[..., None] * vector)
+    return np.asarray((np.arctan2(sine, cosine) / sine)[..., None] * vector)
 
 
 def _log_through_quaternion(R: Array) -> Array:

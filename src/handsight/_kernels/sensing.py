@@ -1,7 +1,5 @@
 """Contact sensing: wrenches on a fingertip to contacts (eq. 7).
 
-Twin: `handsight.contact._sensing_plain.sense`, where the method is explained.
-
 Many wrenches go through in blocks, column by column of a flat workspace, without a branch: the compiler does four at
 a time. The steps are loops of their own because a short loop has several rounds under way at once; one loop of all
 steps takes 1.4 times as long.
@@ -11,45 +9,61 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.compiled import entry, inner
+from handsight._kernels.compiled import entry
+from handsight._kernels.sensing_records import FINGERTIP, SENSED
 from handsight._kernels.sensing_steps import (
-    AXES,
     CONTACT,
     OFF_CAP,
-    TIP,
-    foot,
-    landed,
+    Fingertip,
+    Vec6,
+    fingertip,
+    judged,
     lane,
+    on_sphere,
     prepared,
     rescaled,
     root,
+    sensed,
     spread,
+    store,
     sum_of_products,
+    times,
+    vector,
 )
+from handsight._kernels.vec3 import Vec3
 
 LANES = 32
-# Columns of the workspace, LANES numbers each. Torques are about the centre times |W| / W.
-REASON, SCALE, Q, NORMAL, FORCE, MOMENT, C, KAPPA, READING = 0, 1, 2, 5, 8, 11, 14, 15, 16
+# Columns of the workspace, LANES numbers each.
+REASON, SIZE, Q, NORMAL, FORCE, MOMENT, C, KAPPA, READING = 0, 1, 2, 5, 8, 11, 14, 15, 16
 COLUMNS = 22
 
 
 @lane
-def _three(w: Any, column: int, j: int) -> Any:
+def _three(w: Any, column: int, j: int) -> Vec3:
     return w[column * LANES + j], w[(column + 1) * LANES + j], w[(column + 2) * LANES + j]
 
 
 @lane
-def _put(w: Any, column: int, j: int, value: Any) -> None:
+def _put(w: Any, column: int, j: int, value: Vec3) -> None:
     for i in range(3):
         w[(column + i) * LANES + j] = value[i]
 
 
 @lane
-def _solved(w: Any, tip: Any) -> None:
-    """From the columns READING to the others; forces, c and κ over the scale."""
+def _read(w: Any, forces: Any, torques: Any, start: int, count: int) -> None:
+    """`count` readings from number `start` on; the arrays are flat."""
+    for j in range(count):
+        i = 3 * (start + j)
+        _put(w, READING, j, (forces[i], forces[i + 1], forces[i + 2]))
+        _put(w, READING + 3, j, (torques[i], torques[i + 1], torques[i + 2]))
+
+
+@lane
+def _solve(w: Any, tip: Fingertip) -> None:
+    """From the columns READING to the others; forces, c and κ over the size."""
     for j in range(LANES):
-        reason, scale, force, moment = prepared(_three(w, READING, j), _three(w, READING + 3, j), tip)
-        w[REASON * LANES + j], w[SCALE * LANES + j] = reason, scale
+        reason, size, force, moment = prepared(_three(w, READING, j), _three(w, READING + 3, j), tip)
+        w[REASON * LANES + j], w[SIZE * LANES + j] = reason, size
         _put(w, FORCE, j, force)
         _put(w, MOMENT, j, moment)
     for j in range(LANES):
@@ -59,56 +73,41 @@ def _solved(w: Any, tip: Any) -> None:
         w[REASON * LANES + j] = reason if reason > CONTACT else (CONTACT if pushes else OFF_CAP)
     for j in range(LANES):
         c, kappa = w[C * LANES + j], w[KAPPA * LANES + j]
-        _put(w, Q, j, foot(_three(w, FORCE, j), _three(w, MOMENT, j), c, kappa, tip))
+        _put(w, Q, j, on_sphere(_three(w, FORCE, j), _three(w, MOMENT, j), c, kappa, tip))
 
 
 @lane
-def _landed(w: Any, tip: Any) -> None:
-    """The answers in the columns: points for q, normal forces and local torques for c and κ, and the scale undone."""
+def _finish(w: Any, tip: Fingertip) -> None:
+    """The answers in the columns: points for q, normal forces and local torques for c and κ, and the size undone."""
     for j in range(LANES):
-        q, force, scale = _three(w, Q, j), _three(w, FORCE, j), w[SCALE * LANES + j]
-        normal, push, twist, against = landed(q, force, w[C * LANES + j], w[KAPPA * LANES + j], tip)
+        q, force, size = _three(w, Q, j), _three(w, FORCE, j), w[SIZE * LANES + j]
+        normal, push, twist, against = judged(q, force, w[C * LANES + j], w[KAPPA * LANES + j], tip)
         reason = w[REASON * LANES + j]
         w[REASON * LANES + j] = reason if reason > CONTACT else against
-        w[C * LANES + j], w[KAPPA * LANES + j] = rescaled(push, scale), rescaled(twist, scale)
-        _put(w, Q, j, (q[0] * tip[AXES], q[1] * tip[AXES + 1], q[2] * tip[AXES + 2]))
+        w[C * LANES + j], w[KAPPA * LANES + j] = rescaled(push, size), rescaled(twist, size)
+        _put(w, Q, j, times(q, tip.semi_axes))
         _put(w, NORMAL, j, normal)
-        _put(w, FORCE, j, (rescaled(force[0], scale), rescaled(force[1], scale), rescaled(force[2], scale)))
+        _put(w, FORCE, j, (rescaled(force[0], size), rescaled(force[1], size), rescaled(force[2], size)))
 
 
 @lane
-def _read(w: Any, forces: Any, torques: Any, start: int, count: int) -> None:
-    """`count` readings from number `start` on."""
-    for j in range(count):
-        i = 3 * (start + j)
-        _put(w, READING, j, (forces[i], forces[i + 1], forces[i + 2]))
-        _put(w, READING + 3, j, (torques[i], torques[i + 1], torques[i + 2]))
-
-
-@lane
-def _copied(w: Any, column: int, j: int, out: Any, k: int) -> None:
+def _write(w: Any, j: int, contact: Any) -> None:
     for i in range(3):
-        out[3 * k + i] = w[(column + i) * LANES + j]
+        contact.point[i] = w[(Q + i) * LANES + j]
+        contact.normal[i] = w[(NORMAL + i) * LANES + j]
+        contact.force[i] = w[(FORCE + i) * LANES + j]
+    contact.force_normal, contact.torque = w[C * LANES + j], w[KAPPA * LANES + j]
 
 
 @entry
-def sense(
-    forces: Any,
-    torques: Any,
-    tip: Any,
-    reasons: Any,
-    rows: Any,
-    vectors: Any,
-    sizes: Any,
-) -> int:
-    """How many contacts n wrenches hold; their answers, in the order of the wrenches, from the arrays' start.
+def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts: Any) -> int:
+    """How many contacts n wrenches hold; these, in the order of the wrenches, from the arrays' start.
 
-    Every array is flat: `forces`, `torques` (3 n); `reasons` (n) int8, all of them; `rows` (n) int64; `vectors`, three
-    of (3 n): points, normals, forces; `sizes`, two of (n): normal forces, local torques.
+    `forces`, `torques` (n, 3); `tip` (1,) FINGERTIP. Written: `reasons` (n) int8, all of them; of the contacts `rows`
+    (n) int64, whose wrench each is, and `contacts` (n) SENSED.
     """
-    points, normals, pushes = vectors
-    sizes_push, sizes_twist = sizes
-    w = np.zeros(COLUMNS * LANES)
+    numbers, w = fingertip(tip[0]), np.zeros(COLUMNS * LANES)
+    forces, torques = forces.reshape(-1), torques.reshape(-1)
     n, k = len(reasons), 0
     for start in range(0, n, LANES):
         count = min(LANES, n - start)
@@ -116,32 +115,35 @@ def sense(
             _read(w, forces, torques, start, LANES)
         else:
             _read(w, forces, torques, start, count)
-        _solved(w, tip)
-        _landed(w, tip)
+        _solve(w, numbers)
+        _finish(w, numbers)
         for j in range(count):
             # Written in any case and passed by only where it is a contact: the branch could not be foreseen.
             reasons[start + j] = np.int8(w[REASON * LANES + j])
             rows[k] = start + j
-            _copied(w, Q, j, points, k)
-            _copied(w, NORMAL, j, normals, k)
-            _copied(w, FORCE, j, pushes, k)
-            sizes_push[k], sizes_twist[k] = w[C * LANES + j], w[KAPPA * LANES + j]
+            _write(w, j, contacts[k])
             k += 1 if w[REASON * LANES + j] == CONTACT else 0
     return k
 
 
+@lane
+def _pair(six: Any) -> Vec6:
+    return (six[0], six[1], six[2]), (six[3], six[4], six[5])
+
+
 @entry
-def covariances(points: Any, pushes: Any, twists: Any, tip: Any, sigmas: Any, out: Any) -> None:
-    """`out` (36 k): of the point and normal of k contacts; `points` (3 k), `pushes`, `twists` (k), `sigmas` (6)."""
-    n, w = len(pushes), np.ones(17 * LANES)
+def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
+    """`out` (k, 6, 6): of the point and normal of k contacts SENSED; `tip` (1,) FINGERTIP, `sigmas` (6)."""
+    numbers, noise, out = fingertip(tip[0]), _pair(sigmas), out.reshape(-1)
+    n, w = len(contacts), np.ones(17 * LANES)
     for start in range(0, n, LANES):
         count = min(LANES, n - start)
         for j in range(count):
-            i = 3 * (start + j)
-            _put(w, 12, j, (points[i], points[i + 1], points[i + 2]))
-            w[15 * LANES + j], w[16 * LANES + j] = pushes[start + j], twists[start + j]
+            contact = contacts[start + j]
+            _put(w, 12, j, vector(contact.point))
+            w[15 * LANES + j], w[16 * LANES + j] = contact.force_normal, contact.torque
         for j in range(LANES):
-            first, second = spread(_three(w, 12, j), w[15 * LANES + j], w[16 * LANES + j], tip, sigmas)
+            first, second = spread(_three(w, 12, j), w[15 * LANES + j], w[16 * LANES + j], numbers, noise)
             for i in range(6):
                 w[i * LANES + j], w[(6 + i) * LANES + j] = first[i], second[i]
         for j in range(count):
@@ -152,74 +154,37 @@ def covariances(points: Any, pushes: Any, twists: Any, tip: Any, sigmas: Any, ou
                     out[36 * (start + j) + 6 * row + i] = sum_of_products(a, c, b, d)
 
 
-@inner
-def _sensed(reading: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -> Any:
-    """Reason, normal force and local torque of one wrench, six numbers; the rest is written."""
-    reason, scale, force, moment = prepared(reading[:3], reading[3:], tip)
-    if reason != CONTACT:
-        return int(reason), 0.0, 0.0
-    c, kappa, pushes = root(force, moment, tip)
-    if not pushes:
-        return int(OFF_CAP), 0.0, 0.0
-    q = foot(force, moment, c, kappa, tip)
-    normal, push, twist, reason = landed(q, force, c, kappa, tip)
-    if reason != CONTACT:
-        return int(reason), 0.0, 0.0
-    push, twist = rescaled(push, scale), rescaled(twist, scale)
-    point = (q[0] * tip[AXES], q[1] * tip[AXES + 1], q[2] * tip[AXES + 2])
-    first, second = spread(point, push, twist, tip, sigmas)
-    for i in range(3):
-        vectors[0, i], vectors[1, i], vectors[2, i] = point[i], normal[i], rescaled(force[i], scale)
-    for i in range(6):
-        for j in range(6):
-            covariance[i, j] = sum_of_products(first[i], first[j], second[i], second[j])
-    return int(CONTACT), push, twist
+@lane
+def sensed_with_covariance(load: Vec6, tip: Fingertip, sigmas: Vec6, covariance: Any) -> Any:
+    """As `sensed`, of one wrench; its covariance is written where it is a contact."""
+    answer = sensed(load[0], load[1], tip)
+    if answer[0] == CONTACT:
+        first, second = spread(answer[1], answer[4], answer[5], tip, sigmas)
+        for i in range(6):
+            for j in range(6):
+                covariance[i, j] = sum_of_products(first[i], first[j], second[i], second[j])
+    return answer
 
 
 @entry
-def sense_one(
-    fx: float,
-    fy: float,
-    fz: float,
-    mx: float,
-    my: float,
-    mz: float,
-    tip: Any,
-    sigmas: Any,
-    vectors: Any,
-    covariance: Any,
-) -> Any:
-    """Reason, normal force and local torque of one wrench; `vectors` (3, 3): point, normal, force; its covariance.
+def sense_one(load: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -> Any:
+    """Reason, normal force and local torque of one wrench.
 
-    Six numbers, because an array costs ten times what a number costs on the way in.
+    `load`: its force and torque, six numbers. Written where it is a contact: `vectors` (3, 3), point, normal and force,
+    and its `covariance`.
     """
-    return _sensed((fx, fy, fz, mx, my, mz), tip, sigmas, vectors, covariance)
-
-
-@entry
-def sense_each(loads: Any, tips: Any, sigmas: Any, reasons: Any, vectors: Any, covariances: Any) -> None:
-    """One wrench on each of n tips: `loads` (n, 6), `tips` (n, TIP), `sigmas` (n, 6).
-
-    Written: `reasons` (n) int8, and where that is CONTACT, `vectors` (n, 3, 3) and `covariances` (n, 6, 6).
-    """
-    for i in range(len(reasons)):
-        w = loads[i]
-        reading = (w[0], w[1], w[2], w[3], w[4], w[5])
-        reason, _, _ = _sensed(reading, tips[i], sigmas[i], vectors[i], covariances[i])
-        reasons[i] = np.int8(reason)
+    answer = sensed_with_covariance(_pair(load), fingertip(tip[0]), _pair(sigmas), covariance)
+    reason, point, normal, force, force_normal, twist = answer
+    store(point, vectors[0])
+    store(normal, vectors[1])
+    store(force, vectors[2])
+    return int(reason), force_normal, twist
 
 
 def warm() -> None:
     """Compiles every kernel, or loads it."""
-    tip, none, sigmas = np.ones(TIP), np.empty(0), np.ones(6)
-    sense(none, none, tip, np.empty(0, np.int8), np.empty(0, np.int64), (none,) * 3, (none,) * 2)
-    covariances(none, none, none, tip, sigmas, none)
-    sense_one(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, tip, sigmas, np.empty((3, 3)), np.empty((6, 6)))
-    sense_each(
-        np.zeros((1, 6)),
-        tip[None],
-        sigmas[None],
-        np.empty(1, np.int8),
-        np.empty((1, 3, 3)),
-        np.empty((1, 6, 6)),
-    )
+    tip, none, sigmas = np.ones(1, FINGERTIP), np.empty((0, 3)), np.ones(6)
+    contacts = np.empty(0, SENSED)
+    sense(none, none, tip, np.empty(0, np.int8), np.empty(0, np.int64), contacts)
+    covariances(contacts, tip, sigmas, np.empty((0, 6, 6)))
+    sense_one((0.0,) * 6, tip, sigmas, np.empty((3, 3)), np.empty((6, 6)))

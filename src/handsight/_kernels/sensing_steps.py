@@ -1,11 +1,21 @@
-"""The steps from one wrench to a contact and its covariance (eq. 7), each for the callers' loops.
+"""The steps from one wrench to a contact and its covariance (eq. 7), each for the callers' loops; no step branches.
 
-Twin: `handsight.contact._sensing_plain`, where the method is explained. In short, q is the point on the unit sphere
-that the tip is seen as, f and m the force and torque there, c = q·f, κ the local torque there. No step branches.
+The object pushes with force F at p, and twists by a local torque along the normal. About the centre of the
+ellipsoid pᵀA p = 1 the torque is M = p × F + k A p: four equations for p and k. Bicchi, Salisbury and Brock
+(1993) solve them through a quartic in k whose answer is 0/0 where k vanishes. Here, instead:
+
+* With W = √A, q = W p, f = W F, m = |W| W⁻¹ M, κ = |W| k, eq. 7 becomes that of the unit sphere,
+  q × f + κ q = m, |q| = 1: an ellipsoid is a sphere seen through W.
+* c = q·f obeys c κ = f·m and c² - κ² = |f|² - |m|², that is (c + iκ)² = |f|² - |m|² + 2i f·m. One complex
+  square root gives both, and the object can only push: Re(c + iκ) < 0. Nothing cancels, and κ = 0 is no
+  special case.
+* q = (c f + κ m + f × m) / (|f|² + κ²); for κ = 0 this is where the wrench's axis pierces the sphere.
+
+`W`, |W| and the like are of `Fingertip`; a vector of six is a pair of vectors.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -13,18 +23,17 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-F = TypeVar("F", bound=Callable[..., Any])
+from handsight._kernels import vec3
+from handsight._kernels.vec3 import Mat33, Vec3
 
-# A fingertip, as `handsight.contact.fingertip` packs it.
-INVERSE, AXES, MOMENTS, VOLUME = 0, 3, 6, 9  # W = 1/a, a, |W| a, 1/|W|
-CAP, FRICTION = 10, 11  # least z [m]; largest (tangential / normal)²
-FORCE_UNIT, LEAST_FORCE = 12, 13  # a power of two; (least force times that)²
-ROTATION, ORIGIN = 14, 23  # of the sensor in the surface's frame
-TIP = 26
+F = TypeVar("F", bound=Callable[..., Any])
+Vec6 = tuple[Vec3, Vec3]
 
 CONTACT, FREE, OFF_CAP, BEYOND_FRICTION, INVALID = 0.0, 1.0, 2.0, 3.0, 4.0
 GRAZING_SQUARED = 1e-12
+"""A push counts as one from this squared cosine (on the sphere) on; below, the wrench's axis misses the surface."""
 VANISHING = 1e-150
+"""A force this much smaller than its torque, in doubles, has no direction left."""
 LARGEST = 1.7976931348623157e308
 LARGEST_SCALE = 2.0**1022
 """The largest power of two whose reciprocal is a normal double."""
@@ -36,7 +45,25 @@ def lane(function: F) -> F:
     Rounded as written, so that one wrench and many have the same answer to the bit, and huge ones one at all: another
     order of the factors would overflow. That costs a twentieth of the speed.
     """
-    return numba.njit(error_model="numpy", fastmath=False, forceinline=True)(function)
+    plain = getattr(function, "py_func", function)
+    return numba.njit(error_model="numpy", fastmath=False, forceinline=True)(plain)
+
+
+vector, matrix, store = lane(vec3.vector), lane(vec3.matrix), lane(vec3.store)
+add, sub, neg, scale, times = (
+    lane(vec3.add),
+    lane(vec3.sub),
+    lane(vec3.neg),
+    lane(vec3.scale),
+    lane(vec3.times),
+)
+dot, cross, norm, mul, tmul = (
+    lane(vec3.dot),
+    lane(vec3.cross),
+    lane(vec3.norm),
+    lane(vec3.mul),
+    lane(vec3.tmul),
+)
 
 
 @intrinsic
@@ -62,54 +89,98 @@ def _reciprocal(context: Any, power: Any) -> Any:
 
 
 @lane
-def _more(a: float, b: float) -> float:
+def _size(value: float) -> float:
+    """A power of two near a positive number, so that dividing by it is exact and leaves no extreme."""
+    power = _power_of_two(value)
+    return power if power < LARGEST_SCALE else LARGEST_SCALE
+
+
+@lane
+def _larger(a: float, b: float) -> float:
     return a if a > b else b
 
 
 @lane
-def rescaled(value: float, scale: float) -> float:
+def _largest(v: Vec3) -> float:
+    return _larger(_larger(abs(v[0]), abs(v[1])), abs(v[2]))
+
+
+@lane
+def _finite(v: Vec3) -> bool:
+    return (abs(v[0]) <= LARGEST) & (abs(v[1]) <= LARGEST) & (abs(v[2]) <= LARGEST)
+
+
+@lane
+def rescaled(value: float, size: float) -> float:
     """Their product, kept finite where only it overflows."""
-    product = value * scale
+    product = value * size
     product = product if product < LARGEST else LARGEST
     return product if product > -LARGEST else -LARGEST
 
 
+class Fingertip(NamedTuple):
+    """A fingertip's numbers, and what follows from them."""
+
+    semi_axes: Vec3
+    W: Vec3
+    """Their reciprocals."""
+    by_moment: Vec3
+    """|W| / W: what torques are multiplied by."""
+    volume: float
+    """1 / |W|."""
+    cap: float
+    friction_squared: float
+    unit: float
+    """A power of two: forces are compared squared, and their squares must neither under- nor overflow."""
+    least_squared: float
+    """(least force times that)²."""
+    R: Mat33
+    origin: Vec3
+    """With R the pose of the sensor in the surface's frame."""
+
+
 @lane
-def prepared(F: Any, M: Any, tip: Any) -> Any:
-    """Whether the wrench is worth a look; its scale; force and torque over it along the surface's axes, about its
-    centre, the torque times |W| / W."""
-    largest = _more(
-        _more(_more(abs(F[0]), abs(F[1])), _more(abs(F[2]), abs(M[0]))), _more(abs(M[1]), abs(M[2]))
+def fingertip(record: Any) -> Fingertip:
+    """A record's numbers in registers."""
+    axes = vector(record.semi_axes)
+    W = 1.0 / axes[0], 1.0 / axes[1], 1.0 / axes[2]
+    product = W[0] * W[1] * W[2]
+    unit = _reciprocal(_size(record.min_force))
+    return Fingertip(
+        axes,
+        W,
+        (product / W[0], product / W[1], product / W[2]),
+        1.0 / product,
+        record.cap,
+        record.max_friction * record.max_friction,
+        unit,
+        (record.min_force * unit) * (record.min_force * unit),
+        matrix(record.R_surface_sensor),
+        vector(record.origin_surface),
     )
-    scale = _power_of_two(largest)
-    scale = scale if scale < LARGEST_SCALE else LARGEST_SCALE
-    valid = (abs(F[0]) <= LARGEST) & (abs(F[1]) <= LARGEST) & (abs(F[2]) <= LARGEST)
-    valid &= (abs(M[0]) <= LARGEST) & (abs(M[1]) <= LARGEST) & (abs(M[2]) <= LARGEST)
-    unit = tip[FORCE_UNIT]
-    x, y, z = F[0] * unit, F[1] * unit, F[2] * unit
-    reason = CONTACT if x * x + y * y + z * z >= tip[LEAST_FORCE] else FREE
-    reason = reason if valid else INVALID
-    shrink = _reciprocal(scale)
-    x, y, z = F[0] * shrink, F[1] * shrink, F[2] * shrink
-    R = ROTATION
-    fx = tip[R] * x + tip[R + 1] * y + tip[R + 2] * z
-    fy = tip[R + 3] * x + tip[R + 4] * y + tip[R + 5] * z
-    fz = tip[R + 6] * x + tip[R + 7] * y + tip[R + 8] * z
-    x, y, z = M[0] * shrink, M[1] * shrink, M[2] * shrink
-    px, py, pz = tip[ORIGIN], tip[ORIGIN + 1], tip[ORIGIN + 2]
-    mx = tip[R] * x + tip[R + 1] * y + tip[R + 2] * z + (py * fz - pz * fy)
-    my = tip[R + 3] * x + tip[R + 4] * y + tip[R + 5] * z + (pz * fx - px * fz)
-    mz = tip[R + 6] * x + tip[R + 7] * y + tip[R + 8] * z + (px * fy - py * fx)
-    return reason, scale, (fx, fy, fz), (mx * tip[MOMENTS], my * tip[MOMENTS + 1], mz * tip[MOMENTS + 2])
 
 
 @lane
-def root(f: Any, m: Any, tip: Any) -> Any:
-    """c, κ and whether that is a push; `f` (3) is not yet times W."""
-    fx, fy, fz = f[0] * tip[INVERSE], f[1] * tip[INVERSE + 1], f[2] * tip[INVERSE + 2]
-    ff = fx * fx + fy * fy + fz * fz
-    real = ff - (m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
-    half = fx * m[0] + fy * m[1] + fz * m[2]
+def prepared(force: Vec3, torque: Vec3, tip: Fingertip) -> Any:
+    """CONTACT or what speaks against one; the wrench's size; force and torque over it along the surface's axes, about
+    its centre, the torque times |W| / W."""
+    size = _size(_larger(_largest(force), _largest(torque)))
+    compared = scale(force, tip.unit)
+    reason = CONTACT if dot(compared, compared) >= tip.least_squared else FREE
+    reason = reason if _finite(force) & _finite(torque) else INVALID
+    shrink = _reciprocal(size)
+    f = mul(tip.R, scale(force, shrink))
+    moment = add(mul(tip.R, scale(torque, shrink)), cross(tip.origin, f))
+    return reason, size, f, times(moment, tip.by_moment)
+
+
+@lane
+def root(force: Vec3, m: Vec3, tip: Fingertip) -> tuple[float, float, bool]:
+    """c, κ and whether that is a push; of a `prepared` wrench."""
+    f = times(force, tip.W)
+    ff = dot(f, f)
+    real = ff - dot(m, m)
+    half = dot(f, m)
     # The complex root: its larger part by a sum, the other by their product, so nothing cancels.
     larger = np.sqrt(0.5 * (abs(real) + np.sqrt(real * real + 4.0 * half * half)))
     other = half / larger
@@ -119,33 +190,31 @@ def root(f: Any, m: Any, tip: Any) -> Any:
 
 
 @lane
-def foot(f: Any, m: Any, c: float, kappa: float, tip: Any) -> Any:
+def on_sphere(force: Vec3, m: Vec3, c: float, kappa: float, tip: Fingertip) -> Vec3:
     """q."""
-    fx, fy, fz = f[0] * tip[INVERSE], f[1] * tip[INVERSE + 1], f[2] * tip[INVERSE + 2]
-    size = 1.0 / (fx * fx + fy * fy + fz * fz + kappa * kappa)
-    x = (c * fx + kappa * m[0] + (fy * m[2] - fz * m[1])) * size
-    y = (c * fy + kappa * m[1] + (fz * m[0] - fx * m[2])) * size
-    z = (c * fz + kappa * m[2] + (fx * m[1] - fy * m[0])) * size
+    f = times(force, tip.W)
+    along = add(add(scale(f, c), scale(m, kappa)), cross(f, m))
+    q = scale(along, 1.0 / (dot(f, f) + kappa * kappa))
     # Of length 1 but for rounding: a step of Newton's towards 1/√ takes the rest away.
-    mend = 1.5 - 0.5 * (x * x + y * y + z * z)
-    return x * mend, y * mend, z * mend
+    return scale(q, 1.5 - 0.5 * dot(q, q))
 
 
 @lane
-def landed(q: Any, f: Any, c: float, kappa: float, tip: Any) -> Any:
-    """Normal, normal force and local torque, over the scale; a reason against it or CONTACT."""
-    x, y, z = q[0] * tip[INVERSE], q[1] * tip[INVERSE + 1], q[2] * tip[INVERSE + 2]
-    steepness = np.sqrt(x * x + y * y + z * z)
+def judged(q: Vec3, force: Vec3, c: float, kappa: float, tip: Fingertip) -> Any:
+    """Normal, normal force and local torque over the wrench's size; CONTACT, or why the tip cannot have felt it."""
+    outward = times(q, tip.W)
+    steepness = norm(outward)
     flat = 1.0 / steepness
-    x, y, z, push = -x * flat, -y * flat, -z * flat, -c * flat
-    sx, sy, sz = f[0] - push * x, f[1] - push * y, f[2] - push * z
-    reason = BEYOND_FRICTION if sx * sx + sy * sy + sz * sz > tip[FRICTION] * (push * push) else CONTACT
-    reason = OFF_CAP if q[2] * tip[AXES + 2] < tip[CAP] else reason
-    return (x, y, z), push, -kappa * steepness * tip[VOLUME], reason
+    normal, push = scale(outward, -flat), -c * flat
+    tangential = sub(force, scale(normal, push))
+    beyond = dot(tangential, tangential) > tip.friction_squared * (push * push)
+    reason = BEYOND_FRICTION if beyond else CONTACT
+    reason = OFF_CAP if q[2] * tip.semi_axes[2] < tip.cap else reason
+    return normal, push, -kappa * steepness * tip.volume, reason
 
 
 @lane
-def _tangents(q: Any) -> Any:
+def _tangents(q: Vec3) -> tuple[Vec3, Vec3]:
     """Two unit vectors that make a right-handed frame with `q` (Duff et al. 2017)."""
     sign = -1.0 if q[2] < 0.0 else 1.0
     a = -1.0 / (sign + q[2])
@@ -154,88 +223,75 @@ def _tangents(q: Any) -> Any:
 
 
 @lane
-def _gain(by_moment: Any, by_force: Any, tip: Any, sigmas: Any) -> Any:
-    """(6) what one sigma of each reading does to a step along a tangent."""
-    R = ROTATION
-    mx, my, mz = by_moment[0] * tip[MOMENTS], by_moment[1] * tip[MOMENTS + 1], by_moment[2] * tip[MOMENTS + 2]
-    px, py, pz = tip[ORIGIN], tip[ORIGIN + 1], tip[ORIGIN + 2]
-    fx = by_force[0] * tip[INVERSE] + (my * pz - mz * py)
-    fy = by_force[1] * tip[INVERSE + 1] + (mz * px - mx * pz)
-    fz = by_force[2] * tip[INVERSE + 2] + (mx * py - my * px)
-    return (
-        (fx * tip[R] + fy * tip[R + 3] + fz * tip[R + 6]) * sigmas[0],
-        (fx * tip[R + 1] + fy * tip[R + 4] + fz * tip[R + 7]) * sigmas[1],
-        (fx * tip[R + 2] + fy * tip[R + 5] + fz * tip[R + 8]) * sigmas[2],
-        (mx * tip[R] + my * tip[R + 3] + mz * tip[R + 6]) * sigmas[3],
-        (mx * tip[R + 1] + my * tip[R + 4] + mz * tip[R + 7]) * sigmas[4],
-        (mx * tip[R + 2] + my * tip[R + 5] + mz * tip[R + 8]) * sigmas[5],
-    )
+def _by_noise(by_moment: Vec3, by_force: Vec3, tip: Fingertip, sigmas: Vec6) -> Vec6:
+    """What one sigma of each number of a reading does to a step along a tangent."""
+    m = times(by_moment, tip.by_moment)
+    f = add(times(by_force, tip.W), cross(m, tip.origin))
+    return times(tmul(tip.R, f), sigmas[0]), times(tmul(tip.R, m), sigmas[1])
 
 
 @lane
-def _dot(a: Any, b: Any) -> Any:
-    return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+def _dot6(a: Vec6, b: Vec6) -> float:
+    return dot(a[0], b[0]) + dot(a[1], b[1])
 
 
 @lane
-def _triangle(a: Any, b: Any) -> Any:
-    """The triangular factor of the products of two rows (6); by Gram and Schmidt, so nothing is squared twice."""
-    first = np.sqrt(_dot(a, a))
+def _triangle(a: Vec6, b: Vec6) -> tuple[float, float, float]:
+    """The triangular factor of the products of two rows; by Gram and Schmidt, so nothing is squared twice."""
+    first = np.sqrt(_dot6(a, a))
     inverse = 1.0 / first if first > 0.0 else 0.0
-    across = _dot(a, b) * inverse
+    across = _dot6(a, b) * inverse
     s = across * inverse
-    rest = (
-        b[0] - s * a[0],
-        b[1] - s * a[1],
-        b[2] - s * a[2],
-        b[3] - s * a[3],
-        b[4] - s * a[4],
-        b[5] - s * a[5],
-    )
-    return first, across, np.sqrt(_dot(rest, rest))
+    rest = sub(b[0], scale(a[0], s)), sub(b[1], scale(a[1], s))
+    return first, across, np.sqrt(_dot6(rest, rest))
 
 
 @lane
-def _step(t: Any, normal: Any, steepness: float, tip: Any) -> Any:
-    """(6) how point and normal change as q moves along the tangent `t`."""
-    x, y, z = t[0] * tip[INVERSE], t[1] * tip[INVERSE + 1], t[2] * tip[INVERSE + 2]
-    along = x * normal[0] + y * normal[1] + z * normal[2]
-    s = -1.0 / steepness
-    return (
-        t[0] * tip[AXES],
-        t[1] * tip[AXES + 1],
-        t[2] * tip[AXES + 2],
-        (x - along * normal[0]) * s,
-        (y - along * normal[1]) * s,
-        (z - along * normal[2]) * s,
-    )
+def _step(t: Vec3, normal: Vec3, steepness: float, tip: Fingertip) -> Vec6:
+    """How point and normal change as q moves along the tangent `t`."""
+    outward = times(t, tip.W)
+    flat = sub(outward, scale(normal, dot(outward, normal)))
+    return times(t, tip.semi_axes), scale(flat, -1.0 / steepness)
 
 
 @lane
-def spread(point: Any, push: float, twist: float, tip: Any, sigmas: Any) -> Any:
-    """Two columns (6) whose products with themselves sum to the covariance.
+def spread(contact: Vec3, push: float, twist: float, tip: Fingertip, sigmas: Vec6) -> Any:
+    """Two columns (6) whose products with themselves sum to the covariance of point and normal.
 
-    In the tangent plane of the sphere, δq = V (δm - q × δf) with a V that turns and scales, and so does V q×.
+    By the implicit function theorem: on the sphere δq is tangent and κ δq - c q × δq is the tangent part of
+    r = δm - q × δf, so δq = (κ P + c [q]×) r / (κ² + c²), P = I - q qᵀ: in the tangent plane it turns and scales.
     """
-    scale = _power_of_two(_more(push, abs(twist)))
-    shrink = _reciprocal(scale if scale < LARGEST_SCALE else LARGEST_SCALE)
-    q = (point[0] * tip[INVERSE], point[1] * tip[INVERSE + 1], point[2] * tip[INVERSE + 2])
-    x, y, z = q[0] * tip[INVERSE], q[1] * tip[INVERSE + 1], q[2] * tip[INVERSE + 2]
-    steepness = np.sqrt(x * x + y * y + z * z)
-    normal = (-x / steepness, -y / steepness, -z / steepness)
-    c, kappa = -push * shrink * steepness, -twist * shrink / (tip[VOLUME] * steepness)
+    shrink = _reciprocal(_size(_larger(push, abs(twist))))
+    q = times(contact, tip.W)
+    outward = times(q, tip.W)
+    steepness = norm(outward)
+    normal = scale(outward, -1.0 / steepness)
+    c, kappa = -push * shrink * steepness, -twist * shrink / (tip.volume * steepness)
     size = shrink / (c * c + kappa * kappa)
     c, kappa = c * size, kappa * size
     t, u = _tangents(q)
-    v = (kappa * t[0] - c * u[0], kappa * t[1] - c * u[1], kappa * t[2] - c * u[2])
-    w = (kappa * u[0] + c * t[0], kappa * u[1] + c * t[1], kappa * u[2] + c * t[2])
-    a, b, d = _triangle(_gain(v, w, tip, sigmas), _gain(w, (-v[0], -v[1], -v[2]), tip, sigmas))
+    v = sub(scale(t, kappa), scale(u, c))
+    w = add(scale(u, kappa), scale(t, c))
+    a, b, d = _triangle(_by_noise(v, w, tip, sigmas), _by_noise(w, neg(v), tip, sigmas))
     g, h = _step(t, normal, steepness, tip), _step(u, normal, steepness, tip)
-    first = (a * g[0] + b * h[0], a * g[1] + b * h[1], a * g[2] + b * h[2],
-             a * g[3] + b * h[3], a * g[4] + b * h[4], a * g[5] + b * h[5])  # fmt: skip
-    return first, (d * h[0], d * h[1], d * h[2], d * h[3], d * h[4], d * h[5])
+    first = add(scale(g[0], a), scale(h[0], b)) + add(scale(g[1], a), scale(h[1], b))
+    return first, scale(h[0], d) + scale(h[1], d)
 
 
 @lane
 def sum_of_products(a: float, b: float, c: float, d: float) -> float:
+    """a b + c d."""
     return a * b + c * d
+
+
+@lane
+def sensed(force: Vec3, torque: Vec3, tip: Fingertip) -> Any:
+    """Reason, point, normal, force, normal force and local torque of one wrench; only the first where it is none."""
+    reason, size, f, m = prepared(force, torque, tip)
+    c, kappa, pushes = root(f, m, tip)
+    q = on_sphere(f, m, c, kappa, tip)
+    normal, push, twist, against = judged(q, f, c, kappa, tip)
+    against = against if pushes else OFF_CAP
+    reason = reason if reason > CONTACT else against
+    pushing = rescaled(f[0], size), rescaled(f[1], size), rescaled(f[2], size)
+    return reason, times(q, tip.semi_axes), normal, pushing, rescaled(push, size), rescaled(twist, size)

@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 
 from handsight._kernels import (
     chain,
+    contacts_to_palm,
     correct,
     field,
     layout,
     linking,
     many,
     nearest_triangle,
-    placing,
     sensing,
     spreading,
-    tips,
     winding,
 )
 
@@ -76,8 +75,7 @@ def _objects() -> None:
 
 def _hands() -> None:
     chain.warm()
-    tips.warm()
-    placing.warm()
+    contacts_to_palm.warm()
 
 
 GROUPS: dict[str, Callable[[], None]] = {

@@ -1,4 +1,4 @@
-"""Touch: wrenches on fingertips to contacts.
+"""Contact sensing: wrenches on fingertips to contacts.
 
 `contact_from_wrench` senses one contact; `Contacts` is the set of them, in the palm frame, that correction
 uses.
@@ -6,12 +6,11 @@ uses.
 
 from handsight.contact.calibration import WrenchCalibration, calibrate_wrench, compensate
 from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason
+from handsight.contact.contact_table import COLUMNS_HELP, convert
 from handsight.contact.contacts import Contacts
-from handsight.contact.fingertip import Ellipsoid, Fingertip, Sphere, unambiguous_cap
 from handsight.contact.fingertip_text import FINGERTIP_HELP, parse_fingertip
+from handsight.contact.fingertips import Ellipsoid, Fingertip, Sphere, unambiguous_cap
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
-from handsight.contact.table import COLUMNS_HELP, convert, write_contacts
-from handsight.contact.wrench_table import WrenchRows, read_wrenches
 
 __all__ = [
     "COLUMNS_HELP",
@@ -26,14 +25,11 @@ __all__ = [
     "Reason",
     "Sphere",
     "WrenchCalibration",
-    "WrenchRows",
     "calibrate_wrench",
     "compensate",
     "contact_from_wrench",
     "contacts_from_wrenches",
     "convert",
     "parse_fingertip",
-    "read_wrenches",
     "unambiguous_cap",
-    "write_contacts",
 ]

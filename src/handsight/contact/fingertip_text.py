@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from handsight.checks import Array
-from handsight.contact.fingertip import Ellipsoid, Fingertip, Sphere
+from handsight.contact.fingertips import Ellipsoid, Fingertip, Sphere
 from handsight.errors import InvalidInput
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}

@@ -1,20 +1,20 @@
 """Intrinsic contact sensing: a wrench on a fingertip to where and how the object touches it (eq. 7).
 
-Checked here, computed by `handsight._kernels.sensing`; what is computed, and why so, says `_sensing_plain`.
+Checked here, computed by `handsight._kernels.sensing`; what is computed, and why so, says `sensing_steps` there.
 """
 
+from collections.abc import Callable, Iterable
 from functools import cache, lru_cache
-from math import isfinite
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
+from handsight._kernels.sensing_records import SENSED
 from handsight.checks import Array
-from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, made
-from handsight.contact.fingertip import Fingertip
+from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason, new_contact
+from handsight.contact.fingertips import Fingertip
 from handsight.errors import InvalidInput
 
 SIGMA_FORCE = 1e-2
@@ -44,18 +44,18 @@ def contact_from_wrench(
     One contact per tip is assumed; two at once show, at best, as `beyond_friction` or `off_cap`.
     Raises InvalidInput for NaN, infinity or a wrong shape. Source: eq. 7; Bicchi, Salisbury and Brock (1993).
     """
-    fx, fy, fz = _reading(force, "force")
-    mx, my, mz = _reading(torque, "torque")
-    numbers = _numbers(fingertip)
+    load = (*_reading(force, "force"), *_reading(torque, "torque"))
+    _check_fingertip(fingertip)
     sigmas = _sigmas(sigma_force, sigma_torque)
     vectors, covariance = np.empty((3, 3)), np.empty((6, 6))
-    reason, force_normal, twist = _kernels().sense_one(
-        fx, fy, fz, mx, my, mz, numbers, sigmas, vectors, covariance
-    )
+    reason, force_normal, local_torque = _sense_one()(load, fingertip.record, sigmas, vectors, covariance)
+    if reason == Reason.INVALID:
+        checks.finite(force, "force", (3,))
+        checks.finite(torque, "torque", (3,))
     name = REASON_NAMES[reason]
     if name != "contact":
         return NoContact(name)
-    return made(vectors, force_normal, twist, covariance)
+    return new_contact(vectors, force_normal, local_torque, covariance)
 
 
 def contacts_from_wrenches(
@@ -72,45 +72,32 @@ def contacts_from_wrenches(
     NaN or infinity gets `Reason.INVALID` and the others are still answered. Raises InvalidInput for a wrong
     shape.
     """
-    numbers = _numbers(fingertip)
+    _check_fingertip(fingertip)
     F, M = _readings(forces, "forces"), _readings(torques, "torques")
     n = len(F)
     if n != len(M):
         raise InvalidInput(f"torques: expected as many rows as forces ({n}), got {len(M)}")
     sigmas = _sigmas(sigma_force, sigma_torque).copy()
-    reasons, rows = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.intp)
-    points, normals, pushing = (np.empty((n, 3)) for _ in range(3))
-    forces_normal, twists = np.empty(n), np.empty(n)
-    vectors = (points.reshape(-1), normals.reshape(-1), pushing.reshape(-1))
-    k = _kernels().sense(
-        F.reshape(-1), M.reshape(-1), numbers, reasons, rows, vectors, (forces_normal, twists)
-    )
-    return ContactBatch(
-        reasons,
-        _first(rows, k),
-        _first(points, k),
-        _first(normals, k),
-        _first(pushing, k),
-        _first(forces_normal, k),
-        _first(twists, k),
-        fingertip,
-        sigmas,
-    )
+    from handsight._kernels.sensing import sense
+
+    reasons, rows, records = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.intp), np.empty(n, dtype=SENSED)
+    k = sense(F, M, fingertip.record, reasons, rows, records)
+    return ContactBatch(reasons, _first(rows, k), _first(records, k), fingertip, sigmas)
 
 
 @cache
-def _kernels() -> ModuleType:
+def _sense_one() -> Callable[
+    [tuple[float, ...], NDArray[Any], Array, Array, Array], tuple[int, float, float]
+]:
     """Imported with the first contact: numba takes half a second."""
-    from handsight._kernels import sensing
+    from handsight._kernels.sensing import sense_one
 
-    return sensing
+    return sense_one
 
 
-def _numbers(fingertip: Fingertip) -> Array:
-    """As the kernels take it."""
+def _check_fingertip(fingertip: Fingertip) -> None:
     if not isinstance(fingertip, Fingertip):
         raise InvalidInput(f"fingertip: expected an Ellipsoid or a Sphere, got {type(fingertip).__name__}")
-    return fingertip._numbers
 
 
 def _first(array: NDArray[Any], k: int) -> NDArray[Any]:
@@ -118,15 +105,12 @@ def _first(array: NDArray[Any], k: int) -> NDArray[Any]:
     return array[:k] if 2 * k >= len(array) else array[:k].copy()
 
 
-def _reading(value: ArrayLike, name: str) -> tuple[float, float, float]:
-    """Three finite numbers."""
+def _reading(value: ArrayLike, name: str) -> Iterable[float]:
+    """Three numbers; whether those of a float array are finite the kernel says, which is quicker."""
     if type(value) is np.ndarray and value.dtype is _FLOAT64 and value.shape == (3,):
-        x, y, z = value.tolist()
-        # A sum that overflows is left to the check, which is slower and knows.
-        if isfinite(x + y + z):
-            return x, y, z
-    x, y, z = checks.finite(value, name, (3,)).tolist()
-    return x, y, z
+        numbers: list[float] = value.tolist()
+        return numbers
+    return map(float, checks.finite(value, name, (3,)))
 
 
 def _readings(value: ArrayLike, name: str) -> Array:

@@ -17,6 +17,8 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
 
+Place = str | os.PathLike[str] | TextIO
+
 NUMBERS = ("fx", "fy", "fz", "tx", "ty", "tz")
 LABELS = ("stamp", "finger")
 CHUNK = 8192
@@ -31,6 +33,9 @@ or JSON, one object a line: {"stamp": 1.5, "finger": "ff", "force": [fx, fy, fz]
 An empty number (CSV), null (JSON) or NaN is a reading that is missing: its row is answered "invalid".
 """
 
+_Row = tuple[dict[str, Any], list[float]]
+"""Labels and six numbers."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrenchRows:
@@ -43,24 +48,27 @@ class WrenchRows:
     torques: Array
     """(n, 3) [N m]; NaN where the table has no number."""
 
-    def __len__(self) -> int:
-        return len(self.forces)
+    def each_labels(self) -> Iterable[tuple[Any, ...]]:
+        """Stamp and finger of each row, as far as there are."""
+        return zip(*self.labels.values(), strict=True) if self.labels else [()] * len(self.forces)
 
 
-def read_wrenches(source: str | os.PathLike[str] | TextIO, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
+def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
     """The table's rows in order, `chunk` at a time; CSV or JSON lines, told apart by the first character.
 
-    `source` is a path or a text stream; `WRENCHES_HELP` is the format. Blank lines are no rows. Raises
-    InvalidFile naming the file, the line, the column, what was expected and what came; also for a file
-    without a row.
+    Blank lines are no rows. Raises InvalidFile naming the file, the line, the column, what was expected and what came;
+    also for a file without a row.
     """
     name = source_name(source)
     empty = True
     try:
-        with _opened(source) as lines:
-            for rows in _chunks(_rows(lines, name), chunk):
+        with _source(source) as lines:
+            rows = _rows(lines, name)
+            while some := list(islice(rows, chunk)):
                 empty = False
-                yield rows
+                numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
+                labels = {key: [labels[key] for labels, _ in some] for key in some[0][0]}
+                yield WrenchRows(labels, numbers[:, :3], numbers[:, 3:])
     except OSError as error:
         raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
@@ -69,42 +77,18 @@ def read_wrenches(source: str | os.PathLike[str] | TextIO, *, chunk: int = CHUNK
         raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
 
 
-def source_name(source: str | os.PathLike[str] | TextIO) -> str:
-    """What messages call a path or a stream."""
-    if isinstance(source, str | os.PathLike):
-        return os.fspath(source)
-    return str(getattr(source, "name", "stream"))
-
-
-_Row = tuple[dict[str, Any], list[float]]
-"""Labels and six numbers."""
-
-
-def _opened(source: str | os.PathLike[str] | TextIO) -> AbstractContextManager[TextIO]:
-    if isinstance(source, str | os.PathLike):
-        return Path(source).open(encoding="utf-8", newline="")
-    return nullcontext(source)
-
-
-def _chunks(rows: Iterator[_Row], size: int) -> Iterator[WrenchRows]:
-    while some := list(islice(rows, size)):
-        numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
-        labels = {key: [labels[key] for labels, _ in some] for key in some[0][0]}
-        yield WrenchRows(labels, numbers[:, :3], numbers[:, 3:])
-
-
 def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
     """The rows of either format."""
     lines = iter(lines)
-    seen: list[str] = []
+    begun: list[str] = []
     for line in lines:
-        seen.append(line.removeprefix("\ufeff") if not seen else line)
-        if seen[-1].strip():
+        begun.append(line.removeprefix("\ufeff") if not begun else line)
+        if begun[-1].strip():
             break
     else:
         return iter(())
-    parse = _json_rows if seen[-1].lstrip().startswith("{") else _csv_rows
-    return parse(chain(seen, lines), name)
+    parse = _json_rows if begun[-1].lstrip().startswith("{") else _csv_rows
+    return parse(chain(begun, lines), name)
 
 
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
@@ -117,13 +101,12 @@ def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
             where = f"{name}: line {reader.line_num}"
             if header is None:
                 header = _header(cells, where)
-                order = [header.index(column) for column in NUMBERS]
-                labels = [(column, header.index(column)) for column in LABELS if column in header]
                 continue
             if len(cells) != len(header):
                 raise InvalidFile(f"{where}: expected {len(header)} columns as the header, got {len(cells)}")
-            numbers = [_number(cells[i], where, header[i]) for i in order]
-            yield {column: cells[i] for column, i in labels}, numbers
+            row = dict(zip(header, cells, strict=True))
+            labels = {column: row[column] for column in LABELS if column in row}
+            yield labels, [_number(row[column], where, column) for column in NUMBERS]
     except csv.Error as error:
         raise InvalidFile(f"{name}: line {reader.line_num}: expected CSV, got {error}") from None
 
@@ -172,8 +155,7 @@ def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
                 raise InvalidFile(f"{where}: expected keys stamp, finger, force, torque, got {key[:40]!r}")
         numbers = [*_triple(row, "force", where), *_triple(row, "torque", where)]
         labels = {key: _label(row[key], where, key) for key in LABELS if key in row}
-        if first is None:
-            first = labels
+        first = labels if first is None else first
         if labels.keys() != first.keys():
             came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
             raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
@@ -186,18 +168,31 @@ def _triple(row: dict[str, Any], key: str, where: str) -> list[float]:
         raise InvalidFile(f"{where}: expected the keys force and torque, got no {key}")
     value = row[key]
     if (
-        not isinstance(value, list)
-        or len(value) != 3
-        or any(isinstance(x, bool) or not isinstance(x, int | float | None) for x in value)
+        isinstance(value, list)
+        and len(value) == 3
+        and all(type(x) in (int, float, type(None)) for x in value)
     ):
-        raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}")
-    try:
-        return [math.nan if x is None else float(x) for x in value]
-    except OverflowError:
-        raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}") from None
+        try:
+            return [math.nan if x is None else float(x) for x in value]
+        except OverflowError:
+            pass
+    raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}")
 
 
 def _label(value: object, where: str, key: str) -> object:
     if isinstance(value, bool) or not isinstance(value, str | int | float | None):
         raise InvalidFile(f"{where}, key {key}: expected a text or a number, got {checks.brief(value)}")
     return value
+
+
+def source_name(place: Place) -> str:
+    """What messages call a path or a stream."""
+    if isinstance(place, str | os.PathLike):
+        return os.fspath(place)
+    return str(getattr(place, "name", "stream"))
+
+
+def _source(source: Place) -> AbstractContextManager[TextIO]:
+    if isinstance(source, str | os.PathLike):
+        return Path(source).open(encoding="utf-8", newline="")
+    return nullcontext(source)

@@ -1,8 +1,15 @@
 """Time: observations to the object's pose in the palm, again and again."""
 
-from handsight.tracking.belief import Belief
+from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.settings import TrackerSettings
-from handsight.tracking.touch import Skin, Touch
+from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.tracker import State, Tracker
 
-__all__ = ["Belief", "Skin", "State", "Touch", "Tracker", "TrackerSettings"]
+__all__ = [
+    "FingertipContacts",
+    "FingertipSensors",
+    "PoseBiasSmoother",
+    "State",
+    "Tracker",
+    "TrackerSettings",
+]

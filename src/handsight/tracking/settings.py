@@ -15,9 +15,10 @@ class TrackerSettings:
     """A contact that moved so far in the palm is a new one [m]."""
     turned: float = np.deg2rad(5.0)
     """Or whose normal turned so far [rad]."""
-    walk_position: float = 0.001
-    """How far the object creeps in the palm in a second, per axis [m]."""
-    walk_rotation: float = np.deg2rad(3.0)
+    process_noise_position: float = 0.001
+    """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
+    of time."""
+    process_noise_rotation: float = np.deg2rad(3.0)
     """[rad]; a box between three simulated tips crept by 5 mm and 10° while it was carried for 18 s."""
     regrasp_position: float = 0.005
     """How far it may be pushed when a finger comes or goes, per axis [m]."""

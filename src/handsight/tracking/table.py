@@ -5,29 +5,31 @@ import numpy as np
 from handsight.checks import Array
 from handsight.objects import ObjectModel
 from handsight.rig import Table
-from handsight.tracking.belief import Joint
+from handsight.tracking.smoother import PoseAndBias
 
-UNLIKELY = 16.3
+GATE_CHI2 = 16.3
 """χ² of three numbers that one in a thousand exceeds: beyond it the object does not stand there."""
 
 
-def on_table(belief: Joint, model: ObjectModel, table: Table, T_world_palm: Array) -> Joint | None:
-    """The belief given that the object stands on the table; None where that contradicts it.
+def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
+    """The state given that the object stands on the table; None where that is beyond the gate.
 
     It stands along the one of its six axes' directions that points up most.
     """
-    H, residual = _measurement(belief, model, table, T_world_palm)
-    covariance = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
-    expected = H @ belief.covariance @ H.T + covariance
-    if residual @ np.linalg.solve(expected, residual) > UNLIKELY:
+    H, innovation = _linearized(state, model, table, T_world_palm)
+    noise = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
+    S = H @ state.covariance @ H.T + noise
+    if innovation @ np.linalg.solve(S, innovation) > GATE_CHI2:
         return None
-    return belief.measured(H, residual, covariance)
+    return state.updated(H, innovation, noise)
 
 
-def _measurement(belief: Joint, model: ObjectModel, table: Table, T_world_palm: Array) -> tuple[Array, Array]:
-    """Rows (3, 12) and residual (3,): height of the base [m], tilt about the world's x and y [rad]."""
+def _linearized(
+    state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array
+) -> tuple[Array, Array]:
+    """Jacobian (3, 12) and innovation (3,): height of the base [m], tilt about the world's x and y [rad]."""
     R = T_world_palm[:3, :3]
-    T = T_world_palm @ belief.T_palm_object
+    T = T_world_palm @ state.T_palm_object
     up = int(np.argmax(np.abs(T[2, :3])))
     sign = 1.0 if T[2, up] > 0 else -1.0
     axis = sign * T[:3, up]

@@ -6,11 +6,13 @@ shape carries what tells them apart: a `cap` (least z that is sensed) and a `max
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
+from handsight._kernels.sensing_records import FINGERTIP
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 
@@ -34,8 +36,8 @@ class Ellipsoid:
     """Forces weaker than this are no contact [N]."""
     T_surface_sensor: Array | None
     """(4, 4) pose of the sensor's frame in the surface's; None: wrenches come in the surface's frame."""
-    _numbers: Array = field(init=False, repr=False)
-    """As `_packed`."""
+    record: NDArray[Any] = field(repr=False)
+    """(1,) the same as contact sensing's kernels take it; not to be written to."""
 
     def __init__(
         self,
@@ -49,27 +51,33 @@ class Ellipsoid:
         axes = checks.finite(semi_axes, "semi_axes", (3,))
         for i, length in enumerate(axes):
             _check_length(length, f"semi_axes[{i}]")
-        axes.flags.writeable = False
-        object.__setattr__(self, "semi_axes", axes)
-        _set_sensed(self, cap, max_friction, min_force, T_surface_sensor)
+        top = float(axes[2])
+        if cap is not None:
+            cap = float(checks.finite(cap, "cap", ()))
+            if not -top < cap < top:
+                raise InvalidInput(f"cap: expected metres within the tip's ends ±{top:g}, got {cap:g}")
+        if max_friction is not None:
+            max_friction = checks.positive(max_friction, "max_friction")
+        min_force = checks.positive(min_force, "min_force")
+        if min_force < LEAST_FORCE:
+            raise InvalidInput(f"min_force: expected newtons, at least {LEAST_FORCE:g}, got {min_force:g}")
+        T = None if T_surface_sensor is None else se3.check(T_surface_sensor, "T_surface_sensor")
+        pose = np.eye(4) if T is None else T
+        lowest = -np.inf if cap is None else cap
+        limit = np.inf if max_friction is None else max_friction
+        record = np.array([(axes, lowest, limit, min_force, pose[:3, :3], pose[:3, 3])], FINGERTIP)
+        axes.flags.writeable = pose.flags.writeable = False
+        values = (axes, cap, max_friction, min_force, T, record)
+        for name, value in zip(Ellipsoid.__slots__, values, strict=True):
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
-class Sphere:
-    """A spherical fingertip."""
+class Sphere(Ellipsoid):
+    """A spherical fingertip: an ellipsoid with equal axes."""
 
     radius: float
     """[m]"""
-    cap: float | None
-    """Least z of a point that is sensed [m], between -radius and radius; None: the closed surface."""
-    max_friction: float | None
-    """Largest |tangential force| / normal force; None: no limit."""
-    min_force: float
-    """Forces weaker than this are no contact [N]."""
-    T_surface_sensor: Array | None
-    """(4, 4) pose of the sensor's frame in the surface's; None: wrenches come in the surface's frame."""
-    _numbers: Array = field(init=False, repr=False)
-    """As `_packed`."""
 
     def __init__(
         self,
@@ -80,16 +88,14 @@ class Sphere:
         T_surface_sensor: ArrayLike | None = None,
     ) -> None:
         """Lengths in metres; raises InvalidInput (InvalidTransform for the pose) naming the field."""
-        object.__setattr__(self, "radius", _check_length(checks.positive(radius, "radius"), "radius"))
-        _set_sensed(self, cap, max_friction, min_force, T_surface_sensor)
-
-    @property
-    def semi_axes(self) -> Array:
-        """(3,) three times the radius [m]."""
-        return np.full(3, self.radius)
+        length = checks.positive(radius, "radius")
+        _check_length(length, "radius")
+        Ellipsoid.__init__(self, (length,) * 3, cap, max_friction, min_force, T_surface_sensor)
+        object.__setattr__(self, "radius", length)
 
 
-Fingertip = Ellipsoid | Sphere
+Fingertip = Ellipsoid
+"""What any fingertip is, so far."""
 
 
 def unambiguous_cap(fingertip: Fingertip) -> float:
@@ -107,53 +113,8 @@ def unambiguous_cap(fingertip: Fingertip) -> float:
     return height / float(np.hypot(1.0, narrowest / (fingertip.max_friction * height)))
 
 
-def _check_length(length: float, name: str) -> float:
+def _check_length(length: float, name: str) -> None:
     if length > LARGEST:
         raise InvalidInput(f"{name}: expected metres, at most {LARGEST}, got {length:g} (millimetres?)")
     if not length >= SMALLEST:
         raise InvalidInput(f"{name}: expected metres, at least {SMALLEST:g}, got {length:g}")
-    return length
-
-
-def _set_sensed(
-    tip: Fingertip,
-    cap: float | None,
-    max_friction: float | None,
-    min_force: float,
-    T_surface_sensor: ArrayLike | None,
-) -> None:
-    """Sets the fields that every shape has, checked."""
-    top = float(tip.semi_axes[2])
-    if cap is not None:
-        cap = float(checks.finite(cap, "cap", ()))
-        if not -top < cap < top:
-            raise InvalidInput(f"cap: expected metres within the tip's ends ±{top:g}, got {cap:g}")
-    if max_friction is not None:
-        max_friction = checks.positive(max_friction, "max_friction")
-    min_force = checks.positive(min_force, "min_force")
-    if min_force < LEAST_FORCE:
-        raise InvalidInput(f"min_force: expected newtons, at least {LEAST_FORCE:g}, got {min_force:g}")
-    T = None
-    if T_surface_sensor is not None:
-        T = se3.check(T_surface_sensor, "T_surface_sensor")
-        T.flags.writeable = False
-    for name, value in (
-        ("cap", cap),
-        ("max_friction", max_friction),
-        ("min_force", min_force),
-        ("T_surface_sensor", T),
-    ):
-        object.__setattr__(tip, name, value)
-    object.__setattr__(tip, "_numbers", _packed(tip))
-
-
-def _packed(tip: Fingertip) -> Array:
-    """The tip as contact sensing's kernels take it; where is what says `handsight._kernels.sensing_steps`."""
-    axes, W = tip.semi_axes, 1 / tip.semi_axes
-    cap = -np.inf if tip.cap is None else tip.cap
-    friction = np.inf if tip.max_friction is None else tip.max_friction
-    # A power of two: forces are compared squared, and their squares must not under- or overflow.
-    unit = np.ldexp(1.0, 1 - np.frexp(tip.min_force)[1])
-    T = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
-    judged = [1 / W.prod(), cap, friction * friction, unit, (tip.min_force * unit) ** 2]
-    return np.concatenate([W, axes, W.prod() / W, judged, T[:3, :3].ravel(), T[:3, 3]])

@@ -4,19 +4,20 @@ import csv
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Literal, TextIO
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from handsight.checks import Array
 from handsight.contact.contact import REASON_NAMES, ContactBatch
-from handsight.contact.fingertip import Fingertip
+from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
-from handsight.contact.wrench_table import WRENCHES_HELP, WrenchRows, read_wrenches, source_name
+from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches, source_name
 from handsight.errors import InvalidFile, InvalidInput
 
 Format = Literal["csv", "jsonl"]
@@ -27,7 +28,10 @@ COLUMNS = (
     *("sigma_x", "sigma_y", "sigma_z", "sigma_normal"),
 )
 """Of a CSV of contacts, after `stamp` and `finger` where the wrenches have them."""
-CONTACTS_HELP = """\
+KEYS = ("point", "normal", "force_normal", "force_tangential", "torque", "covariance")
+"""Of a contact in JSON, after these and `reason`."""
+COLUMNS_HELP = f"""\
+{WRENCHES_HELP}
 Contacts: one row for each wrench, in order, all in the frame of the tip's surface
   stamp, finger               as in the wrenches
   reason                      contact, or why there is none: free (weaker than min_force), off_cap,
@@ -43,14 +47,13 @@ Without a contact the numbers are left empty. CSV has nine digits. As JSON lines
 finger, reason, and for a contact point, normal, force_normal, force_tangential, torque and covariance (6 x 6
 of point and normal).
 """
-COLUMNS_HELP = WRENCHES_HELP + "\n" + CONTACTS_HELP
 
 _JSON_NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def convert(
-    source: str | os.PathLike[str] | TextIO,
-    destination: str | os.PathLike[str] | TextIO,
+    source: Place,
+    destination: Place,
     fingertip: Fingertip,
     *,
     sigma_force: ArrayLike = SIGMA_FORCE,
@@ -59,95 +62,57 @@ def convert(
 ) -> dict[str, int]:
     """How many rows got each reason (all of them named), after writing the contacts of a table of wrenches.
 
-    Paths or text streams; formats as in `COLUMNS_HELP`, sigmas as in `contact_from_wrench`, `format` as in
-    `write_contacts`. A destination that is a file appears only when everything was read and written. Raises
-    InvalidFile naming file and line.
-    """
-    sensed = (
-        (
-            rows,
-            contacts_from_wrenches(
-                rows.forces, rows.torques, fingertip, sigma_force=sigma_force, sigma_torque=sigma_torque
-            ),
-        )
-        for rows in read_wrenches(source)
-    )
-    return write_contacts(sensed, destination, format=format)
-
-
-def write_contacts(
-    sensed: Iterable[tuple[WrenchRows, ContactBatch]],
-    destination: str | os.PathLike[str] | TextIO,
-    *,
-    format: Format | None = None,
-) -> dict[str, int]:
-    """How many rows got each reason, after writing them to a path or a text stream.
-
-    `format` None: JSON lines for a path that ends in .jsonl, .ndjson or .json, CSV for all else.
+    Paths or text streams, as `COLUMNS_HELP` says; sigmas as in `contact_from_wrench`. `format` None: JSON lines for a
+    path that ends in .jsonl, .ndjson or .json, CSV for all else. A destination that is a file appears only when
+    everything was read and written. Raises InvalidFile naming file and line.
     """
     if format is None:
         suffix = Path(destination).suffix if isinstance(destination, str | os.PathLike) else ""
         format = "jsonl" if suffix.lower() in (".jsonl", ".ndjson", ".json") else "csv"
-    writers: dict[str, Callable[[TextIO, WrenchRows, ContactBatch, bool], None]] = {
-        "csv": _write_csv,
-        "jsonl": _write_json,
-    }
+    writers = {"csv": _write_csv, "jsonl": _write_json}
     if format not in writers:
         raise InvalidInput(f"format: expected one of {', '.join(writers)}, got {format!r}")
     counts: Counter[int] = Counter()
-    with _opened(destination) as file:
-        for i, (rows, batch) in enumerate(sensed):
-            writers[format](file, rows, batch, i == 0)
+    sigmas = {"sigma_force": sigma_force, "sigma_torque": sigma_torque}
+    with _destination(destination) as file:
+        for i, rows in enumerate(read_wrenches(source)):
+            batch = contacts_from_wrenches(rows.forces, rows.torques, fingertip, **sigmas)
+            if format == "csv" and i == 0:
+                file.write(",".join([*rows.labels, *COLUMNS]) + "\n")
+            writers[format](file, rows, batch)
             counts.update(batch.reasons.tolist())
     return {name: counts[reason] for reason, name in enumerate(REASON_NAMES)}
 
 
-def _write_csv(file: TextIO, rows: WrenchRows, batch: ContactBatch, first: bool) -> None:
-    writer = csv.writer(file, lineterminator="\n")
-    if first:
-        writer.writerow([*rows.labels, *COLUMNS])
+def _write_csv(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
     variances = np.diagonal(batch.covariances, axis1=1, axis2=2)
-    numbers = np.column_stack(
-        [
-            batch.points,
-            batch.normals,
-            batch.forces_normal,
-            batch.forces - batch.forces_normal[:, None] * batch.normals,
-            batch.torques,
-            np.sqrt(variances[:, :3]),
-            np.sqrt(variances[:, 3:].sum(axis=1) / 2),
-        ]
-    )
+    sigma_normal = np.sqrt(variances[:, 3:].sum(axis=1) / 2)
+    pushes = (batch.forces_normal, _tangential(batch), batch.torques)
+    numbers = np.column_stack([batch.points, batch.normals, *pushes, np.sqrt(variances[:, :3]), sigma_normal])
     contacts = iter((numbers + 0.0).tolist())  # no -0
     absent = [""] * numbers.shape[1]
-    for labels, reason in zip(_labels(rows), batch.reasons.tolist(), strict=True):
+    writer = csv.writer(file, lineterminator="\n")
+    for labels, reason in zip(rows.each_labels(), batch.reasons.tolist(), strict=True):
         cells = absent if reason else [f"{number:.9g}" for number in next(contacts)]
         writer.writerow([*labels, REASON_NAMES[reason], *cells])
 
 
-def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch, first: bool) -> None:
-    contacts = zip(
-        batch.points.tolist(),
-        batch.normals.tolist(),
-        batch.forces_normal.tolist(),
-        (batch.forces - batch.forces_normal[:, None] * batch.normals).tolist(),
-        batch.torques.tolist(),
-        batch.covariances.tolist(),
-        strict=True,
-    )
-    keys = ("point", "normal", "force_normal", "force_tangential", "torque", "covariance")
+def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
+    pushes = (batch.forces_normal, _tangential(batch), batch.torques)
+    columns = (batch.points, batch.normals, *pushes, batch.covariances)
+    contacts = zip(*(column.tolist() for column in columns), strict=True)
     encode = msgspec.json.Encoder().encode
-    for labels, reason in zip(_labels(rows), batch.reasons.tolist(), strict=True):
+    for labels, reason in zip(rows.each_labels(), batch.reasons.tolist(), strict=True):
         row = {key: _json_label(key, value) for key, value in zip(rows.labels, labels, strict=True)}
         row["reason"] = REASON_NAMES[reason]
         if not reason:
-            row.update(zip(keys, next(contacts), strict=True))
+            row.update(zip(KEYS, next(contacts), strict=True))
         file.write(encode(row).decode() + "\n")
 
 
-def _labels(rows: WrenchRows) -> Iterable[tuple[Any, ...]]:
-    """Stamp and finger of each row, as far as there are."""
-    return zip(*rows.labels.values(), strict=True) if rows.labels else [()] * len(rows)
+def _tangential(batch: ContactBatch) -> Array:
+    """(k, 3) the forces' part in the tangent plane [N]."""
+    return batch.forces - batch.forces_normal[:, None] * batch.normals
 
 
 def _json_label(key: str, value: object) -> object:
@@ -158,7 +123,7 @@ def _json_label(key: str, value: object) -> object:
 
 
 @contextmanager
-def _opened(destination: str | os.PathLike[str] | TextIO) -> Iterator[TextIO]:
+def _destination(destination: Place) -> Iterator[TextIO]:
     """A stream to write to; a file gets its name only when all is well."""
     if not isinstance(destination, str | os.PathLike):
         yield destination

@@ -6,11 +6,11 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.tracking.touch import Touch
+from handsight.tracking.fingertips import FingertipContacts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Remembered:
+class RememberedContact:
     """One finger's last contact."""
 
     finger: str
@@ -21,54 +21,54 @@ class Remembered:
     stamp: float
     """When that was [s]."""
 
-    @property
-    def contact(self) -> Contacts:
-        """It alone."""
-        return self.contacts.select([self.row])
 
-
-class Memory:
+class ContactMemory:
     """The last contact of each finger that touches no more."""
 
     def __init__(self, seconds: float) -> None:
         """How long a contact is kept; 0: not at all."""
         self._seconds = seconds
-        self._felt: dict[str, Remembered] = {}
+        self._last: dict[str, RememberedContact] = {}
 
-    def feel(self, touch: Touch, stamp: float) -> None:
+    def update(self, touch: FingertipContacts, stamp: float) -> None:
         """Takes note of what is touched now; a finger's new contact replaces its old one, and the old expire."""
         if not self._seconds:
             return
         if touch.contacts is not None:
             for row, finger in enumerate(touch.fingers):
-                self._felt[finger] = Remembered(finger, touch.contacts, row, stamp)
-        expired = [finger for finger, kept in self._felt.items() if stamp - kept.stamp > self._seconds]
+                self._last[finger] = RememberedContact(finger, touch.contacts, row, stamp)
+        expired = [finger for finger, last in self._last.items() if stamp - last.stamp > self._seconds]
         for finger in expired:
-            del self._felt[finger]
+            del self._last[finger]
 
-    def besides(self, touch: Touch) -> list[Remembered]:
+    def of_others(self, touch: FingertipContacts) -> list[RememberedContact]:
         """What is remembered of fingers that do not touch now."""
-        return [kept for finger, kept in self._felt.items() if finger not in touch.fingers]
+        return [last for finger, last in self._last.items() if finger not in touch.fingers]
 
     def forget(self, finger: str) -> None:
         """Drops a contact that does not fit."""
-        self._felt.pop(finger, None)
+        self._last.pop(finger, None)
 
     def only(self, fingers: tuple[str, ...]) -> None:
-        """Drops all contacts but those of some fingers: a new grip."""
-        self._felt = {finger: kept for finger, kept in self._felt.items() if finger in fingers}
+        """Drops all contacts but those of some fingers: a new grasp."""
+        self._last = {finger: last for finger, last in self._last.items() if finger in fingers}
 
 
-def together(touch: Touch, remembered: list[Remembered], walk: Array, stamp: float) -> Contacts | None:
-    """Contacts now and, after them, those remembered, as uncertain as the object's walk (6,) a second has made them."""
+def with_remembered(
+    touch: FingertipContacts, remembered: list[RememberedContact], process_noise: Array, stamp: float
+) -> Contacts | None:
+    """The contacts of now and, after them, those remembered, less certain by what the object has moved since.
+
+    `process_noise` (6,): variance of the object's motion in the palm, per second.
+    """
     if touch.contacts is None:
         return None
     if not remembered:
         return touch.contacts
-    parts = [touch.contacts, *(kept.contact for kept in remembered)]
+    parts = [touch.contacts, *(last.contacts.select([last.row]) for last in remembered)]
     covariance = np.concatenate([part.covariance for part in parts])
-    for i, kept in enumerate(remembered, start=len(touch.contacts)):
-        covariance[i] += np.diag(walk * max(stamp - kept.stamp, 0.0))
+    for i, last in enumerate(remembered, start=len(touch.contacts)):
+        covariance[i] += np.diag(process_noise * max(stamp - last.stamp, 0.0))
     return Contacts(
         np.concatenate([part.points_palm for part in parts]),
         np.concatenate([part.normals_palm for part in parts]),

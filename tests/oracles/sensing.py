@@ -1,4 +1,4 @@
-"""What intrinsic contact sensing means (eq. 7), in plain NumPy: the twin of `handsight._kernels.sensing`.
+"""Intrinsic contact sensing (eq. 7) in plain NumPy: the slow truth of `handsight._kernels.sensing`.
 
 The object pushes with force F at p, and twists by a local torque along the normal. About the centre of the
 ellipsoid pᵀA p = 1 the torque is M = p × F + k A p: four equations for p and k. Bicchi, Salisbury and Brock
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact.contact import Reason, symmetric
-from handsight.contact.fingertip import Fingertip
+from handsight.contact.fingertips import Fingertip
 
 GRAZING = 1e-6
 """A push counts as one from this cosine (on the sphere) on; below, the wrench's axis misses the surface."""
@@ -29,7 +29,7 @@ VANISHING = 1e-150
 
 
 class Sensed(NamedTuple):
-    """The fields of `ContactBatch`, and its covariances."""
+    """What `ContactBatch` says."""
 
     reasons: NDArray[np.int8]
     rows: NDArray[np.intp]

@@ -1,0 +1,94 @@
+"""Joints and raw wrenches to contacts in the palm, with everything that is uncertain about them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from handsight._kernels.contacts_to_palm import NEAR_TIP, contacts_to_palm
+from handsight._kernels.sensing_records import FELT, FINGER
+from handsight.contact import REASON_NAMES, Contacts
+from handsight.observation import Observation
+from handsight.rig import Rig
+from handsight.rig.values import Finger
+
+SILENT = np.full(6, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingertipContacts:
+    """What the fingertips feel at one instant."""
+
+    fingers: tuple[str, ...]
+    """The fingers that touch, in the contacts' order."""
+    contacts: Contacts | None
+    """In the palm frame; None where no finger touches. Their covariance holds the sensor's noise, the finger's sigmas
+    and the joints' errors through the hand's Jacobian."""
+    reasons: Mapping[str, str]
+    """Why each of the other fingers has no contact: silent (no reading) or a `Reason` of its wrench."""
+    near: tuple[str, ...] = ()
+    """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
+
+
+class FingertipSensors:
+    """A rig's fingertips with their force/torque sensors."""
+
+    def __init__(self, rig: Rig) -> None:
+        """The rig's hand must have a tip for every finger."""
+        self.rig, self.names = rig, tuple(rig.fingers)
+        self.frames = tuple(finger.frame for finger in rig.fingers.values())
+        order = list(rig.hand.tips)
+        self._tips = [order.index(name) for name in self.names]
+        variance_joint = rig.sigma_joint_offset**2 + rig.sigma_joint**2
+        rows = [finger_record(finger, variance_joint) for finger in rig.fingers.values()]
+        self._fingers = np.array(rows, dtype=FINGER)
+
+    def contacts(self, observation: Observation) -> FingertipContacts:
+        """What is felt; nothing where joints are missing. Raises InvalidInput for joints that are wrong.
+
+        Without T_world_palm gravity's direction is not known, and the tips' weight (some 40 mN) stays in the readings.
+        """
+        if observation.joint_positions is None:
+            return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
+        hand = self.rig.hand.kinematics(observation.joint_positions)
+        Ts_palm_tip = hand.Ts_palm_tip[self._tips]
+        jacobians = hand.jacobians(Ts_palm_tip[:, :3, 3], self._tips)
+        readings = np.array([observation.wrenches.get(name, SILENT) for name in self.names], dtype=np.float64)
+        T = observation.T_world_palm
+        gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
+        felt = np.empty(len(self.names), dtype=FELT)
+        contacts_to_palm(self._fingers, readings, Ts_palm_tip, jacobians, gravity_palm, felt)
+
+        reasons = {
+            name: "silent" if REASON_NAMES[reason] == "invalid" else REASON_NAMES[reason]
+            for name, reason in zip(self.names, felt["reason"].tolist(), strict=True)
+        }
+        fingers = tuple(name for name in self.names if reasons[name] == "contact")
+        if not fingers:
+            return FingertipContacts((), None, reasons)
+        touching = felt[felt["reason"] == 0]
+        near = touching["gap"] < NEAR_TIP
+        return FingertipContacts(
+            fingers,
+            Contacts.trusted(touching["point"], touching["normal"], touching["covariance"]),
+            {name: reason for name, reason in reasons.items() if reason != "contact"},
+            tuple(name for name, is_near in zip(fingers, near.tolist(), strict=True) if is_near),
+        )
+
+
+def finger_record(finger: Finger, variance_joint: float) -> tuple[object, ...]:
+    """A finger as the kernel takes it; FINGER names the fields."""
+    T, known = finger.T_frame_surface, finger.calibration
+    return (
+        tuple(finger.tip.record[0]),
+        T[:3, :3],
+        T[:3, 3],
+        1.0 if known.reading == "on_sensor" else -1.0,
+        np.concatenate([known.bias_force, known.bias_torque]),
+        known.mass,
+        known.center_of_mass,
+        [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
+        finger.sigma_point**2,
+        finger.sigma_normal**2,
+        variance_joint,
+    )

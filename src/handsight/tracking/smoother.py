@@ -1,0 +1,297 @@
+"""A recursive Bayesian estimate of the object's pose in the palm and of vision's constant bias, from vision alone.
+
+State, 12 numbers: `T_palm_object` and a bias (6,), jointly Gaussian. Process: the pose does a random walk in the palm,
+the bias is constant. Measurement: `z = bias ∘ (T_mount_palm T_palm_object) + noise`, where the mount is what the camera
+is fixed to (world or palm), so pose and bias become observable apart as the palm turns in the mount.
+
+All measurements since the last restart are kept, at most `MOST_MEASUREMENTS`, merged where they are from nearly the
+same palm, and the maximum a posteriori is solved for anew with each (Gauss-Newton, begun at the last answer). A filter
+that keeps derivatives taken elsewhere than where it has moved to tells pose and bias apart without that turn, and is
+overconfident (measured: χ² forty times too large).
+
+Contacts are not measurements of this estimate: they say the same thing at every instant and would be counted again each
+time. The correction fuses them with this estimate as its prior, afresh each time.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+
+MOST_MEASUREMENTS = 48
+SAME_PALM = (0.01, np.deg2rad(2.0))
+"""Measurements from palms nearer to each other [m], [rad] are merged; beyond MOST_MEASUREMENTS, the nearest ones."""
+LENGTH_PER_TURN = 0.1
+"""What a radian counts as [m] when palms are compared."""
+GAUSS_NEWTON_STEPS = 2
+"""For each measurement; what they leave comes with the next."""
+SMALL_STEP = 1e-4
+"""χ² of the last step: a hundredth of a standard deviation."""
+EYE_6 = np.eye(6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseAndBias:
+    """The object's pose and vision's constant bias, jointly Gaussian."""
+
+    Ts: Array
+    """(2, 4, 4): `T_palm_object` and `T_measured_true`."""
+    covariance: Array
+    """(12, 12) of the perturbations (δp, δθ) of the pose, along the palm's axes, and of the bias, along the mount's."""
+
+    @property
+    def T_palm_object(self) -> Array:
+        """(4, 4)."""
+        return np.asarray(self.Ts[0])
+
+    @property
+    def T_measured_true(self) -> Array:
+        """(4, 4) the bias: from where things are to where vision measures them, along the mount's axes, both about the
+        pivot."""
+        return np.asarray(self.Ts[1])
+
+    @property
+    def vision_bias(self) -> Array:
+        """(6,): vision's poses are shifted by (0:3) [m] and turned by (3:6) [rad] about the pivot, along the mount's
+        axes."""
+        return np.concatenate([self.Ts[1, :3, 3], se3.rotation_log(self.Ts[1, :3, :3])])
+
+    def moved(self, step: Array) -> "PoseAndBias":
+        """After a step (12,); the covariance stays."""
+        return PoseAndBias(se3.moved(self.Ts, step.reshape(2, 6)), self.covariance)
+
+    def difference(self, reference: "PoseAndBias") -> Array:
+        """(12,) the step δ with `reference.moved(δ) = self`."""
+        return se3.difference(self.Ts, reference.Ts).reshape(12)
+
+    def updated(self, H: Array, innovation: Array, noise: Array) -> "PoseAndBias":
+        """After a linear measurement of m numbers (Kalman's update).
+
+        `H` (m, 12); `innovation` (m,): measured less expected; `noise` (m, m): its covariance.
+        """
+        P = self.covariance
+        gain = np.linalg.solve(H @ P @ H.T + noise, H @ P).T
+        keep = np.eye(12) - gain @ H
+        # Joseph's form stays positive semidefinite.
+        after = keep @ P @ keep.T + gain @ noise @ gain.T
+        return replace(self.moved(gain @ innovation), covariance=(after + after.T) / 2)
+
+    def given_pose(self, T_palm_object: Array, information: Array) -> "PoseAndBias":
+        """Given a correction's answer: a pose (4, 4), and the information (6, 6) of contacts and this prior together.
+
+        Contacts inform the pose alone; what they say of the bias follows from the correlation of the two.
+        """
+        P = self.covariance
+        prior = np.linalg.inv(P[:6, :6])
+        step = se3.difference(T_palm_object, self.T_palm_object)
+        joint = np.linalg.inv(P)
+        joint[:6, :6] += nearest_semidefinite(information - prior)
+        covariance = np.linalg.inv(joint)
+        moved = self.moved(np.concatenate([step, P[6:, :6] @ prior @ step]))
+        return replace(moved, covariance=(covariance + covariance.T) / 2)
+
+    def inflated(self, variance: Array) -> "PoseAndBias":
+        """With `variance` (6,) added to the pose's."""
+        covariance = self.covariance.copy()
+        covariance[:6, :6] += np.diag(variance)
+        return PoseAndBias(self.Ts, covariance)
+
+    def transformed(self, T_new_old: Array) -> "PoseAndBias":
+        """In a palm that went elsewhere while the object stayed."""
+        R = np.eye(12)
+        R[:3, :3] = R[3:6, 3:6] = T_new_old[:3, :3]
+        Ts = np.stack([T_new_old @ self.T_palm_object, self.T_measured_true])
+        return PoseAndBias(Ts, R @ self.covariance @ R.T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VisionMeasurements:
+    """Poses from vision, a row for each palm they were taken from; a row may be several merged."""
+
+    Ts_mount_palm: Array
+    """(k, 4, 4)."""
+    Ts_mount_object: Array
+    """(k, 4, 4)."""
+    covariances: Array
+    """(k, 6, 6) of their noise, along the mount's axes."""
+    process_noise: Array
+    """(k, 6) variance of the object's random walk in the palm from the prior to the measurement."""
+
+    def __len__(self) -> int:
+        return len(self.process_noise)
+
+    def with_row(self, k: int, row: tuple[Array, Array, Array, Array]) -> "VisionMeasurements":
+        """With row k replaced, or with one more where k is their number."""
+        columns = (self.Ts_mount_palm, self.Ts_mount_object, self.covariances, self.process_noise)
+        return VisionMeasurements(
+            *(
+                np.concatenate([old[:k], new[None], old[k + 1 :]])
+                for old, new in zip(columns, row, strict=True)
+            )
+        )
+
+
+NO_MEASUREMENTS = VisionMeasurements(
+    np.empty((0, 4, 4)), np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6))
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseBiasSmoother:
+    """The posterior of pose and bias, given a prior and all measurements of vision since."""
+
+    prior: PoseAndBias
+    pivot: Array
+    """(3,) about what the bias turns, in the mount's frame [m]: about here is the object."""
+    solved: PoseAndBias
+    """The posterior when the last measurement came."""
+    solved_noise: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) the process noise by then."""
+    process_noise: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) variance of the object's random walk in the palm since the prior."""
+    measurements: VisionMeasurements = NO_MEASUREMENTS
+
+    @classmethod
+    def from_prior(
+        cls, T_palm_object: Array, pose_covariance: Array, bias_covariance: Array, pivot: Array
+    ) -> "PoseBiasSmoother":
+        """Of a pose and a bias of mean zero, independent: a covariance (6, 6) each."""
+        covariance = np.zeros((12, 12))
+        covariance[:6, :6], covariance[6:, 6:] = pose_covariance, bias_covariance
+        prior = PoseAndBias(np.stack([T_palm_object, np.eye(4)]), covariance)
+        return cls(prior, pivot, solved=prior)
+
+    @property
+    def now(self) -> PoseAndBias:
+        """The posterior propagated to now."""
+        return self.solved.inflated(self.process_noise - self.solved_noise)
+
+    def inflated(self, variance: Array) -> "PoseBiasSmoother":
+        """After a step of the random walk of the pose, of `variance` (6,)."""
+        noise = self.process_noise + variance
+        return PoseBiasSmoother(
+            self.prior, self.pivot, self.solved, self.solved_noise, noise, self.measurements
+        )
+
+    def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
+        """From another prior, which holds all that is to be kept of the measurements so far."""
+        return PoseBiasSmoother(prior, self.pivot, solved=prior)
+
+    def transformed(self, T_new_old: Array) -> "PoseBiasSmoother":
+        """In a palm that went elsewhere while the object stayed: as if all measurements had been from there.
+
+        The random walk is taken for as wide along all axes of the palm.
+        """
+        Ts = self.measurements.Ts_mount_palm @ se3.inverse(T_new_old)
+        return replace(
+            self,
+            prior=self.prior.transformed(T_new_old),
+            solved=self.solved.transformed(T_new_old),
+            measurements=replace(self.measurements, Ts_mount_palm=Ts),
+        )
+
+    def updated(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> "PoseBiasSmoother":
+        """After vision measured a pose; `covariance` (6, 6) of its own noise, along the mount's axes."""
+        return self._solved(self._merged(T_mount_palm, T_mount_object, covariance))
+
+    def mahalanobis2(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> float:
+        """Squared Mahalanobis distance (χ², six degrees of freedom) of a measurement from its prediction."""
+        now = self.now
+        H, innovation = self._linearized(now, T_mount_palm[None], T_mount_object[None])
+        S = H[0] @ now.covariance @ H[0].T + covariance
+        return float(innovation[0] @ np.linalg.solve(S, innovation[0]))
+
+    def expected(self, T_mount_palm: Array) -> Array:
+        """(..., 4, 4) the pose that vision should measure, in the mount's frame; `T_mount_palm` (..., 4, 4)."""
+        state = self.solved
+        return biased(T_mount_palm @ state.T_palm_object, state.T_measured_true, self.pivot)
+
+    def _merged(self, T_mount_palm: Array, T_mount_object: Array, covariance: Array) -> VisionMeasurements:
+        """The measurements with one more, merged into one from nearly the same palm if there is one."""
+        kept = self.measurements
+        new = (T_mount_palm, T_mount_object, covariance, self.process_noise)
+        if not len(kept):
+            return kept.with_row(0, new)
+        apart = se3.difference(kept.Ts_mount_palm, T_mount_palm[None])
+        shift, turn = np.sqrt((apart * apart).reshape(-1, 2, 3).sum(axis=2)).T
+        k = int(np.argmin(shift + LENGTH_PER_TURN * turn))
+        if len(kept) < MOST_MEASUREMENTS and (shift[k] > SAME_PALM[0] or turn[k] > SAME_PALM[1]):
+            return kept.with_row(len(kept), new)
+        return kept.with_row(k, self._averaged(k, *new))
+
+    def _averaged(
+        self, k: int, T_mount_palm: Array, T_mount_object: Array, covariance: Array, noise: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Row k and a new one as one, from k's palm: innovations weighted by their information."""
+        kept = self.measurements
+        T_kept = kept.Ts_mount_palm[k]
+        expected = self.expected(np.stack([T_kept, T_mount_palm]))
+        measured = np.stack([kept.Ts_mount_object[k], T_mount_object])
+        innovation_kept, innovation = se3.difference(measured, expected)
+        aged = kept.covariances[k] + along_mount(T_kept, noise - kept.process_noise[k])
+        gain = np.linalg.solve(aged + covariance, aged).T
+        both = aged - gain @ aged
+        mean = innovation_kept + gain @ (innovation - innovation_kept)
+        return T_kept, se3.moved(expected[0], mean), (both + both.T) / 2, noise
+
+    def _solved(self, measurements: VisionMeasurements) -> "PoseBiasSmoother":
+        """The maximum a posteriori of the prior and these measurements, by Gauss-Newton from the last answer.
+
+        Process noise inflates each measurement by itself: that it is common to those of one time is neglected.
+        """
+        Ts, noise = measurements.Ts_mount_palm, self.process_noise
+        weights = np.linalg.inv(
+            measurements.covariances + along_mount(Ts, noise - measurements.process_noise)
+        )
+        prior = self.prior.inflated(noise)
+        prior_information = np.linalg.inv(prior.covariance)
+        state = self.solved
+        for _ in range(GAUSS_NEWTON_STEPS):
+            H, innovation = self._linearized(state, Ts, measurements.Ts_mount_object)
+            weighted = H.swapaxes(1, 2) @ weights
+            information = prior_information + (weighted @ H).sum(axis=0)
+            gradient = (weighted @ innovation[..., None]).sum(axis=0)[:, 0]
+            step = np.linalg.solve(information, gradient - prior_information @ state.difference(prior))
+            state = state.moved(step)
+            if step @ information @ step < SMALL_STEP:
+                break
+        covariance = np.linalg.inv(information)
+        state = replace(state, covariance=(covariance + covariance.T) / 2)
+        return PoseBiasSmoother(self.prior, self.pivot, state, noise, noise, measurements)
+
+    def _linearized(
+        self, state: PoseAndBias, Ts_mount_palm: Array, Ts_mount_object: Array
+    ) -> tuple[Array, Array]:
+        """Jacobians (k, 6, 12) of the measurements by the state, and innovations (k, 6): measured less expected."""
+        bias = state.T_measured_true
+        expected = biased(Ts_mount_palm @ state.T_palm_object, bias, self.pivot)
+        H = np.zeros((len(Ts_mount_palm), 6, 12))
+        H[:, :3, :3] = H[:, 3:, 3:6] = bias[:3, :3] @ Ts_mount_palm[:, :3, :3]
+        H[:, :, 6:] = EYE_6
+        H[:, :3, 9:] = -se3.skew(expected[:, :3, 3] - self.pivot - bias[:3, 3])
+        return H, se3.difference(Ts_mount_object, expected)
+
+
+def along_mount(Ts_mount_palm: Array, variances: Array) -> Array:
+    """(..., 6, 6) covariances along the mount's axes, of variances (..., 6) along the palm's."""
+    R = Ts_mount_palm[..., :3, :3]
+    out = np.zeros((*variances.shape, 6))
+    out[..., :3, :3] = (R * variances[..., None, :3]) @ R.swapaxes(-1, -2)
+    out[..., 3:, 3:] = (R * variances[..., None, 3:]) @ R.swapaxes(-1, -2)
+    return out
+
+
+def biased(Ts_mount_object: Array, T_measured_true: Array, pivot: Array) -> Array:
+    """Poses (..., 4, 4) as vision measures them, with the bias (4, 4) about `pivot` (3,)."""
+    R = T_measured_true[:3, :3]
+    position = pivot + T_measured_true[:3, 3] + (Ts_mount_object[..., :3, 3] - pivot) @ R.T
+    return se3.compose(R @ Ts_mount_object[..., :3, :3], position)
+
+
+def nearest_semidefinite(information: Array) -> Array:
+    """The nearest positive semidefinite matrix, in metres and radians of a hand-sized object (0.1 m)."""
+    scale = np.array([1.0] * 3 + [0.1] * 3)
+    values, vectors = np.linalg.eigh(information / scale[:, None] / scale)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * scale[:, None] * scale)

@@ -1,0 +1,105 @@
+"""Vision's poses as measurements: carried into the frame the camera is fixed to, gated, and given to the smoother."""
+
+from typing import Literal
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.objects.symmetry import nearest
+from handsight.observation import Observation, SeenPose
+from handsight.rig import Camera, Rig
+from handsight.tracking.smoother import PoseBiasSmoother
+
+Mount = Literal["world", "palm"]
+GATE_CHI2 = 27.9
+"""χ² of six numbers that one in ten thousand exceeds: such a measurement is wrong, or the object has moved."""
+REJECTED_UNTIL_RESTART = 5
+"""So many of them in a row say that the object has moved."""
+UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
+"""Variances of a pose before anything is known (δp [m²], δθ [rad²])."""
+
+
+class VisionUpdate:
+    """A rig's camera as a sensor of poses, and what has become of its measurements."""
+
+    def __init__(self, rig: Rig, model: ObjectModel) -> None:
+        """`rig.camera` may be None: then poses come in the world or the palm."""
+        self._rig, self._model = rig, model
+        self.camera = rig.camera or Camera()
+        self.mount: Mount | None = None
+        """What vision's bias is constant in; known with the first measurement."""
+        self.unplaced = self.rejected = 0
+        """Measurements without a T_world_palm to place them, and those beyond the gate."""
+        self._rejected_in_a_row = 0
+
+    def update(
+        self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
+    ) -> PoseBiasSmoother | None:
+        """The smoother after an observation; the same one (or None) where that has no pose, or none that can be."""
+        seen = observation.seen
+        if seen is None:
+            return smoother
+        mount = self._mount_of(seen)
+        if self.mount is None:
+            self.mount = mount
+        T_mount_palm = np.eye(4) if mount == "palm" else T_world_palm
+        if mount != self.mount or T_mount_palm is None:
+            self.unplaced += 1
+            return smoother
+        T_mount_object, covariance = self._in_mount(seen)
+        if smoother is None:
+            T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
+            smoother = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
+        return self._gated(smoother, T_mount_object, covariance, T_mount_palm)
+
+    def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
+        """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""
+        seen = observation.seen
+        if seen is None:
+            return None
+        T_mount_palm = np.eye(4) if self._mount_of(seen) == "palm" else T_world_palm
+        return None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._in_mount(seen)[0]
+
+    def smoother_from(self, T_palm_object: Array, covariance: Array, pivot: Array) -> PoseBiasSmoother:
+        """Begun at a pose with its covariance (6, 6), and vision's bias as uncertain as the camera says."""
+        c = self.camera
+        # A camera without a constant error has next to none: a covariance must be invertible.
+        position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
+        bias = np.diag([position**2] * 3 + [rotation**2] * 3)
+        return PoseBiasSmoother.from_prior(T_palm_object, covariance, bias, pivot)
+
+    def _mount_of(self, seen: SeenPose) -> Mount:
+        if seen.frame == "camera":
+            if self._rig.camera is None:
+                raise InvalidInput("seen.frame: expected world or palm (the rig has no camera), got 'camera'")
+            return self._rig.camera.on
+        return seen.frame
+
+    def _in_mount(self, seen: SeenPose) -> tuple[Array, Array]:
+        """The measured pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
+        T_mount_frame = self.camera.T_mount_camera if seen.frame == "camera" else np.eye(4)
+        if seen.covariance is None:
+            c = self.camera
+            covariance = np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3)
+        else:
+            covariance = se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance)
+        # Vision that says it knows a pose exactly is taken to know it well.
+        return T_mount_frame @ seen.T_frame_object, covariance + 1e-10 * np.eye(6)
+
+    def _gated(
+        self, smoother: PoseBiasSmoother, T_mount_object: Array, covariance: Array, T_mount_palm: Array
+    ) -> PoseBiasSmoother:
+        """The smoother after a measurement; beyond the gate it is left out, until several in a row are."""
+        expected = smoother.expected(T_mount_palm)
+        T = nearest(self._model.symmetries, T_mount_object, expected, self._model.radius)
+        if smoother.mahalanobis2(T, covariance, T_mount_palm) > GATE_CHI2:
+            self._rejected_in_a_row += 1
+            self.rejected += 1
+            if self._rejected_in_a_row < REJECTED_UNTIL_RESTART:
+                return smoother
+            smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
+        self._rejected_in_a_row = 0
+        return smoother.updated(T, covariance, T_mount_palm)

@@ -1,0 +1,129 @@
+"""Fingers' raw wrenches become the contacts in the palm that plain steps make of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from scipy.special import erfc
+
+from contact.contact_cases import any_tip, touches
+from handsight import se3
+from handsight._kernels.contacts_to_palm import NEAR_TIP, TWO_AT_ONCE, contacts_to_palm
+from handsight._kernels.sensing_records import FELT, FINGER
+from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
+from handsight.rig.values import Finger
+from handsight.tracking.fingertips import finger_record
+from oracles.contacts_to_palm import contact_in_palm
+
+GRAVITY = np.array([1.0, -9.0, 3.0])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def some_finger(rng):
+    kind = rng.integers(3)
+    T = se3.random(rng, spread=0.01)
+    tip = (
+        any_tip(rng, T_surface_sensor=T, max_friction=1.0),
+        Ellipsoid((0.009, 0.009, 0.0145), cap=-0.007, max_friction=0.8),
+        Sphere(0.009, T_surface_sensor=T),
+    )[kind]
+    none = np.zeros(3)
+    reading = ("on_sensor", "on_tip")[rng.integers(2)]
+    bias = rng.normal(size=3), 0.02 * rng.normal(size=3)
+    known = WrenchCalibration(*bias, 0.03, 0.01 * rng.normal(size=3), none, none, 1.0, reading)
+    sigmas = dict(zip(("sigma_point", "sigma_normal"), rng.uniform(1e-4, 1e-2, 2), strict=True))
+    return Finger(
+        frame="tip", T_frame_surface=se3.random(rng, spread=0.02), tip=tip, calibration=known, **sigmas
+    )
+
+
+def raw(rng, finger, T_palm_tip):
+    """A reading of a push, a pull, too little, or nothing at all."""
+    tip, known = finger.tip, finger.calibration
+    truth = touches(rng, tip, 1)
+    T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
+    R, p = T_surface_sensor[:3, :3], T_surface_sensor[:3, 3]
+    force, torque = R.T @ truth.forces[0], R.T @ (truth.torques[0] - np.cross(p, truth.forces[0]))
+    size = rng.choice([1.0, 1.0, 1.0, -1.0, 1e-4, np.nan])
+    gravity = (T_palm_tip @ finger.T_frame_surface @ T_surface_sensor)[:3, :3].T @ GRAVITY
+    weight = known.mass * gravity
+    load = np.r_[size * force + weight, size * torque + np.cross(known.center_of_mass, weight)]
+    sign = 1.0 if known.reading == "on_sensor" else -1.0
+    return sign * load + np.r_[known.bias_force, known.bias_torque]
+
+
+def felt_by(fingers, readings, Ts, jacobians, variance=0.0):
+    records = np.array([finger_record(finger, variance) for finger in fingers], dtype=FINGER)
+    felt = np.empty(len(fingers), dtype=FELT)
+    contacts_to_palm(records, readings, Ts, jacobians.copy(), GRAVITY, felt)
+    return felt
+
+
+@settings(deadline=None)
+@given(SEEDS, st.integers(1, 5), st.integers(0, 22))
+def test_contacts_in_the_palm_are_those_of_plain_steps(seed, count, joints):
+    rng = np.random.default_rng(seed)
+    fingers = [some_finger(rng) for _ in range(count)]
+    Ts = se3.random(rng, count)  # a metre apart: none is near another
+    readings = np.array([raw(rng, finger, T) for finger, T in zip(fingers, Ts, strict=True)])
+    jacobians = rng.normal(scale=0.1, size=(count, 6, joints))
+    felt = felt_by(fingers, readings, Ts, jacobians, 0.02)
+    for i, finger in enumerate(fingers):
+        expected = contact_in_palm(finger, readings[i], Ts[i], jacobians[i], GRAVITY, 0.02)
+        assert felt["reason"][i] == expected[0]
+        if expected[0] != Reason.CONTACT or felt["gap"][i] < 0.02:
+            continue
+        np.testing.assert_allclose(felt["point"][i], expected[1], atol=1e-12)
+        np.testing.assert_allclose(felt["normal"][i], expected[2], atol=1e-9)
+        np.testing.assert_allclose(felt["covariance"][i], expected[3], rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(
+            felt["covariance"][i][3:] @ np.r_[0, 0, 0, felt["normal"][i]], 0, atol=1e-12
+        )
+        assert np.linalg.eigvalsh(felt["covariance"][i]).min() > -1e-12
+
+
+def ball(radius=0.01):
+    none = np.zeros(3)
+    known = WrenchCalibration(none, none, 1e-9, none, none, none, 1.0)
+    return Finger(frame="tip", T_frame_surface=np.eye(4), tip=Sphere(radius), calibration=known)
+
+
+def test_a_contact_near_another_tip_is_less_certain_by_the_chance_of_two():
+    PUSH = np.array([0.0, 0, -1, 0, 0, 0])
+    for gap in (0.0, 0.001, NEAR_TIP, 0.006):
+        Ts = np.array([np.eye(4), se3.compose(np.eye(3), np.array([0.02 + gap, 0, 0]))])
+        alone, near = (
+            felt_by([ball()] * len(T), np.array([PUSH] * len(T)), T, np.zeros((len(T), 6, 0)))[0]
+            for T in (Ts[:1], Ts)
+        )
+        assert near["gap"] == pytest.approx(gap, abs=1e-15)
+        two = 0.5 * erfc(1.645 * gap / (np.sqrt(2) * NEAR_TIP))
+        added = near["covariance"] - alone["covariance"]
+        expected = two * np.repeat(TWO_AT_ONCE, 3) * [1, 1, 1, 1, 1, 0]  # gravity aside, the normal is -z
+        np.testing.assert_allclose(np.diag(added), expected, rtol=0.03, atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
+def test_the_gap_between_tips_is_at_most_their_distance_and_not_much_less(seed):
+    """Against the nearest two points in both, which is a convex problem; a slab between them is never wider."""
+    rng = np.random.default_rng(seed)
+    axes, Ts = rng.uniform(0.005, 0.015, size=(2, 3)), se3.random(rng, 2, spread=0.015)
+    fingers = [replace(ball(), tip=Ellipsoid(a)) for a in axes]
+    one, other = felt_by(fingers, np.full((2, 6), np.nan), Ts, np.zeros((2, 6, 0)))["gap"]
+
+    def squared_cm(x):
+        p, q = (se3.apply(T, (a * u)[None])[0] for T, a, u in zip(Ts, axes, x.reshape(2, 3), strict=True))
+        return 1e4 * (p - q) @ (p - q)
+
+    inside = [{"type": "ineq", "fun": lambda x, k=k: 1 - x[k : k + 3] @ x[k : k + 3]} for k in (0, 3)]
+    nearest = minimize(squared_cm, np.zeros(6), constraints=inside, method="SLSQP", tol=1e-12)
+    assert one == other
+    assert np.sqrt(nearest.fun) / 100 - 3e-3 < max(one, 0.0) < np.sqrt(nearest.fun) / 100 + 1e-6
+
+
+def test_a_tip_alone_is_near_none():
+    assert felt_by([ball()], np.zeros((1, 6)), np.eye(4)[None], np.zeros((1, 6, 0)))["gap"] == np.inf

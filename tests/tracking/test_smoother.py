@@ -1,0 +1,235 @@
+"""The smoother is a Gaussian over pose and vision's constant bias, and every step of it is the law it claims to be."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import handsight as hs
+from handsight import se3
+from handsight.rig import Table
+from handsight.tracking.propagation import inflated_information
+from handsight.tracking.smoother import (
+    MOST_MEASUREMENTS,
+    PoseAndBias,
+    PoseBiasSmoother,
+    biased,
+    nearest_semidefinite,
+)
+from handsight.tracking.table import on_table
+
+SEEDS = st.integers(0, 2**32 - 1)
+VISION_SIGMAS = np.array([0.005] * 3 + [0.05] * 3)
+NOISE = np.diag(VISION_SIGMAS**2)
+BIAS_SIGMAS = np.array([0.05] * 3 + [0.1] * 3)
+NO_BIAS = np.zeros(6)
+WIDE = np.diag([0.3**2] * 3 + [1.0] * 3)
+
+
+def some_state(rng):
+    root = rng.normal(size=(12, 12)) * 0.05
+    bias = np.concatenate([rng.normal(scale=0.05, size=3), rng.normal(scale=0.2, size=3)])
+    return state_of(se3.random(rng, spread=0.1), root @ root.T + 1e-6 * np.eye(12), bias)
+
+
+def state_of(T_palm_object, covariance, bias=NO_BIAS):
+    return PoseAndBias(np.stack([T_palm_object, se3.moved(np.eye(4), bias)]), covariance)
+
+
+@given(SEEDS)
+def test_the_jacobian_is_the_derivative_of_what_vision_should_measure(seed):
+    rng = np.random.default_rng(seed)
+    state, Ts = some_state(rng), se3.random(rng, 2, spread=0.5)
+    smoother = PoseBiasSmoother(state, rng.normal(scale=0.3, size=3), solved=state)
+    H, _ = smoother._linearized(state, Ts, Ts)
+    expected = smoother.expected(Ts)
+
+    def measured(step):
+        return se3.difference(replace(smoother, solved=state.moved(step)).expected(Ts), expected)
+
+    h = 1e-6
+    numeric = np.stack([(measured(h * e) - measured(-h * e)) / (2 * h) for e in np.eye(12)], axis=2)
+    np.testing.assert_allclose(H, numeric, atol=1e-8)
+
+
+@given(SEEDS)
+def test_a_step_leads_from_one_state_to_another_and_back(seed):
+    rng = np.random.default_rng(seed)
+    state, step = some_state(rng), rng.normal(scale=0.3, size=12)
+    np.testing.assert_allclose(state.moved(step).difference(state), step, atol=1e-9)
+
+
+@given(SEEDS)
+def test_a_measurement_adds_its_information(seed):
+    """P⁻¹ + Hᵀ R⁻¹ H."""
+    rng = np.random.default_rng(seed)
+    state = some_state(rng)
+    H, R = rng.normal(size=(3, 12)), np.diag(rng.uniform(0.01, 1, 3))
+    after = state.updated(H, rng.normal(scale=0.01, size=3), R)
+    expected = np.linalg.inv(np.linalg.inv(state.covariance) + H.T @ np.linalg.inv(R) @ H)
+    np.testing.assert_allclose(after.covariance, expected, atol=1e-9)
+
+
+@given(SEEDS)
+def test_contacts_inform_the_bias_as_a_measurement_of_the_pose_would(seed):
+    rng = np.random.default_rng(seed)
+    state = some_state(rng)
+    R = np.diag(rng.uniform(1e-4, 1e-3, 6))
+    expected = state.updated(np.eye(6, 12), rng.normal(scale=1e-3, size=6), R)
+    information = np.linalg.inv(state.covariance[:6, :6]) + np.linalg.inv(R)
+    given_pose = state.given_pose(expected.T_palm_object, information)
+    np.testing.assert_allclose(given_pose.covariance, expected.covariance, atol=1e-8)
+    np.testing.assert_allclose(given_pose.vision_bias, expected.vision_bias, atol=1e-5)
+
+
+@given(SEEDS)
+def test_one_pose_from_vision_is_a_kalman_update_where_all_is_linear(seed):
+    rng = np.random.default_rng(seed)
+    state = replace(some_state(rng), covariance=np.diag([1e-6] * 12))
+    smoother = PoseBiasSmoother(state, np.zeros(3), solved=state)
+    T, noise = se3.random(rng, spread=0.3), np.diag([1e-6] * 6)
+    T_mount_object = se3.moved(smoother.expected(T), rng.normal(scale=1e-3, size=6))
+    after = smoother.updated(T_mount_object, noise, T).now
+    H, innovation = smoother._linearized(state, T[None], T_mount_object[None])
+    expected = state.updated(H[0], innovation[0], noise)
+    np.testing.assert_allclose(after.covariance, expected.covariance, atol=2e-8)
+    np.testing.assert_allclose(after.difference(expected), 0, atol=1e-5)
+
+
+@cache
+def turned(seed, turn, measurements=30):
+    """A smoother after a palm that went 20 cm and turned so far about the vertical, and the object's true pose."""
+    rng = np.random.default_rng(seed)
+    T_palm_object = se3.compose(se3.rotation_exp(rng.normal(size=3)), np.array([0.0, -0.09, 0.1]))
+    bias, smoother, pivot = se3.moved(np.eye(4), rng.normal(size=6) * BIAS_SIGMAS), None, None
+    for part in np.linspace(0, 1, measurements):
+        R = se3.rotation_exp(np.array([0, 0, turn * part]))
+        T = se3.compose(R, np.array([0.1 + 0.2 * part, 0.2, 0.3]))
+        true = T @ T_palm_object
+        pivot = true[:3, 3] if pivot is None else pivot
+        measured = se3.moved(biased(true, bias, pivot), rng.normal(size=6) * VISION_SIGMAS)
+        if smoother is None:
+            start = se3.inverse(T) @ measured
+            smoother = PoseBiasSmoother.from_prior(start, WIDE, np.diag(BIAS_SIGMAS**2), measured[:3, 3])
+        smoother = smoother.updated(measured, NOISE, T)
+    return smoother, T_palm_object
+
+
+@pytest.mark.parametrize("turn", [0, np.pi / 3, np.pi / 2])
+def test_pose_and_bias_are_told_apart_just_as_far_as_the_palm_turns(turn):
+    """The mean of χ² over 20 worlds of six numbers each is 6 ± 0.8: 3.6 to 8.4 is three of that."""
+    chi2, across = [], []
+    for seed in range(20):
+        smoother, T_true = turned(seed, turn)
+        now = smoother.now
+        off, C = se3.difference(now.T_palm_object, T_true), now.covariance[:6, :6]
+        chi2.append(off @ np.linalg.solve(C, off))
+        across.append(np.sqrt(np.linalg.eigvalsh(C[:2, :2]).max()))
+    assert 3.6 < np.mean(chi2) < 8.4
+    if turn:
+        assert np.mean(across) < 0.02
+    else:
+        assert np.mean(across) > 0.045
+
+
+def test_measurements_from_one_palm_are_kept_as_one_with_the_information_of_all():
+    many, _ = turned(0, np.pi, measurements=100)
+    assert len(many.measurements) == MOST_MEASUREMENTS
+    still, _ = turned(0, 0.0, measurements=5)
+    T = still.measurements.Ts_mount_palm[-1]
+    again = still.updated(still.expected(T), NOISE, T)
+    assert len(again.measurements) == len(still.measurements)
+    np.testing.assert_allclose(again.measurements.covariances[-1], NOISE / 2, atol=1e-12)
+
+
+def test_old_measurements_say_less_of_an_object_that_moves_in_the_palm():
+    fixed, _ = turned(1, np.pi / 2)
+    moving = fixed.inflated(np.array([0.02**2] * 3 + [0.1**2] * 3))
+    T = fixed.measurements.Ts_mount_palm[-1]
+    measured = se3.moved(fixed.expected(T), np.array([0.0, 0, 0.05, 0, 0, 0]))
+    step_fixed, step_moving = (
+        np.linalg.norm((each.updated(measured, NOISE, T).now.T_palm_object - fixed.now.T_palm_object)[:3, 3])
+        for each in (fixed, moving)
+    )
+    assert step_moving > 1.5 * step_fixed
+
+
+def test_the_random_walk_is_in_the_posterior_at_once_and_in_steps_as_at_once():
+    smoother, _ = turned(1, np.pi / 2)
+    variance = np.array([0.02**2] * 3 + [0.1**2] * 3)
+    stepped = smoother.inflated(0.25 * variance).inflated(0.75 * variance)
+    expected = smoother.now.inflated(variance)
+    np.testing.assert_allclose(stepped.now.covariance, expected.covariance, atol=1e-15)
+    np.testing.assert_array_equal(np.diagonal(expected.covariance - smoother.now.covariance)[6:], 0)
+
+
+def test_the_mahalanobis_distance_is_zero_where_vision_should_measure_and_great_far_off():
+    smoother, _ = turned(2, np.pi / 2)
+    T = smoother.measurements.Ts_mount_palm[-1]
+    expected = smoother.expected(T)
+    assert smoother.mahalanobis2(expected, NOISE, T) == pytest.approx(0, abs=1e-9)
+    far = se3.moved(expected, np.array([0.3, 0, 0, 0, 0, 0]))
+    assert smoother.mahalanobis2(far, NOISE, T) > 100
+
+
+@given(SEEDS)
+def test_a_palm_that_goes_elsewhere_leaves_the_object_in_the_world(seed):
+    rng = np.random.default_rng(seed)
+    smoother, _ = turned(seed % 7, 0.5, measurements=4)
+    T_old, T_new = se3.random(rng), se3.random(rng)
+    transformed = smoother.transformed(se3.inverse(T_new) @ T_old)
+    before, after = smoother.now, transformed.now
+    np.testing.assert_allclose(T_new @ after.T_palm_object, T_old @ before.T_palm_object, atol=1e-12)
+    covariances_world = [
+        se3.rotate_covariance(T[:3, :3], state.covariance[:6, :6])
+        for T, state in ((T_old, before), (T_new, after))
+    ]
+    np.testing.assert_allclose(*covariances_world, atol=1e-12)
+    Ts = zip(smoother.measurements.Ts_mount_palm, transformed.measurements.Ts_mount_palm, strict=True)
+    for T_before, T_after in Ts:
+        expected = smoother.expected(T_before)
+        np.testing.assert_allclose(transformed.expected(T_after), expected, atol=1e-9)
+
+
+@given(SEEDS)
+def test_process_noise_adds_to_the_covariance_though_it_is_told_as_information(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6))
+    information, variance = root @ root.T + 0.1 * np.eye(6), rng.uniform(0.01, 1, 6)
+    expected = np.linalg.inv(np.linalg.inv(information) + np.diag(variance))
+    np.testing.assert_allclose(inflated_information(information, variance), expected, atol=1e-9)
+    assert inflated_information(np.diag([1.0, 1, 1, 1, 1, 0]), variance)[5, 5] == 0
+    np.testing.assert_allclose(inflated_information(information, np.zeros(6)), information, rtol=1e-12)
+
+
+def test_the_nearest_semidefinite_matrix_of_a_semidefinite_one_is_itself():
+    root = np.random.default_rng(0).normal(size=(6, 6))
+    np.testing.assert_allclose(nearest_semidefinite(root @ root.T), root @ root.T, atol=1e-10)
+    mixed = np.diag([4.0, 1, 1, -3, 1, 1])
+    np.testing.assert_allclose(nearest_semidefinite(mixed), np.diag([4.0, 1, 1, 0, 1, 1]), atol=1e-10)
+
+
+BOX = hs.ObjectModel.box([0.06, 0.09, 0.14])
+
+
+@pytest.mark.parametrize("turn", [np.zeros(3), np.array([0, np.pi / 2, 0]), np.array([np.pi, 0, 0])])
+def test_a_table_fixes_height_and_tilt_of_whatever_side_is_down(turn):
+    side = [0.03, 0.045, 0.07][np.abs(se3.rotation_exp(turn)[2]).argmax()]
+    T_world_palm = se3.compose(se3.rotation_exp(np.array([0.3, -0.7, 1.0])), np.array([0.1, 0.0, 0.6]))
+    T_world_true = se3.compose(se3.rotation_exp(turn), np.array([0.2, 0.1, 0.4 + side]))
+    off = np.array([0.03, -0.02, 0.04, 0.05, -0.04, 0.2])
+    T = se3.inverse(T_world_palm) @ se3.moved(T_world_true, off)
+    prior = state_of(T, np.diag([0.05**2] * 3 + [0.15**2] * 3 + [1.0] * 6))
+    after = on_table(prior, BOX, Table(height=0.4), T_world_palm)
+    delta = se3.difference(T_world_palm @ after.T_palm_object, T_world_true)
+    np.testing.assert_allclose(delta[[2, 3, 4]], 0, atol=4e-3)
+    np.testing.assert_allclose(delta[:2], off[:2], atol=2e-3)
+
+
+def test_an_object_in_the_air_is_not_put_on_the_table():
+    T = se3.compose(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    prior = state_of(T, np.diag([0.02**2] * 3 + [0.1**2] * 3 + [1.0] * 6))
+    assert on_table(prior, BOX, Table(height=0.0), np.eye(4)) is None
