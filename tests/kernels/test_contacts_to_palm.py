@@ -12,9 +12,9 @@ from scipy.special import erfc
 from contact.contact_cases import any_tip, touches
 from handsight import se3
 from handsight._kernels.contacts_to_palm import NEAR_TIP, TWO_AT_ONCE, contacts_to_palm
-from handsight._kernels.sensing_records import FELT, FINGER
+from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
-from handsight.rig.values import Finger
+from handsight.rig import Finger
 from handsight.tracking.fingertips import finger_record
 from oracles.contacts_to_palm import contact_in_palm
 
@@ -57,7 +57,7 @@ def raw(rng, finger, T_palm_tip):
 
 def felt_by(fingers, readings, Ts, jacobians, variance=0.0):
     records = np.array([finger_record(finger, variance) for finger in fingers], dtype=FINGER)
-    felt = np.empty(len(fingers), dtype=FELT)
+    felt = np.empty(len(fingers), dtype=PALM_CONTACT)
     contacts_to_palm(records, readings, Ts, jacobians.copy(), GRAVITY, felt)
     return felt
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import entry, inner
-from handsight._kernels.sensing import sensed_with_covariance
-from handsight._kernels.sensing_records import FELT, FINGER
+from handsight._kernels.sensing import uncertain_contact
+from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.sensing_steps import CONTACT, Vec6, fingertip
 from handsight._kernels.vec3 import (
     Mat33,
@@ -81,6 +81,7 @@ def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> float:
 
 @inner
 def _set_gaps(fingers: Any, Ts_palm_surface: Any, felt: Any) -> None:
+    """Each tip's distance to the nearest other one."""
     for i in range(len(felt)):
         felt[i].gap = np.inf
         for j in range(i):
@@ -152,8 +153,8 @@ def contacts_to_palm(
     """What n `fingers` FINGER feel, by raw `readings` (n, 6), NaN where a sensor is silent.
 
     `jacobians` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by each joint;
-    overwritten. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. `felt` (n) FELT is
-    written.
+    overwritten. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `felt` (n)
+    PALM_CONTACT.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
     for i in range(len(fingers)):
@@ -168,7 +169,7 @@ def contacts_to_palm(
         tip = fingertip(finger.tip)
         load = _load(readings[i], finger, tmul(tip.R, tmul(matrix(Ts_palm_surface[i]), gravity)))
         sigmas = vector(finger.sigmas[:3]), vector(finger.sigmas[3:])
-        answer = sensed_with_covariance(load, tip, sigmas, contact.covariance)
+        answer = uncertain_contact(load, tip, sigmas, contact.covariance)
         contact.reason = int(answer[0])
         if answer[0] == CONTACT:
             store(answer[1], contact.point)
@@ -179,4 +180,6 @@ def contacts_to_palm(
 def warm() -> None:
     """Compiles the kernel, or loads it."""
     fingers, poses = np.ones(1, FINGER), np.eye(4)[None]
-    contacts_to_palm(fingers, np.zeros((1, 6)), poses, np.zeros((1, 6, 1)), np.zeros(3), np.empty(1, FELT))
+    contacts_to_palm(
+        fingers, np.zeros((1, 6)), poses, np.zeros((1, 6, 1)), np.zeros(3), np.empty(1, PALM_CONTACT)
+    )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import entry
-from handsight._kernels.sensing_records import FINGERTIP, SENSED
+from handsight._kernels.sensing_records import FINGERTIP, TIP_CONTACT
 from handsight._kernels.sensing_steps import (
     CONTACT,
     OFF_CAP,
@@ -23,12 +23,12 @@ from handsight._kernels.sensing_steps import (
     prepared,
     rescaled,
     root,
-    sensed,
     spread,
     store,
     sum_of_products,
     times,
     vector,
+    wrench_to_contact,
 )
 from handsight._kernels.vec3 import Vec3
 
@@ -104,7 +104,7 @@ def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts
     """How many contacts n wrenches hold; these, in the order of the wrenches, from the arrays' start.
 
     `forces`, `torques` (n, 3); `tip` (1,) FINGERTIP. Written: `reasons` (n) int8, all of them; of the contacts `rows`
-    (n) int64, whose wrench each is, and `contacts` (n) SENSED.
+    (n) int64, whose wrench each is, and `contacts` (n) TIP_CONTACT.
     """
     numbers, w = fingertip(tip[0]), np.zeros(COLUMNS * LANES)
     forces, torques = forces.reshape(-1), torques.reshape(-1)
@@ -133,7 +133,7 @@ def _pair(six: Any) -> Vec6:
 
 @entry
 def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
-    """`out` (k, 6, 6): of the point and normal of k contacts SENSED; `tip` (1,) FINGERTIP, `sigmas` (6)."""
+    """`out` (k, 6, 6): of the point and normal of k contacts TIP_CONTACT; `tip` (1,) FINGERTIP, `sigmas` (6)."""
     numbers, noise, out = fingertip(tip[0]), _pair(sigmas), out.reshape(-1)
     n, w = len(contacts), np.ones(17 * LANES)
     for start in range(0, n, LANES):
@@ -155,9 +155,9 @@ def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
 
 
 @lane
-def sensed_with_covariance(load: Vec6, tip: Fingertip, sigmas: Vec6, covariance: Any) -> Any:
-    """As `sensed`, of one wrench; its covariance is written where it is a contact."""
-    answer = sensed(load[0], load[1], tip)
+def uncertain_contact(load: Vec6, tip: Fingertip, sigmas: Vec6, covariance: Any) -> Any:
+    """As `wrench_to_contact`, of one wrench; its covariance is written where it is a contact."""
+    answer = wrench_to_contact(load[0], load[1], tip)
     if answer[0] == CONTACT:
         first, second = spread(answer[1], answer[4], answer[5], tip, sigmas)
         for i in range(6):
@@ -173,7 +173,7 @@ def sense_one(load: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -
     `load`: its force and torque, six numbers. Written where it is a contact: `vectors` (3, 3), point, normal and force,
     and its `covariance`.
     """
-    answer = sensed_with_covariance(_pair(load), fingertip(tip[0]), _pair(sigmas), covariance)
+    answer = uncertain_contact(_pair(load), fingertip(tip[0]), _pair(sigmas), covariance)
     reason, point, normal, force, force_normal, twist = answer
     store(point, vectors[0])
     store(normal, vectors[1])
@@ -184,7 +184,7 @@ def sense_one(load: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -
 def warm() -> None:
     """Compiles every kernel, or loads it."""
     tip, none, sigmas = np.ones(1, FINGERTIP), np.empty((0, 3)), np.ones(6)
-    contacts = np.empty(0, SENSED)
+    contacts = np.empty(0, TIP_CONTACT)
     sense(none, none, tip, np.empty(0, np.int8), np.empty(0, np.int64), contacts)
     covariances(contacts, tip, sigmas, np.empty((0, 6, 6)))
     sense_one((0.0,) * 6, tip, sigmas, np.empty((3, 3)), np.empty((6, 6)))

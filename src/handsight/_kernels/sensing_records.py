@@ -12,7 +12,7 @@ FINGERTIP = np.dtype(
         ("origin_surface", "f8", (3,)),  # the sensor's [m]
     ]
 )
-SENSED = np.dtype(
+TIP_CONTACT = np.dtype(
     [
         ("point", "f8", (3,)),
         ("normal", "f8", (3,)),
@@ -37,7 +37,7 @@ FINGER = np.dtype(
         ("variance_joint", "f8"),  # of each joint that moves it [rad²]
     ]
 )
-FELT = np.dtype(
+PALM_CONTACT = np.dtype(
     [
         ("reason", "i8"),
         ("gap", "f8"),  # distance to the nearest other tip [m]

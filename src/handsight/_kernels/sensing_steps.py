@@ -285,7 +285,7 @@ def sum_of_products(a: float, b: float, c: float, d: float) -> float:
 
 
 @lane
-def sensed(force: Vec3, torque: Vec3, tip: Fingertip) -> Any:
+def wrench_to_contact(force: Vec3, torque: Vec3, tip: Fingertip) -> Any:
     """Reason, point, normal, force, normal force and local torque of one wrench; only the first where it is none."""
     reason, size, f, m = prepared(force, torque, tip)
     c, kappa, pushes = root(f, m, tip)

@@ -111,30 +111,18 @@ class Contacts:
             raise InvalidInput(
                 f"select: expected a mask of {n} or indices below {n}, got {checks.brief(mask_or_indices)}"
             )
-        return _made(
-            self.points_palm[chosen],
-            self.normals_palm[chosen],
-            self.has_normal[chosen],
-            self.covariance[chosen],
-        )
+        return _made(*(getattr(self, name)[chosen] for name in Contacts.__slots__))
 
 
-def _made(points: Array, normals: Array, has_normal: NDArray[np.bool_], covariance: Array) -> Contacts:
-    """Contacts from what is already clean."""
+def _made(*arrays: NDArray[Any]) -> Contacts:
+    """Contacts of points, normals, which have one, and covariances that are clean already."""
     contacts = object.__new__(Contacts)
-    _fill(contacts, points, normals, has_normal, covariance)
+    _fill(contacts, *arrays)
     return contacts
 
 
-def _fill(
-    contacts: Contacts, points: Array, normals: Array, has_normal: NDArray[np.bool_], covariance: Array
-) -> None:
-    for name, array in (
-        ("points_palm", points),
-        ("normals_palm", normals),
-        ("has_normal", has_normal),
-        ("covariance", covariance),
-    ):
+def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
+    for name, array in zip(Contacts.__slots__, arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
     record = np.empty(len(points), dtype=CONTACT)

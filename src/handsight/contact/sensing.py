@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
-from handsight._kernels.sensing_records import SENSED
+from handsight._kernels.sensing_records import TIP_CONTACT
 from handsight.checks import Array
 from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason, new_contact
 from handsight.contact.fingertips import Fingertip
@@ -80,7 +80,11 @@ def contacts_from_wrenches(
     sigmas = _sigmas(sigma_force, sigma_torque).copy()
     from handsight._kernels.sensing import sense
 
-    reasons, rows, records = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.intp), np.empty(n, dtype=SENSED)
+    reasons, rows, records = (
+        np.empty(n, dtype=np.int8),
+        np.empty(n, dtype=np.intp),
+        np.empty(n, dtype=TIP_CONTACT),
+    )
     k = sense(F, M, fingertip.record, reasons, rows, records)
     return ContactBatch(reasons, _first(rows, k), _first(records, k), fingertip, sigmas)
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight._kernels.contacts_to_palm import NEAR_TIP, contacts_to_palm
-from handsight._kernels.sensing_records import FELT, FINGER
-from handsight.contact import REASON_NAMES, Contacts
+from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
+from handsight.contact import REASON_NAMES, Contacts, Reason
 from handsight.observation import Observation
-from handsight.rig import Rig
-from handsight.rig.values import Finger
+from handsight.rig import Finger, Rig
 
 SILENT = np.full(6, np.nan)
+REASONS = tuple("silent" if name == "invalid" else name for name in REASON_NAMES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,23 +56,19 @@ class FingertipSensors:
         readings = np.array([observation.wrenches.get(name, SILENT) for name in self.names], dtype=np.float64)
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
-        felt = np.empty(len(self.names), dtype=FELT)
+        felt = np.empty(len(self.names), dtype=PALM_CONTACT)
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, jacobians, gravity_palm, felt)
 
-        reasons = {
-            name: "silent" if REASON_NAMES[reason] == "invalid" else REASON_NAMES[reason]
-            for name, reason in zip(self.names, felt["reason"].tolist(), strict=True)
-        }
-        fingers = tuple(name for name in self.names if reasons[name] == "contact")
-        if not fingers:
+        names = list(zip(self.names, felt["reason"].tolist(), felt["gap"].tolist(), strict=True))
+        reasons = {name: REASONS[reason] for name, reason, _ in names if reason}
+        if len(reasons) == len(names):
             return FingertipContacts((), None, reasons)
-        touching = felt[felt["reason"] == 0]
-        near = touching["gap"] < NEAR_TIP
+        touching = felt[felt["reason"] == Reason.CONTACT]
         return FingertipContacts(
-            fingers,
-            Contacts.trusted(touching["point"], touching["normal"], touching["covariance"]),
-            {name: reason for name, reason in reasons.items() if reason != "contact"},
-            tuple(name for name, is_near in zip(fingers, near.tolist(), strict=True) if is_near),
+            tuple(name for name, reason, _ in names if not reason),
+            Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance"))),
+            reasons,
+            tuple(name for name, reason, gap in names if not reason and gap < NEAR_TIP),
         )
 
 
