@@ -59,7 +59,7 @@ def test_a_wrench_that_is_not_a_number_is_left_out(tmp_path):
         (
             "/vision/object",
             M.pose(at(), np.eye(4), covariance=-np.eye(6)),
-            "seen.covariance: expected a positive semidefinite covariance, got a negative eigenvalue",
+            "vision.covariance: expected a positive semidefinite covariance, got a negative eigenvalue",
         ),
         (
             "/truth",
@@ -101,7 +101,7 @@ def test_poses_with_nan_are_counted_as_such(tmp_path):
 def test_frames_are_known_by_the_rigs_names(tmp_path, frame):
     T = se3.random(np.random.default_rng(0))
     observations, _ = reading_with(tmp_path, ("/vision/object", M.pose(at(), T, frame=frame)))
-    (seen,) = (each.seen for each in observations if each.seen)
+    (seen,) = (each.vision for each in observations if each.vision)
     assert seen.frame == frame.strip("/")
     np.testing.assert_allclose(seen.T_frame_object, T, atol=1e-12)
     assert seen.covariance is None
@@ -110,9 +110,9 @@ def test_frames_are_known_by_the_rigs_names(tmp_path, frame):
 def test_a_covariance_of_zeros_is_none(tmp_path):
     given, zeros = np.diag([1.0, 2, 3, 4, 5, 6]), np.zeros((6, 6))
     observations, _ = reading_with(tmp_path, ("/vision/object", M.pose(at(), np.eye(4), covariance=zeros)))
-    assert [each.seen.covariance for each in observations if each.seen] == [None]
+    assert [each.vision.covariance for each in observations if each.vision] == [None]
     observations, _ = reading_with(tmp_path, ("/vision/object", M.pose(at(), np.eye(4), covariance=given)))
-    (seen,) = (each.seen for each in observations if each.seen)
+    (seen,) = (each.vision for each in observations if each.vision)
     np.testing.assert_array_equal(seen.covariance, given)
 
 

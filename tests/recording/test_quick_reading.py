@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handsight.messages.fast_cdr import QuickReader
 from handsight.recording import open_recording
-from handsight.recording.quick import QuickReader
 from recording.bags import START, Messages, read, rig, save, touched
 
 M = Messages()

@@ -8,7 +8,7 @@ import pytest
 
 from handsight import se3
 from handsight.errors import MissingExtra
-from handsight.observation import Observation, SeenPose
+from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, open_recording
 from recording.bags import FINGERS, JOINTS, START, Messages, alone, read, rig, save, sights, touched
 
@@ -57,7 +57,7 @@ def test_each_kind_of_recording_gives_what_was_written(tmp_path, kind, compressi
 def test_all_that_a_robot_sees_is_read_of_each_kind(tmp_path, kind, ros):
     observations, recording = read(save(tmp_path, sights(Messages(ros)), kind))
     assert len(observations) == 10
-    for field in ("seen", "color", "depth"):
+    for field in ("vision", "color", "depth"):
         assert sum(getattr(seen, field) is not None for seen in observations) == 3
     assert all(seen.T_world_palm is not None for seen in observations)
     assert recording.report.sentences() == []
@@ -121,7 +121,7 @@ def sample():
         stamp=12.345678901,
         joint_positions=dict(zip(JOINTS, rng.normal(size=3), strict=True)),
         wrenches={"ff": rng.normal(size=6)},
-        seen=SeenPose(se3.random(rng), "world", np.diag([1, 2, 3, 4, 5, 6.0])),
+        vision=PoseMeasurement(se3.random(rng), "world", np.diag([1, 2, 3, 4, 5, 6.0])),
         T_world_palm=se3.random(rng),
         color=rng.integers(0, 255, size=(24, 32, 3), dtype=np.uint8),
         depth=depth,
@@ -141,9 +141,9 @@ def test_what_the_writer_wrote_comes_back(tmp_path, sample):
     assert set(seen.wrenches) == {"ff"}
     np.testing.assert_array_equal(seen.wrenches["ff"], sample.wrenches["ff"])
     np.testing.assert_allclose(seen.T_world_palm, sample.T_world_palm, atol=1e-12)
-    np.testing.assert_allclose(seen.seen.T_frame_object, sample.seen.T_frame_object, atol=1e-12)
-    assert seen.seen.frame == "world"
-    np.testing.assert_array_equal(seen.seen.covariance, sample.seen.covariance)
+    np.testing.assert_allclose(seen.vision.T_frame_object, sample.vision.T_frame_object, atol=1e-12)
+    assert seen.vision.frame == "world"
+    np.testing.assert_array_equal(seen.vision.covariance, sample.vision.covariance)
     np.testing.assert_array_equal(seen.color, sample.color)
     np.testing.assert_allclose(seen.depth, sample.depth, atol=0.00051)
     assert seen.depth.dtype == np.float32
@@ -189,10 +189,10 @@ def test_a_stamp_of_today_survives_to_the_last_bit(tmp_path):
 
 
 def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
-    from handsight.recording import messages
+    from handsight.messages import decode
 
     path = save(tmp_path, sights(Messages()))
-    messages._typestore.cache_clear()
+    decode._typestore.cache_clear()
     for name in ("rosbags.typesys", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
     with told(), open_recording(path, rig()) as recording:

@@ -70,7 +70,7 @@ def test_an_observation_has_nothing_from_after_its_stamp(tmp_path):
 def test_a_pose_is_in_the_first_observation_after_it_and_only_there(tmp_path):
     rows = [*joints(grid(20)), ("/vision/object", START + 0.055, M.pose(START + 0.055, np.eye(4)))]
     observations, _ = read(save(tmp_path, by_log(rows)))
-    assert [i for i, seen in enumerate(observations) if seen.seen is not None] == [6]
+    assert [i for i, seen in enumerate(observations) if seen.vision is not None] == [6]
 
 
 def test_a_pose_from_within_a_gap_of_the_joints_is_stale(tmp_path):
@@ -78,7 +78,7 @@ def test_a_pose_from_within_a_gap_of_the_joints_is_stale(tmp_path):
     rows = [*joints(stamps), ("/vision/object", START + 2, M.pose(START + 2, np.eye(4)))]
     observations, recording = read(save(tmp_path, by_log(rows)))
     assert len(observations) == 40
-    assert not any(seen.seen for seen in observations)
+    assert not any(seen.vision for seen in observations)
     assert recording.report.topics["/vision/object"].stale == 1
     assert recording.report.topics["/joint_states"].gaps == 1
     assert "/joint_states: 1 gaps of more than 0.1 s, the longest 4.810 s" in recording.report.sentences()
@@ -128,7 +128,7 @@ def test_slow_vision_keeps_its_stamps(tmp_path, latency):
         for s in grid(30, 10.0)
     ]
     observations, recording = read(save(tmp_path, by_log([*joints(grid(600)), *poses])))
-    found = [(seen.stamp - START, seen.seen.T_frame_object[0, 3]) for seen in observations if seen.seen]
+    found = [(seen.stamp - START, seen.vision.T_frame_object[0, 3]) for seen in observations if seen.vision]
     assert len(found) == 30
     np.testing.assert_allclose(*np.transpose(found), atol=1e-6)
     assert not recording.report.topics["/vision/object"].shifted
@@ -140,7 +140,7 @@ def test_slow_vision_that_begins_after_the_first_second_loses_what_came_before_t
     report = recording.report.topics["/vision/object"]
     assert not report.shifted
     assert report.late == 17
-    assert sum(seen.seen is not None for seen in observations) == 13
+    assert sum(seen.vision is not None for seen in observations) == 13
 
 
 def test_a_topic_without_stamps_is_timed_by_when_it_was_recorded(tmp_path):
@@ -173,7 +173,7 @@ def test_a_simulator_at_a_tenth_of_real_time_is_one_clock(tmp_path):
     rows += [("/vision/object", START + 50 + i, M.pose(5 + i / 10, np.eye(4))) for i in range(50)]
     observations, recording = read(save(tmp_path, by_log(rows)))
     assert len(observations) == 1000
-    assert sum(seen.seen is not None for seen in observations) == 50
+    assert sum(seen.vision is not None for seen in observations) == 50
     assert not recording.report.topics["/vision/object"].shifted
 
 

@@ -31,7 +31,9 @@ def test_the_same_scenario_gives_the_same_samples_and_another_seed_others():
         np.testing.assert_array_equal(a.configuration, b.configuration)
         assert a.observation.joint_positions == b.observation.joint_positions
         np.testing.assert_array_equal(a.observation.wrenches["ff"], b.observation.wrenches["ff"])
-        np.testing.assert_array_equal(a.observation.seen.T_frame_object, b.observation.seen.T_frame_object)
+        np.testing.assert_array_equal(
+            a.observation.vision.T_frame_object, b.observation.vision.T_frame_object
+        )
     first, other = samples(seed=0)[-1], samples(seed=1)[-1]
     shift = se3.difference(first.T_palm_object, other.T_palm_object)
     assert 1e-4 < np.linalg.norm(shift[:3]) < 0.03

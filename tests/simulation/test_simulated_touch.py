@@ -103,7 +103,9 @@ def test_a_setting_changes_its_own_error_and_no_other():
     usual = samples(nuisances=Nuisances())
     blind = samples(nuisances=Nuisances(joint_offset=0, joint_noise=0, force_noise=0, torque_noise=0))
     for a, b in zip(usual, blind, strict=True):
-        np.testing.assert_array_equal(a.observation.seen.T_frame_object, b.observation.seen.T_frame_object)
+        np.testing.assert_array_equal(
+            a.observation.vision.T_frame_object, b.observation.vision.T_frame_object
+        )
         np.testing.assert_array_equal(a.T_palm_object, b.T_palm_object)
     quiet = samples(nuisances=Nuisances(camera_position=0, vision_position=0, vision_delay=0))
     for a, b in zip(usual, quiet, strict=True):

@@ -22,10 +22,10 @@ What a reader may rely on:
 Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
 """
 
-from handsight.recording.reading import Recording, open_recording
-from handsight.recording.report import Report, TopicReport
-from handsight.recording.results import TrackRow, write_track_csv, write_track_mcap, write_track_tum
-from handsight.recording.writing import RecordingWriter
+from handsight.messages.report import Report, TopicReport
+from handsight.recording.open import Recording, open_recording
+from handsight.recording.tracks import TrackRow, write_track_csv, write_track_mcap, write_track_tum
+from handsight.recording.write import RecordingWriter
 
 __all__ = [
     "Recording",

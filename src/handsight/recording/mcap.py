@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from zlib import crc32
 
-from handsight.recording.blocks import Block, Raw, Source, merged, normal_type, seconds, unpacked
+from handsight.messages.decode import RawMessage
+from handsight.recording.chunks import Block, Source, merged, normal_type, seconds, unpacked
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
@@ -36,7 +37,7 @@ class McapSource(Source):
             for block in self._blocks:
                 self._read(frozenset(), block)
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         return merged(self._blocks, partial(self._read, wanted))
 
     def close(self) -> None:
@@ -86,7 +87,7 @@ class McapSource(Source):
             compression = self._data[at : min(name, at + 20)].decode("ascii", "replace")
             yield Block(start, name + 8, length, compression, size, crc)
 
-    def _read(self, wanted: Collection[str], block: Block) -> list[Raw]:
+    def _read(self, wanted: Collection[str], block: Block) -> list[RawMessage]:
         packed = self._data[block.offset : block.offset + block.length]
         data, fault = unpacked(packed, block.compression, block.size)
         if fault is None and block.crc and crc32(data) != block.crc:
@@ -102,7 +103,7 @@ class McapSource(Source):
                 channel, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
                 about = self._channels.get(channel)
                 if about is not None and about[0] in wanted:
-                    found.append(Raw(*about, seconds(log), data[begin + MESSAGE_HEAD.size : end]))
+                    found.append(RawMessage(*about, seconds(log), data[begin + MESSAGE_HEAD.size : end]))
         if fault is None and read < len(data):
             fault = f"expected messages, got something else at {read} of {len(data)} bytes"
         if fault is not None:

@@ -7,7 +7,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from handsight.recording.blocks import Block, Raw, Source, merged, normal_type, unpacked
+from handsight.messages.decode import RawMessage
+from handsight.recording.chunks import Block, Source, merged, normal_type, unpacked
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CONNECTION = 2, 3, 4, 5, 7
@@ -32,7 +33,7 @@ class Rosbag1Source(Source):
             for block in self._blocks:
                 self._read(frozenset(), block)
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         return merged(self._blocks, partial(self._read, wanted))
 
     def close(self) -> None:
@@ -67,7 +68,7 @@ class Rosbag1Source(Source):
         size = int.from_bytes(fields.get(b"size", b"")[:8], "little")
         return Block(start, begin, end - begin, compression, size)
 
-    def _read(self, wanted: Collection[str], block: Block) -> list[Raw]:
+    def _read(self, wanted: Collection[str], block: Block) -> list[RawMessage]:
         packed = self._data[block.offset : block.offset + block.length]
         data, fault = unpacked(packed, block.compression, block.size)
         found, end = [], 0
@@ -82,7 +83,7 @@ class Rosbag1Source(Source):
                 time = fields.get(b"time", b"")
                 if about is not None and about[0] in wanted and len(time) == TIME.size:
                     sec, nanosec = TIME.unpack(time)
-                    found.append(Raw(*about, "ros1", sec + nanosec * 1e-9, data[begin:end]))
+                    found.append(RawMessage(*about, "ros1", sec + nanosec * 1e-9, data[begin:end]))
         if fault is None and end != len(data):
             fault = "expected whole messages, got a record that ends beyond the chunk"
         if fault is not None:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from handsight.errors import InvalidFile, MissingExtra
-from handsight.recording import mcap, rosbag1, sqlite
-from handsight.recording.blocks import Raw, Source, normal_type, seconds
+from handsight.messages.decode import RawMessage
+from handsight.recording import mcap, rosbag1, rosbag2_sqlite
+from handsight.recording.chunks import Source, normal_type, seconds
 
 KINDS: dict[bytes, type[Source]] = {
     mcap.MAGIC: mcap.McapSource,
     rosbag1.MAGIC: rosbag1.Rosbag1Source,
-    sqlite.MAGIC: sqlite.SqliteSource,
+    rosbag2_sqlite.MAGIC: rosbag2_sqlite.SqliteSource,
 }
 COMPRESSED = re.compile(rb"""compression_mode:\s*['"]?(file|message)""", re.IGNORECASE)
 LARGEST_METADATA = 1 << 20
@@ -64,7 +65,7 @@ class _Files(Source):
             self._opened = opened.pop_all()
         self._gather()
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         for part in self._parts:
             yield from part.messages(wanted)
             self._gather()
@@ -96,12 +97,12 @@ class _Compressed(Source):
             raise InvalidFile(f"{path}: {EXPECTED}, got: {error}") from None
         self.topics = {c.topic: normal_type(c.msgtype) for c in self._reader.connections}
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.messages`."""
         connections = [c for c in self._reader.connections if c.topic in wanted]
         try:
             for c, log, data in self._reader.messages(connections) if connections else ():
-                yield Raw(c.topic, normal_type(c.msgtype), "cdr", seconds(log), bytes(data))
+                yield RawMessage(c.topic, normal_type(c.msgtype), "cdr", seconds(log), bytes(data))
         except Exception as error:
             self.truncated = f"it cannot be read to its end ({error})"
 

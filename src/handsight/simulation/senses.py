@@ -7,7 +7,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.observation import Observation, SeenPose
+from handsight.observation import Observation, PoseMeasurement
 from handsight.simulation.camera import believed_camera, displacement, kinect
 from handsight.simulation.picture import Pictures
 from handsight.simulation.scenario import Nuisances, Scenario
@@ -62,7 +62,7 @@ class Senses:
         """What is measured now; the world must have been looked at."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
-        seen = self._seen(T_world_object) if self._due(SEEN_PER_SECOND) else None
+        vision = self._vision_pose(T_world_object) if self._due(SEEN_PER_SECOND) else None
         images = {}
         if self._pictures is not None and self._due(IMAGES_PER_SECOND):
             images = self._images(self._pictures, configuration)
@@ -75,7 +75,7 @@ class Senses:
             stamp=self.world.time,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
             wrenches=self._wrenches(),
-            seen=seen,
+            vision=vision,
             T_world_palm=self.T_world_scene @ self.world.pose("palm"),
             **images,
         )
@@ -110,10 +110,10 @@ class Senses:
             bent[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
         return bent
 
-    def _seen(self, T_world_object: Array) -> SeenPose:
+    def _vision_pose(self, T_world_object: Array) -> PoseMeasurement:
         sigma = np.repeat([self.nuisances.vision_position, self.nuisances.vision_rotation], 3)
         T_camera_object = self._T_camera_world @ T_world_object
-        return SeenPose(se3.moved(T_camera_object, sigma * self._vision.normal(size=6)), "camera")
+        return PoseMeasurement(se3.moved(T_camera_object, sigma * self._vision.normal(size=6)), "camera")
 
     def _images(self, pictures: Pictures, configuration: Array) -> dict[str, Any]:
         T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)

@@ -9,7 +9,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
-from handsight.observation import Observation, SeenPose
+from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig
 from handsight.tracking.belief import Belief
 
@@ -39,7 +39,7 @@ class Sight:
         self, observation: Observation, belief: Belief | None, T_world_palm: Array | None
     ) -> Belief | None:
         """The belief after what was seen; the same belief (or None) where nothing was, or nothing that can be."""
-        seen = observation.seen
+        seen = observation.vision
         if seen is None:
             return belief
         mount = self._mount_of(seen)
@@ -56,10 +56,12 @@ class Sight:
 
     def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the seen pose in the palm, its error still in it; None where nothing was seen or it has no place."""
-        if observation.seen is None:
+        if observation.vision is None:
             return None
-        T_mount_palm = np.eye(4) if self._mount_of(observation.seen) == "palm" else T_world_palm
-        return None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._placed(observation.seen)[0]
+        T_mount_palm = np.eye(4) if self._mount_of(observation.vision) == "palm" else T_world_palm
+        return (
+            None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._placed(observation.vision)[0]
+        )
 
     def begin(self, T_palm_object: Array, covariance: Array, pivot: Array) -> Belief:
         """A belief whose pose is known so well, and vision's constant error as the camera says."""
@@ -69,14 +71,16 @@ class Sight:
         error = np.diag([position**2] * 3 + [rotation**2] * 3)
         return Belief.begun(T_palm_object, covariance, error, pivot)
 
-    def _mount_of(self, seen: SeenPose) -> Mount:
+    def _mount_of(self, seen: PoseMeasurement) -> Mount:
         if seen.frame == "camera":
             if self._rig.camera is None:
-                raise InvalidInput("seen.frame: expected world or palm (the rig has no camera), got 'camera'")
+                raise InvalidInput(
+                    "vision.frame: expected world or palm (the rig has no camera), got 'camera'"
+                )
             return self._rig.camera.on
         return seen.frame
 
-    def _placed(self, seen: SeenPose) -> tuple[Array, Array]:
+    def _placed(self, seen: PoseMeasurement) -> tuple[Array, Array]:
         """The seen pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
         T_mount_frame = self.camera.T_mount_camera if seen.frame == "camera" else np.eye(4)
         if seen.covariance is None:

@@ -8,15 +8,15 @@ from typing import Self
 
 from handsight.checks import Array
 from handsight.errors import InvalidFile
+from handsight.messages.assemble import Assembly, TransformTree
+from handsight.messages.clocks import Clocks, Order
+from handsight.messages.decode import TYPES, WRENCH, CameraIntrinsics, Event, channels, decoded, link
+from handsight.messages.fast_cdr import QuickReader
+from handsight.messages.images import MessageRejected
+from handsight.messages.report import Report, TopicReport
 from handsight.observation import Observation
-from handsight.recording.assembly import Assembly, Tree
-from handsight.recording.blocks import Source
-from handsight.recording.images import Refused
-from handsight.recording.messages import TYPES, WRENCH, Event, Lens, channels, decoded, link
-from handsight.recording.quick import QuickReader
-from handsight.recording.report import Report, TopicReport
+from handsight.recording.chunks import Source
 from handsight.recording.source import open_source
-from handsight.recording.timing import Clocks, Order
 from handsight.rig import Rig
 
 MOST_NAMED = 12
@@ -39,7 +39,7 @@ class Recording:
     """Counts and sentences."""
     truth: list[tuple[float, Array]]
     """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
-    lens: Lens | None
+    lens: CameraIntrinsics | None
     """What CameraInfo says; None: nothing was heard of it."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
@@ -53,7 +53,7 @@ class Recording:
 
     def _begin(self) -> None:
         """Forget what was read."""
-        self.truth, self.lens, self._tree, self._joint_names = [], None, Tree(), set[str]()
+        self.truth, self.lens, self._tree, self._joint_names = [], None, TransformTree(), set[str]()
         there = self._source.topics
         self.report = Report(path=str(self._source.path), truncated=self._source.truncated)
         for topic, channel in self._channels.items():
@@ -102,9 +102,9 @@ class Recording:
             channel = self._channels[raw.topic]
             try:
                 events = decoded(raw, channel, self._rig.frames, quick)
-            except Refused as refused:
+            except MessageRejected as rejected:
                 report.messages += 1
-                report.refuse(str(refused), nan=refused.nan)
+                report.refuse(str(rejected), nan=rejected.nan)
                 continue
             for event in events:
                 report.messages += 1
@@ -120,8 +120,8 @@ class Recording:
         elif role in ("tf", "tf_static"):
             try:
                 event.value = link(event.value)
-            except Refused as refused:
-                report.refuse(str(refused), nan=refused.nan)
+            except MessageRejected as rejected:
+                report.refuse(str(rejected), nan=rejected.nan)
                 return False
         if role == "tf_static":
             self._tree.put(event.value, float("inf"))

@@ -6,9 +6,9 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.messages.decode import Event, FrameTransform
+from handsight.messages.report import Report
 from handsight.observation import Observation
-from handsight.recording.messages import Event, Link
-from handsight.recording.report import Report
 from handsight.rig import Rig
 
 FRESH_JOINTS, FRESH_WRENCH, FRESH_LINK, FRESH_SIGHT = 0.1, 0.05, 0.1, 0.2
@@ -23,14 +23,14 @@ DEEPEST_TREE = 64
 MOST_LINKS = 10_000
 
 
-class Tree:
+class TransformTree:
     """The transforms of /tf."""
 
     def __init__(self) -> None:
         """Empty."""
-        self._links: dict[str, tuple[Link, float]] = {}
+        self._links: dict[str, tuple[FrameTransform, float]] = {}
 
-    def put(self, link: Link, stamp: float) -> None:
+    def put(self, link: FrameTransform, stamp: float) -> None:
         """Take in a link; a static one is of infinite stamp."""
         if link.child in self._links or len(self._links) < MOST_LINKS:
             self._links[link.child] = (link, stamp)
@@ -84,7 +84,7 @@ class Assembly:
 
     rig: Rig
     report: Report
-    tree: Tree
+    tree: TransformTree
     truth: list[tuple[float, Array]]
     joints: dict[tuple[str, ...], Event] = field(default_factory=dict)
     """The newest positions of each that publishes joint states, by their names."""
@@ -131,7 +131,7 @@ class Assembly:
             stamp=stamp,
             joint_positions=positions,
             wrenches=self._wrenches(stamp),
-            seen=sight.get("vision"),
+            vision=sight.get("vision"),
             T_world_palm=T_world_palm,
             color=sight.get("color"),
             depth=sight.get("depth"),

@@ -9,9 +9,10 @@ from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from handsight.errors import MissingExtra
+from handsight.messages.decode import RawMessage
 
 LARGEST_BLOCK = 1 << 27
 """Bytes that a block may unpack to; recorders write 1 to 16 MiB."""
@@ -19,19 +20,6 @@ LARGEST_WAITING = 1 << 28
 """Bytes that overlapping blocks may hold back until their turn."""
 PIECE = 1 << 16
 """Bytes unpacked at a time: what came before a fault is kept."""
-
-
-class Raw(NamedTuple):
-    """One message as it lies in the file."""
-
-    topic: str
-    type: str
-    """As ROS 2 writes it: `package/msg/Name`."""
-    encoding: str
-    """`cdr` of ROS 2, `ros1`, or what else the file says."""
-    log: float
-    """When it was recorded [s]."""
-    data: bytes
 
 
 class Source(ABC):
@@ -48,7 +36,7 @@ class Source(ABC):
         """By byte: what of it could not be read."""
 
     @abstractmethod
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Messages on the wanted topics in order of log time, from the first, each time it is called."""
 
     @abstractmethod
@@ -86,9 +74,9 @@ def normal_type(name: str) -> str:
     return f"{package}/msg/{rest}" if rest and "/" not in rest else name
 
 
-def merged(blocks: Iterable[Block], read: Callable[[Block], list[Raw]]) -> Iterator[Raw]:
+def merged(blocks: Iterable[Block], read: Callable[[Block], list[RawMessage]]) -> Iterator[RawMessage]:
     """The messages of all blocks in order of log time, as far as LARGEST_WAITING reaches."""
-    waiting: list[Raw] = []
+    waiting: list[RawMessage] = []
     for block in sorted(blocks, key=lambda block: block.start):
         ready = bisect_left(waiting, seconds(block.start), key=lambda raw: raw.log)
         yield from waiting[:ready]

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput, MissingExtra
+from handsight.messages.decode import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.observation import Observation
-from handsight.recording.messages import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.rig import Rig
 
 LATEST = float(2**31)
@@ -121,9 +121,9 @@ class RecordingWriter:
             self._wrench(stamp, finger, wrench)
         if observation.T_world_palm is not None:
             self._transform(stamp, _topic(topics.tf, "tf"), observation.T_world_palm)
-        if observation.seen is not None:
-            seen, frame = observation.seen, self._frame(observation.seen.frame)
-            pose = self._file.pose_with_covariance(seen.T_frame_object, seen.covariance)
+        if observation.vision is not None:
+            vision, frame = observation.vision, self._frame(observation.vision.frame)
+            pose = self._file.pose_with_covariance(vision.T_frame_object, vision.covariance)
             fields = {"header": self._file.header(stamp, frame), "pose": pose}
             self._file.write(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, fields)
         if observation.color is not None:

@@ -10,11 +10,10 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.observation import SEEN_FROM, SeenPose
-from handsight.recording import images
-from handsight.recording.blocks import Raw
-from handsight.recording.images import Refused
-from handsight.recording.quick import QuickReader
+from handsight.messages import images
+from handsight.messages.fast_cdr import QuickReader
+from handsight.messages.images import MessageRejected
+from handsight.observation import VISION_FRAMES, PoseMeasurement
 from handsight.rig import Rig
 
 Role = Literal["joints", "wrench", "vision", "truth", "color", "depth", "tf", "tf_static", "info"]
@@ -36,6 +35,19 @@ TYPES: dict[Role, tuple[str, ...]] = {
 }
 
 
+class RawMessage(NamedTuple):
+    """One message as it lies in a file, or comes over the wire."""
+
+    topic: str
+    type: str
+    """As ROS 2 writes it: `package/msg/Name`."""
+    encoding: str
+    """`cdr` of ROS 2, `ros1`, or what else the file says."""
+    log: float
+    """When it was recorded, or received [s]."""
+    data: bytes
+
+
 class Channel(NamedTuple):
     """What a topic is to the rig."""
 
@@ -45,7 +57,7 @@ class Channel(NamedTuple):
     """Of a wrench."""
 
 
-class Link(NamedTuple):
+class FrameTransform(NamedTuple):
     """A transform of /tf."""
 
     parent: str
@@ -54,7 +66,7 @@ class Link(NamedTuple):
     """(4, 4)."""
 
 
-class Lens(NamedTuple):
+class CameraIntrinsics(NamedTuple):
     """What a CameraInfo says."""
 
     intrinsics: Array
@@ -73,7 +85,7 @@ class Event:
     log: float
     """When it was recorded [s]."""
     value: Any
-    """By role: dict of positions; (6,); SeenPose; (4, 4); image; Link; Lens."""
+    """By role: dict of positions; (6,); PoseMeasurement; (4, 4); image; FrameTransform; CameraIntrinsics."""
 
     @property
     def size(self) -> int:
@@ -99,10 +111,10 @@ def channels(rig: Rig) -> dict[str, Channel]:
     return {channel.topic: channel for channel in heard}
 
 
-def decoded(raw: Raw, channel: Channel, frames: Mapping[str, str], quick: QuickReader) -> list[Event]:
-    """What the message says: one event, or one for each transform of /tf, still as messages; raises Refused."""
+def decoded(raw: RawMessage, channel: Channel, frames: Mapping[str, str], quick: QuickReader) -> list[Event]:
+    """What the message says: one event, or one for each transform of /tf, still as messages; raises MessageRejected."""
     if raw.type not in TYPES[channel.role]:
-        raise Refused(f"expected {' or '.join(TYPES[channel.role])}, got {raw.type or 'no type'}")
+        raise MessageRejected(f"expected {' or '.join(TYPES[channel.role])}, got {raw.type or 'no type'}")
     if raw.encoding == "cdr" and channel.role == "wrench" and (wrench := quick.wrench(raw.data)):
         return [Event(channel, wrench[0], raw.log, _six(wrench[1]))]
     if raw.encoding == "cdr" and channel.role == "joints" and (joints := quick.joints(raw.data)):
@@ -113,7 +125,7 @@ def decoded(raw: Raw, channel: Channel, frames: Mapping[str, str], quick: QuickR
     return [Event(channel, _stamp(message), raw.log, READERS[channel.role](message, frames))]
 
 
-def _deserialized(raw: Raw) -> Any:
+def _deserialized(raw: RawMessage) -> Any:
     store = _typestore(raw.encoding)
     kind = TF if raw.type == "tf/msg/tfMessage" else raw.type
     try:
@@ -121,7 +133,7 @@ def _deserialized(raw: Raw) -> Any:
             return store.deserialize_ros1(raw.data, kind)
         return store.deserialize_cdr(raw.data, kind)
     except Exception as error:  # whatever generated code trips over: the bytes are no such message
-        raise Refused(
+        raise MessageRejected(
             f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
         ) from None
 
@@ -134,7 +146,7 @@ def _typestore(encoding: str) -> Any:
         raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
     stores = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
     if encoding not in stores:
-        raise Refused(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
+        raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
     store = get_typestore(stores[encoding])
     if TF not in store.types:  # ROS 1's own messages have only its forerunner
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
@@ -151,15 +163,15 @@ def _joints(message: Any, _: Mapping[str, str]) -> dict[str, float]:
 
 
 def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, float]:
-    """By name; raises Refused."""
+    """By name; raises MessageRejected."""
     if len(names) != len(positions):
-        raise Refused(f"expected as many positions as names, got {len(positions)} for {len(names)}")
+        raise MessageRejected(f"expected as many positions as names, got {len(positions)} for {len(names)}")
     found = dict(zip(names, positions, strict=True))
     if len(found) != len(names):
-        raise Refused("expected each joint once, got one name twice")
+        raise MessageRejected("expected each joint once, got one name twice")
     if not all(map(isfinite, positions)):
         bad = [name for name, position in found.items() if not isfinite(position)]
-        raise Refused(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
+        raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
     return found
 
 
@@ -169,26 +181,26 @@ def _wrench(message: Any, _: Mapping[str, str]) -> Array:
 
 
 def _six(values: Sequence[float]) -> Array:
-    """(6,); raises Refused."""
+    """(6,); raises MessageRejected."""
     if not all(map(isfinite, values)):
-        raise Refused("force or torque is not finite", nan=True)
+        raise MessageRejected("force or torque is not finite", nan=True)
     return np.array(values)
 
 
 def _pose(pose: Any) -> Array:
-    """(4, 4); raises Refused."""
+    """(4, 4); raises MessageRejected."""
     p, q = pose.position, pose.orientation
     return transform((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
 def transform(position: Sequence[float], quaternion_xyzw: Sequence[float]) -> Array:
-    """(4, 4) of numbers from a message; raises Refused. In plain floats: for one pose NumPy is ten times slower."""
+    """(4, 4); raises MessageRejected. In plain floats: for one pose NumPy is ten times slower."""
     x, y, z, w = quaternion_xyzw
     length = hypot(x, y, z, w)
     if not isfinite(length + sum(map(abs, position))):
-        raise Refused("position or orientation is not finite", nan=True)
+        raise MessageRejected("position or orientation is not finite", nan=True)
     if length < 1e-6:
-        raise Refused("expected an orientation, got a quaternion of length 0")
+        raise MessageRejected("expected an orientation, got a quaternion of length 0")
     x, y, z, w = x / length, y / length, z / length, w / length
     return np.array(
         [
@@ -200,51 +212,53 @@ def transform(position: Sequence[float], quaternion_xyzw: Sequence[float]) -> Ar
     )
 
 
-def _vision(message: Any, frames: Mapping[str, str]) -> SeenPose:
+def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
     with_covariance = hasattr(message.pose, "covariance")
     T = _pose(message.pose.pose if with_covariance else message.pose)
     covariance = (
         np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6) if with_covariance else None
     )
     if covariance is not None and not np.isfinite(covariance).all():
-        raise Refused("covariance is not finite", nan=True)
+        raise MessageRejected("covariance is not finite", nan=True)
     if covariance is not None and not covariance.any():
         covariance = None  # what drivers send that do not know it
     named = message.header.frame_id.lstrip("/")
-    for role in SEEN_FROM:
+    for role in VISION_FRAMES:
         if frames.get(role, "").lstrip("/") == named:
             try:
-                return SeenPose(T, role, covariance)
+                return PoseMeasurement(T, role, covariance)
             except InvalidInput as error:
-                raise Refused(str(error)) from None
-    known = ", ".join(f"{frames[role]!r} ({role})" for role in SEEN_FROM if role in frames)
-    raise Refused(f"unknown frame {named[:60]!r}; valid: {known}")
+                raise MessageRejected(str(error)) from None
+    known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
+    raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
 
 
 def _truth(message: Any, frames: Mapping[str, str]) -> Array:
-    seen = _vision(message, frames)
-    if seen.frame != "palm":
-        raise Refused(f"expected the truth in the palm ({frames.get('palm')!r}), got it in the {seen.frame}")
-    return seen.T_frame_object
+    vision = _vision(message, frames)
+    if vision.frame != "palm":
+        raise MessageRejected(
+            f"expected the truth in the palm ({frames.get('palm')!r}), got it in the {vision.frame}"
+        )
+    return vision.T_frame_object
 
 
-def link(message: Any) -> Link:
-    """The transform of a TransformStamped; raises Refused."""
+def link(message: Any) -> FrameTransform:
+    """The transform of a TransformStamped; raises MessageRejected."""
     p, q = message.transform.translation, message.transform.rotation
     parent, child = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
     try:
-        return Link(parent, child, transform((p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
-    except Refused as refused:
-        raise Refused(f"transform to {child[:60]!r}: {refused}", nan=refused.nan) from None
+        return FrameTransform(parent, child, transform((p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
+    except MessageRejected as rejected:
+        raise MessageRejected(f"transform to {child[:60]!r}: {rejected}", nan=rejected.nan) from None
 
 
-def _lens(message: Any, _: Mapping[str, str]) -> Lens:
+def _lens(message: Any, _: Mapping[str, str]) -> CameraIntrinsics:
     K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(K).all():
-        raise Refused("intrinsics are not finite", nan=True)
+        raise MessageRejected("intrinsics are not finite", nan=True)
     if not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise Refused("expected focal lengths above 0, got an uncalibrated camera")
-    return Lens(K, (int(message.width), int(message.height)))
+        raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
+    return CameraIntrinsics(K, (int(message.width), int(message.height)))
 
 
 READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {

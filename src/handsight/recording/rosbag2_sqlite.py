@@ -5,7 +5,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from handsight.errors import InvalidFile
-from handsight.recording.blocks import LARGEST_BLOCK, Raw, Source, normal_type, seconds
+from handsight.messages.decode import RawMessage
+from handsight.recording.chunks import LARGEST_BLOCK, Source, normal_type, seconds
 
 MAGIC = b"SQLite format 3\0"
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
@@ -46,7 +47,7 @@ class SqliteSource(Source):
         for key, topic, kind, encoding in self._base.execute(f"SELECT {columns} FROM topics"):
             self._topics[key] = (str(topic), normal_type(str(kind)), str(encoding))
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.messages`."""
         keys = [key for key, about in self._topics.items() if about[0] in wanted and isinstance(key, int)]
         # The index by time lies all over the file: of a cut one, the rows as they were written.
@@ -56,7 +57,7 @@ class SqliteSource(Source):
         try:
             for key, log, data in self._base.execute(query):
                 if isinstance(log, int) and isinstance(data, bytes):
-                    yield Raw(*self._topics[key], seconds(log), data)
+                    yield RawMessage(*self._topics[key], seconds(log), data)
         except BROKEN as error:
             self.truncated = self.truncated or f"the file cannot be read to its end ({error})"
 

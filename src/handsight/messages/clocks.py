@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from statistics import median
 
-from handsight.recording.messages import Event
-from handsight.recording.report import TopicReport
+from handsight.messages.decode import Event
+from handsight.messages.report import TopicReport
 
 LEARNING = 1.0
 """Of the recording, from its first joint states on, that clocks are compared over [s]."""

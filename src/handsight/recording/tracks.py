@@ -10,8 +10,8 @@ import numpy as np
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.recording.messages import POSE_COVARIANCE
-from handsight.recording.writing import McapFile
+from handsight.messages.decode import POSE_COVARIANCE
+from handsight.recording.write import McapFile
 
 TOPIC = "/handsight/pose"
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
