@@ -194,7 +194,7 @@ def test_a_chunk_that_says_it_is_huge_is_not_unpacked(tmp_path, compression):
     packed = (bombs() | {"": b"x"})[compression]
     data, fault = chunks.unpacked(packed, compression, 1 << 62)
     assert data == b""
-    assert fault == f"says it unpacks to {1 << 62} bytes, at most {chunks.LARGEST_BLOCK} are read"
+    assert fault == f"says it unpacks to {1 << 62} bytes, at most {chunks.MAX_UNPACKED} are read"
     with pytest.raises(InvalidFile, match="expected joint states"):
         open_recording(mcap_with_chunk(tmp_path / "a.mcap", packed, 1 << 62, compression), rig())
 

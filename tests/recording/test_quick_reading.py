@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handsight.messages.fast_cdr import QuickReader
+from handsight.messages.fast_cdr import FastCdrReader
 from handsight.recording import open_recording
 from recording.bags import START, Messages, read, rig, save, touched
 
@@ -33,7 +33,7 @@ def test_joint_states_are_what_rosbags_reads(names, frame, draw):
         velocity=np.ones(draw.draw(lengths)),
         effort=np.ones(draw.draw(lengths)),
     )
-    quick = QuickReader()
+    quick = FastCdrReader()
     for _ in range(2):  # the second by the names it remembers
         stamp, found, positions = quick.joints(encoded(message))
         assert (stamp, list(found)) == (START + 0.25, names)
@@ -41,7 +41,7 @@ def test_joint_states_are_what_rosbags_reads(names, frame, draw):
 
 
 def test_other_names_are_read_anew():
-    quick = QuickReader()
+    quick = FastCdrReader()
     for names in (("a", "b"), ("a",), ("a", "b", "c"), ("b", "a")):
         assert list(quick.joints(encoded(M.joints(1.0, names, np.zeros(len(names)))))[1]) == list(names)
 
@@ -53,13 +53,13 @@ def test_other_names_are_read_anew():
 def test_wrenches_are_what_rosbags_reads(six, frame):
     message = M.wrench(START + 0.25, six)
     message = M.make(message.__msgtype__, header=M.header(START + 0.25, frame), wrench=message.wrench)
-    stamp, values = QuickReader().wrench(encoded(message))
+    stamp, values = FastCdrReader().wrench(encoded(message))
     assert stamp == START + 0.25
     np.testing.assert_array_equal(values, six)
 
 
 def test_big_endian_is_left_to_the_general_reader():
-    quick = QuickReader()
+    quick = FastCdrReader()
     assert quick.joints(encoded(M.joints(1.0), little=False)) is None
     assert quick.wrench(encoded(M.wrench(1.0, np.ones(6)), little=False)) is None
 
@@ -72,7 +72,7 @@ def test_what_is_damaged_is_left_to_the_general_reader_or_is_well_formed(message
     for _ in range(data.draw(st.integers(1, 4))):
         spoilt[data.draw(st.integers(0, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
     spoilt = bytes(spoilt[: data.draw(st.integers(0, len(spoilt)))])
-    quick = QuickReader()
+    quick = FastCdrReader()
     found = quick.joints(spoilt)
     assert found is None or all(isinstance(name, str) for name in found[1])
     found = quick.wrench(spoilt)

@@ -150,8 +150,8 @@ def test_what_the_writer_wrote_comes_back(tmp_path, sample):
     ((stamp, T),) = recording.truth
     assert stamp == seen.stamp
     np.testing.assert_allclose(T, T_palm_object, atol=1e-12)
-    np.testing.assert_array_equal(recording.intrinsics, rig().camera.intrinsics)
-    assert recording.lens.size == (32, 24)
+    np.testing.assert_array_equal(recording.intrinsics.matrix, rig().camera.intrinsics)
+    assert recording.intrinsics.size == (32, 24)
 
 
 def test_what_the_writer_wrote_rosbags_reads(tmp_path, sample):

@@ -1,190 +1,142 @@
-"""Events in order of stamp to Observations."""
+"""Measurements in order of stamp to Observations."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import numpy as np
-
-from handsight import se3
 from handsight.checks import Array
-from handsight.messages.decode import Event, FrameTransform
+from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
+from handsight.messages.transforms import TransformTree
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-FRESH_JOINTS, FRESH_WRENCH, FRESH_LINK, FRESH_SIGHT = 0.1, 0.05, 0.1, 0.2
-"""Oldest that is still taken for now [s]."""
+MAX_AGE_JOINTS, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.05, 0.2
+"""Oldest that still counts as now [s]."""
 STUCK = 0.5
 """A sensor that reads the same for longer, while another's changes, is dead [s]."""
-LEAST_STUCK = 5
-"""Readings; a slow topic says little about itself."""
+MIN_STUCK_READINGS = 5
+"""A slow topic says little about itself."""
 AT_FULL_SCALE = 0.999
-DEEPEST_TREE = 64
-"""Links from world to palm; beyond it the tree is a circle."""
-MOST_LINKS = 10_000
 
 
-class TransformTree:
-    """The transforms of /tf."""
-
-    def __init__(self) -> None:
-        """Empty."""
-        self._links: dict[str, tuple[FrameTransform, float]] = {}
-
-    def put(self, link: FrameTransform, stamp: float) -> None:
-        """Take in a link; a static one is of infinite stamp."""
-        if link.child in self._links or len(self._links) < MOST_LINKS:
-            self._links[link.child] = (link, stamp)
-
-    @property
-    def frames(self) -> set[str]:
-        """All that were named."""
-        return {name for link, _ in self._links.values() for name in (link.parent, link.child)}
-
-    def find(self, outer: str, inner: str, stamp: float) -> Array | None:
-        """`T_outer_inner` (4, 4) at that time; None where the frames are not connected, or by old links."""
-        up_inner, up_outer = self._up(inner, stamp), self._up(outer, stamp)
-        common = next((frame for frame in up_inner if frame in up_outer), None)
-        if common is None:
-            return None
-        T = up_inner[common]
-        return T if common == outer else se3.inverse(up_outer[common]) @ T
-
-    def _up(self, frame: str, stamp: float) -> dict[str, Array]:
-        """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""
-        T = np.eye(4)
-        found = {frame: T}
-        while frame in self._links and len(found) < DEEPEST_TREE:
-            link, seen = self._links[frame]
-            if stamp - seen > FRESH_LINK or link.parent in found:
-                break
-            T = link.T_parent_child @ T
-            frame = link.parent
-            found[frame] = T
-        return found
-
-
-@dataclass(slots=True)
-class Sensor:
-    """What is known of a finger's sensor."""
-
-    reading: tuple[float, ...] = ()
-    changed: float = -float("inf")
-    """When the reading was last another [s]."""
-    repeated: int = 0
-    wrench: Array | None = None
-    """(6,) the newest that can be used."""
-    stamp: float = -float("inf")
-    stuck: int = 0
-    saturated: int = 0
-
-
-@dataclass(slots=True)
-class Assembly:
+class ObservationAssembler:
     """What the next observation is made of."""
 
-    rig: Rig
-    report: Report
-    tree: TransformTree
-    truth: list[tuple[float, Array]]
-    joints: dict[tuple[str, ...], Event] = field(default_factory=dict)
-    """The newest positions of each that publishes joint states, by their names."""
-    sensors: dict[str, Sensor] = field(default_factory=dict)
-    sight: dict[str, Event] = field(default_factory=dict)
-    """What was seen since the last observation, by role."""
-    due: float | None = None
-    """Stamp of joint states that have no observation yet [s]."""
+    def __init__(self, rig: Rig, report: Report, tree: TransformTree) -> None:
+        """What is left out is counted in the report."""
+        self._rig, self._report, self._tree = rig, report, tree
+        self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
+        self._sensors: dict[str, WrenchSensor] = {}
+        self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
+        self._due: float | None = None  # stamp of joint states without an observation
+        self.truth: list[tuple[float, Array]] = []
+        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
 
-    def take(self, event: Event) -> Observation | None:
-        """Take in one event; out comes the observation of joint states before it, once it is complete."""
-        done = self.finish() if self.due is not None and event.stamp > self.due else None
-        role = event.channel.role
+    def put(self, measurement: Measurement) -> Observation | None:
+        """The observation of the joint states before this measurement, if it completes it."""
+        done = self.finish() if self._due is not None and measurement.stamp > self._due else None
+        role = measurement.channel.role
         if role == "joints":
-            self.joints[tuple(event.value)] = event
-            self.due = event.stamp
+            self._joints[tuple(measurement.value)] = measurement
+            self._due = measurement.stamp
         elif role == "wrench":
-            self._feel(event)
+            self._take_wrench(measurement)
         elif role == "tf":
-            self.tree.put(event.value, event.stamp)
+            self._tree.put(measurement.value, measurement.stamp)
         elif role == "truth":
-            self.truth.append((event.stamp, event.value))
+            self.truth.append((measurement.stamp, measurement.value))
         else:
-            self.sight[role] = event
+            self._vision[role] = measurement
         return done
 
     def finish(self) -> Observation | None:
         """The observation of the newest joint states, if they have none yet."""
-        if self.due is None:
+        if self._due is None:
             return None
-        stamp, self.due = self.due, None
-        fresh = {names: e for names, e in self.joints.items() if stamp - e.stamp <= FRESH_JOINTS}
-        self.joints = fresh
+        stamp, self._due = self._due, None
+        self._joints = {
+            names: each for names, each in self._joints.items() if stamp - each.stamp <= MAX_AGE_JOINTS
+        }
         positions: dict[str, float] = {}
-        for event in sorted(fresh.values(), key=lambda event: event.stamp):
-            positions.update(event.value)
-        sight = {role: event.value for role, event in self.sight.items() if self._fresh(event, stamp)}
-        self.sight.clear()
-        world, palm = (self.rig.frames[role].lstrip("/") for role in ("world", "palm"))
-        T_world_palm = self.tree.find(world, palm, stamp)
-        self.report.observations += 1
-        self.report.placed += T_world_palm is not None
+        for joints in sorted(self._joints.values(), key=lambda each: each.stamp):
+            positions.update(joints.value)
+        vision = {role: each.value for role, each in self._vision.items() if self._is_fresh(each, stamp)}
+        self._vision.clear()
+        world, palm = (self._rig.frames[role].lstrip("/") for role in ("world", "palm"))
+        T_world_palm = self._tree.lookup(world, palm, stamp)
+        self._report.observations += 1
+        self._report.placed += T_world_palm is not None
         return Observation(
-            stamp=stamp,
-            joint_positions=positions,
-            wrenches=self._wrenches(stamp),
-            vision=sight.get("vision"),
-            T_world_palm=T_world_palm,
-            color=sight.get("color"),
-            depth=sight.get("depth"),
+            stamp, positions, wrenches=self._wrenches(stamp), T_world_palm=T_world_palm, **vision
         )
 
-    def _fresh(self, event: Event, stamp: float) -> bool:
-        if stamp - event.stamp <= FRESH_SIGHT:
+    def _is_fresh(self, measurement: Measurement, stamp: float) -> bool:
+        if stamp - measurement.stamp <= MAX_AGE_VISION:
             return True
-        report = self.report.topics[event.channel.topic]
+        report = self._report.topics[measurement.channel.topic]
         report.used, report.stale = report.used - 1, report.stale + 1
         return False
 
     def _wrenches(self, stamp: float) -> dict[str, Array]:
         found = {}
-        for finger in self.rig.topics.wrenches:
-            sensor = self.sensors.get(finger)
-            if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= FRESH_WRENCH:
+        for finger in self._rig.topics.wrenches:
+            sensor = self._sensors.get(finger)
+            if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= MAX_AGE_WRENCH:
                 found[finger] = sensor.wrench
             else:
-                self.report.without[finger] = self.report.without.get(finger, 0) + 1
+                self._report.without[finger] = self._report.without.get(finger, 0) + 1
         return found
 
-    def _feel(self, event: Event) -> None:
-        """Take in a wrench, unless its sensor is at full scale or stuck."""
-        finger = event.channel.finger
-        sensor = self.sensors.setdefault(finger, Sensor())
-        reading = tuple(event.value.tolist())
-        if reading != sensor.reading:
-            sensor.reading, sensor.changed, sensor.repeated = reading, event.stamp, 0
-        sensor.repeated += 1
-        full = self.rig.fingers[finger].full_scale if finger in self.rig.fingers else None
-        if full is not None and _saturated(reading, full):
+    def _take_wrench(self, measurement: Measurement) -> None:
+        """Keep a wrench, unless its sensor is at full scale or stuck."""
+        finger, stamp = measurement.channel.finger, measurement.stamp
+        sensor = self._sensors.setdefault(finger, WrenchSensor())
+        sensor.read(measurement.value, stamp)
+        full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
+        if full is not None and sensor.is_saturated(full):
             sensor.saturated += 1
             what = f"reads full scale ({full[0]:g} N, {full[1]:g} N m) in {sensor.saturated} messages"
-        elif self._stuck(sensor, event.stamp):
+        elif sensor.is_constant(stamp) and any(
+            other.changed >= stamp - STUCK for other in self._sensors.values() if other is not sensor
+        ):
             sensor.stuck += 1
             what = (
                 f"reads the same six numbers beyond {STUCK} s while others change, in {sensor.stuck} messages"
             )
         else:
-            sensor.wrench, sensor.stamp = event.value, event.stamp
             return
         sensor.wrench = None
-        self.report.fingers[finger] = f"{what}: a dead sensor? left out"
-        report = self.report.topics[event.channel.topic]
+        self._report.fingers[finger] = f"{what}: a dead sensor? left out"
+        report = self._report.topics[measurement.channel.topic]
         report.used, report.stuck = report.used - 1, report.stuck + 1
 
-    def _stuck(self, sensor: Sensor, stamp: float) -> bool:
-        if sensor.repeated < LEAST_STUCK or stamp - sensor.changed <= STUCK:
-            return False
-        return any(other.changed >= stamp - STUCK for other in self.sensors.values() if other is not sensor)
 
+@dataclass(slots=True)
+class WrenchSensor:
+    """What is known of a finger's sensor."""
 
-def _saturated(reading: tuple[float, ...], full: tuple[float, float]) -> bool:
-    force, torque = max(map(abs, reading[:3])), max(map(abs, reading[3:]))
-    return force >= AT_FULL_SCALE * full[0] or torque >= AT_FULL_SCALE * full[1]
+    wrench: Array | None = None
+    """(6,) the newest; None: it cannot be used."""
+    stamp: float = -float("inf")
+    """Of the newest reading [s]."""
+    reading: tuple[float, ...] = ()
+    changed: float = -float("inf")
+    """When the reading was last another [s]."""
+    repeated: int = 0
+    stuck: int = 0
+    saturated: int = 0
+
+    def read(self, wrench: Array, stamp: float) -> None:
+        """Take in a reading."""
+        self.wrench, self.stamp, reading = wrench, stamp, tuple(wrench.tolist())
+        if reading != self.reading:
+            self.reading, self.changed, self.repeated = reading, stamp, 0
+        self.repeated += 1
+
+    def is_saturated(self, full_scale: tuple[float, float]) -> bool:
+        """Whether force or torque is as large as the sensor can read."""
+        force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
+        return force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]
+
+    def is_constant(self, stamp: float) -> bool:
+        """Whether it has read the same for long."""
+        return self.repeated >= MIN_STUCK_READINGS and stamp - self.changed > STUCK

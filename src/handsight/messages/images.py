@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.errors import MissingExtra
+from handsight.messages.report import MessageRejected
 
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
 
-LARGEST_IMAGE = 50_000_000
-"""Pixels."""
-FARTHEST = 20.0
+MAX_PIXELS = 50_000_000
+MAX_MEDIAN_M = 20.0
 """A depth image whose median is beyond it [m] is not in metres."""
-NEAREST_MM = 20
+MIN_MEDIAN_MM = 20
 """A depth image whose median is below it [mm] is not in millimetres."""
 COMPRESSED_DEPTH = struct.Struct("<iff")
 """What `compressed_depth_image_transport` puts before the PNG: a format, and A, B of depth = A / (value - B)."""
@@ -30,15 +30,6 @@ _LAYOUTS: dict[str, tuple[str, int]] = {
     "mono16": ("u2", 1),
     "32FC1": ("f4", 1),
 }
-
-
-class MessageRejected(Exception):
-    """A message that is not used, and why; never leaves this package."""
-
-    def __init__(self, reason: str, *, nan: bool = False) -> None:
-        """`nan`: it is one that holds NaN or infinity."""
-        super().__init__(reason)
-        self.nan = nan
 
 
 def color(message: Any) -> Color:
@@ -76,22 +67,22 @@ def _pixels(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
 
 def _metres(pixels: NDArray[Any]) -> Depth:
     """Millimetres if the pixels are integers, else metres; raises MessageRejected where the numbers say otherwise."""
-    whole = pixels.dtype.kind == "u"
+    integers = pixels.dtype.kind == "u"
     metres = pixels.astype(np.float32)
     with np.errstate(invalid="ignore"):
         metres[~((metres > 0) & np.isfinite(metres))] = np.nan
     sample = metres[::4, ::4]
     sample = sample[~np.isnan(sample)]
     median = float(np.median(sample)) if sample.size else None
-    if median is not None and whole and median < NEAREST_MM:
+    if median is not None and integers and median < MIN_MEDIAN_MM:
         raise MessageRejected(
             f"expected depth in millimetres (16UC1), got a median of {median:g} (another unit?)"
         )
-    if median is not None and not whole and median > FARTHEST:
+    if median is not None and not integers and median > MAX_MEDIAN_M:
         raise MessageRejected(
             f"expected depth in metres (32FC1), got a median of {median:.4g} (millimetres?)"
         )
-    return metres * np.float32(1e-3) if whole else metres
+    return metres * np.float32(1e-3) if integers else metres
 
 
 def _compressed_depth(data: bytes, described: str) -> Depth:
@@ -126,8 +117,8 @@ def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-                if image.width * image.height > LARGEST_IMAGE:
-                    raise MessageRejected(f"expected at most {LARGEST_IMAGE} pixels, got {image.size}")
+                if image.width * image.height > MAX_PIXELS:
+                    raise MessageRejected(f"expected at most {MAX_PIXELS} pixels, got {image.size}")
                 return read(image)
     except (MessageRejected, MissingExtra):
         raise

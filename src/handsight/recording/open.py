@@ -1,26 +1,29 @@
-"""A recording as a stream of Observations."""
+"""A path to a recording as a stream of Observations: what kind it is, its first bytes tell, not its name."""
 
-import difflib
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from handsight.checks import Array
-from handsight.errors import InvalidFile
-from handsight.messages.assemble import Assembly, TransformTree
-from handsight.messages.clocks import Clocks, Order
-from handsight.messages.decode import TYPES, WRENCH, CameraIntrinsics, Event, channels, decoded, link
-from handsight.messages.fast_cdr import QuickReader
-from handsight.messages.images import MessageRejected
-from handsight.messages.report import Report, TopicReport
+from handsight.errors import InvalidFile, MissingExtra
+from handsight.messages import CameraIntrinsics, ObservationStream, RawMessage, Report
 from handsight.observation import Observation
-from handsight.recording.chunks import Source
-from handsight.recording.source import open_source
+from handsight.recording.chunks import Source, normal_type, seconds
+from handsight.recording.mcap import McapSource
+from handsight.recording.rosbag1 import Rosbag1Source
+from handsight.recording.rosbag2_sqlite import SqliteSource
 from handsight.rig import Rig
 
-MOST_NAMED = 12
+KINDS: tuple[type[Source], ...] = (McapSource, Rosbag1Source, SqliteSource)
+COMPRESSED = re.compile(rb"""compression_mode:\s*['"]?(file|message)""", re.IGNORECASE)
+MAX_METADATA = 1 << 20
+EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
+MAX_NAMED = 12
 """Topics in a message."""
+MAX_DAMAGE_TOLD = 5
 
 
 def open_recording(path: str | Path, rig: Rig) -> "Recording":
@@ -32,42 +35,59 @@ def open_recording(path: str | Path, rig: Rig) -> "Recording":
     return Recording(Path(path), rig)
 
 
+@dataclass(slots=True, kw_only=True)
+class RecordingReport(Report):
+    """What a recording held, as far as it was read."""
+
+    source: Source
+    """The file."""
+
+    @property
+    def truncated(self) -> str | None:
+        """Where the file ends too early; None: it is complete."""
+        return self.source.truncated
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What in the file could not be read."""
+        return tuple(said for _, said in sorted(self.source.damage.items()))
+
+    def sentences(self) -> list[str]:
+        """All that is worth telling a user, worst first; empty: nothing is wrong."""
+        path, damage, said = self.source.path, self.damage, list[str]()
+        if self.truncated:
+            said.append(f"{path}: cut: {self.truncated}; what lies before was read")
+        said += [f"{path}: damaged: {part}" for part in damage[:MAX_DAMAGE_TOLD]]
+        if len(damage) > MAX_DAMAGE_TOLD:
+            said.append(f"{path}: damaged in {len(damage) - MAX_DAMAGE_TOLD} more places")
+        return said + Report.sentences(self)  # a dataclass with slots knows no bare super()
+
+
 class Recording:
     """A recording, open; what was met so far is in `report`, `truth` and `intrinsics`."""
 
-    report: Report
-    """Counts and sentences."""
-    truth: list[tuple[float, Array]]
-    """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
-    lens: CameraIntrinsics | None
-    """What CameraInfo says; None: nothing was heard of it."""
-
     def __init__(self, path: Path, rig: Rig) -> None:
         """As `open_recording`."""
-        self._rig, self._channels = rig, channels(rig)
-        self._source: Source = open_source(path)
+        self._rig, self._source = rig, open_source(path)
         self._begin()
         if rig.topics.joint_states not in self._source.topics:
             self.close()
             raise self._without_joints()
 
     def _begin(self) -> None:
-        """Forget what was read."""
-        self.truth, self.lens, self._tree, self._joint_names = [], None, TransformTree(), set[str]()
-        there = self._source.topics
-        self.report = Report(path=str(self._source.path), truncated=self._source.truncated)
-        for topic, channel in self._channels.items():
-            if topic in there:
-                self.report.topics[topic] = TopicReport(channel.topic, there[topic])
-        self.report.others = {topic: kind for topic, kind in there.items() if topic not in self._channels}
-        self.report.unknown_wrenches = tuple(
-            sorted(topic for topic, kind in self.report.others.items() if kind == WRENCH)
-        )
+        self.report = RecordingReport(self._rig.topics.joint_states, source=self._source)
+        """Counts and sentences."""
+        self._stream = ObservationStream(self._rig, self._source.topics, report=self.report)
 
     @property
-    def intrinsics(self) -> Array | None:
-        """(3, 3) of the camera's images [pixels]; None where no CameraInfo was met."""
-        return None if self.lens is None else self.lens.intrinsics
+    def truth(self) -> list[tuple[float, Array]]:
+        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
+        return self._stream.truth
+
+    @property
+    def intrinsics(self) -> CameraIntrinsics | None:
+        """Of the camera's images; None where no CameraInfo was met."""
+        return self._stream.intrinsics
 
     def observations(self) -> Iterator[Observation]:
         """What was measured, in order of stamp, one observation for each joint state message.
@@ -76,132 +96,26 @@ class Recording:
         InvalidFile at the end if there were no joint states.
         """
         self._begin()
-        report, clocks = self.report, Clocks(self.report.topics)
-        order = Order(report.topics, clocks)
-        assembly = Assembly(self._rig, report, self._tree, self.truth)
-        for event in order.ordered(clocks.aligned(self._events())):
-            report.backwards = order.backwards
-            done = assembly.take(event)
-            if done is not None:
-                yield done
-        report.backwards = order.backwards
-        done = assembly.finish()
-        if done is not None:
-            yield done
-        report.ended = True
-        if not report.topics[self._rig.topics.joint_states].messages:
+        for message in self._source.messages(self._stream.topics):
+            yield from self._stream.put(message)
+        yield from self._stream.finish()
+        if not self.report.topics[self._rig.topics.joint_states].messages:
             raise self._without_joints()
-
-    def _events(self) -> Iterator[Event]:
-        """What the messages say, as they lie in the file; those that say nothing are counted."""
-        wanted, quick = frozenset(self._channels), QuickReader()
-        for raw in self._source.messages(wanted):
-            report = self.report.topics.get(raw.topic)
-            if report is None:  # a damaged file may name a topic only where its messages are
-                report = self.report.topics[raw.topic] = TopicReport(raw.topic, raw.type)
-            channel = self._channels[raw.topic]
-            try:
-                events = decoded(raw, channel, self._rig.frames, quick)
-            except MessageRejected as rejected:
-                report.messages += 1
-                report.refuse(str(rejected), nan=rejected.nan)
-                continue
-            for event in events:
-                report.messages += 1
-                if self._timed(event, report):
-                    yield event
-        self._note_damage()
-
-    def _timed(self, event: Event, report: TopicReport) -> bool:
-        """Whether the event has a time; what has none is taken at once."""
-        role = event.channel.role
-        if role == "joints":
-            self._joint_names.update(event.value)
-        elif role in ("tf", "tf_static"):
-            try:
-                event.value = link(event.value)
-            except MessageRejected as rejected:
-                report.refuse(str(rejected), nan=rejected.nan)
-                return False
-        if role == "tf_static":
-            self._tree.put(event.value, float("inf"))
-        elif role == "info":
-            self.lens = event.value
-        else:
-            return True
-        report.used += 1
-        return False
-
-    def _note_damage(self) -> None:
-        self.report.truncated = self._source.truncated
-        if len(self._source.damage) != len(self.report.damage):
-            self.report.damage = tuple(said for _, said in sorted(self._source.damage.items()))
 
     def lacks(self) -> list[str]:
         """What the rig needs and this recording has not, a sentence each; empty: nothing.
 
         Of what was read so far: topics are known from the beginning, joints and frames once `observations` has run.
         """
-        topics, lacking = self._rig.topics, []
-        for finger, topic in topics.wrenches.items():
-            lacking += self._missing(topic, f"finger {finger}: no wrench")
-        if topics.vision is not None:
-            lacking += self._missing(topics.vision, "no vision")
-        known = self._rig.camera is not None and self._rig.camera.intrinsics is not None
-        for what, name in (
-            ("color images", topics.color),
-            ("depth images", topics.depth),
-            ("camera info", None if known else topics.camera_info),
-        ):
-            lacking += [] if name is None else self._missing(name, f"no {what}")
-        if self._rig.world_from == "tf" and topics.tf is not None:
-            lacking += self._missing_frames()
-        if self.report.observations:
-            for joint in self._rig.hand.moving:
-                if joint not in self._joint_names:
-                    near = _nearest(joint, self._joint_names)
-                    lacking.append(f"joint {joint!r}: never on {topics.joint_states}{near}")
-        return lacking
-
-    def _missing(self, topic: str, what: str) -> list[str]:
-        there = self._source.topics
-        if topic not in there:
-            free = [name for name in there if name not in self._channels]
-            return [f"{what} on {topic}{_nearest(topic, free)}"]
-        expected = TYPES[self._channels[topic].role]
-        if there[topic] not in expected:
-            return [f"{what} on {topic}: expected {' or '.join(expected)}, got {there[topic] or 'no type'}"]
-        report = self.report.topics.get(topic)
-        silent = report is None or not report.messages
-        return [f"{what} on {topic}: no message"] if self.report.ended and silent else []
-
-    def _missing_frames(self) -> list[str]:
-        topic = str(self._rig.topics.tf)
-        if topic not in self._source.topics and f"{topic}_static" not in self._source.topics:
-            return self._missing(topic, "no transforms")
-        if not self.report.ended:
-            return []
-        world, palm = (self._rig.frames[role].lstrip("/") for role in ("world", "palm"))
-        frames = self._tree.frames
-        unknown = [name for name in (world, palm) if name not in frames]
-        if unknown:
-            near = "".join(_nearest(name, frames) for name in unknown[:1])
-            return [f"no transform of {' and '.join(map(repr, unknown))} on {topic}{near}"]
-        missing = self.report.observations - self.report.placed
-        if self.report.placed:
-            said = f"no transform from {world!r} to {palm!r} in {missing} of {self.report.observations} observations"
-            return [said] if missing else []
-        return [f"no transforms that lead from {world!r} to {palm!r} on {topic}"]
+        return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
         topic, there = self._rig.topics.joint_states, sorted(self._source.topics)
-        named = ", ".join(there[:MOST_NAMED]) + (
-            f" and {len(there) - MOST_NAMED} more" if len(there) > MOST_NAMED else ""
-        )
+        more = f" and {len(there) - MAX_NAMED} more" if len(there) > MAX_NAMED else ""
         cut = f" ({self._source.truncated})" if self._source.truncated else ""
         return InvalidFile(
             f"{self._source.path}: expected joint states on {topic}, got none; "
-            f"topics there: {named or 'none'}{cut}"
+            f"topics there: {', '.join(there[:MAX_NAMED]) or 'none'}{more}{cut}"
         )
 
     def close(self) -> None:
@@ -212,13 +126,94 @@ class Recording:
         """Itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Let go of the file."""
         self.close()
 
 
-def _nearest(name: str, there: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, sorted(there), n=1, cutoff=0.5)
-    return f"; the nearest is {near[0]!r}" if near else ""
+def open_source(path: Path) -> Source:
+    """The messages of a recording; raises InvalidFile where there is none."""
+    try:
+        if path.is_dir():
+            return _open_folder(path)
+        if not path.is_file():
+            raise InvalidFile(f"{path}: {EXPECTED}, got no file")
+        with path.open("rb") as file:
+            first = file.read(16)
+        for kind in KINDS:
+            if first.startswith(kind.MAGIC):
+                return kind(path)
+    except OSError as error:
+        raise InvalidFile(f"{path}: {error.strerror or error}") from None
+    came = f"a file that begins with {first!r}" if first else "an empty file"
+    raise InvalidFile(f"{path}: {EXPECTED}, got {came}")
+
+
+def _open_folder(path: Path) -> Source:
+    """A rosbag 2: its files one after the other, the tenth after the ninth."""
+    metadata = path / "metadata.yaml"
+    if metadata.is_file() and COMPRESSED.search(metadata.read_bytes()[:MAX_METADATA]):
+        return _CompressedFolder(path)
+    files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
+    if not files:
+        raise InvalidFile(f"{path}: {EXPECTED}, got a folder without .mcap or .db3 files")
+    return _SplitFiles(path, sorted(files, key=lambda file: (len(file.name), file.name)))
+
+
+class _SplitFiles(Source):
+    """Several files, as a recorder splits them."""
+
+    def __init__(self, path: Path, files: list[Path]) -> None:
+        super().__init__(path)
+        self._parts: list[Source] = []
+        with ExitStack() as opened:
+            for file in files:
+                part = open_source(file)
+                opened.callback(part.close)
+                self._parts.append(part)
+                self.topics |= part.topics
+            self._opened = opened.pop_all()
+        self._gather()
+
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        for part in self._parts:
+            yield from part.messages(wanted)
+            self._gather()
+
+    def _gather(self) -> None:
+        for i, part in enumerate(self._parts):
+            if part.truncated and self.truncated is None:
+                self.truncated = f"{part.path.name}: {part.truncated}"
+            for at, said in part.damage.items():
+                self.damage[(i << 64) + at] = f"{part.path.name}: {said}"
+
+    def close(self) -> None:
+        self._opened.close()
+
+
+class _CompressedFolder(Source):
+    """A rosbag 2 whose files or messages are compressed as wholes; rosbags unpacks it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        try:
+            from rosbags.rosbag2 import Reader
+        except ImportError:
+            raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
+        try:
+            self._reader: Any = Reader(path)
+            self._reader.open()
+        except Exception as error:  # rosbags and what it is built on raise many kinds on a broken file
+            raise InvalidFile(f"{path}: {EXPECTED}, got: {error}") from None
+        self.topics = {c.topic: normal_type(c.msgtype) for c in self._reader.connections}
+
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        connections = [c for c in self._reader.connections if c.topic in wanted]
+        try:
+            for c, log, data in self._reader.messages(connections) if connections else ():
+                yield RawMessage(c.topic, normal_type(c.msgtype), "cdr", seconds(log), bytes(data))
+        except Exception as error:  # as above
+            self.truncated = f"it cannot be read to its end ({error})"
+
+    def close(self) -> None:
+        self._reader.close()

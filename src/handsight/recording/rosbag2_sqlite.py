@@ -1,14 +1,13 @@
-"""The sqlite3 files of rosbag 2 (`.db3`), whole or cut."""
+"""The sqlite3 files of rosbag 2 (`.db3`), complete or cut."""
 
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from handsight.errors import InvalidFile
-from handsight.messages.decode import RawMessage
-from handsight.recording.chunks import LARGEST_BLOCK, Source, normal_type, seconds
+from handsight.messages import RawMessage
+from handsight.recording.chunks import MAX_UNPACKED, Source, normal_type, seconds
 
-MAGIC = b"SQLite format 3\0"
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises; its error messages may themselves be no text."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
@@ -17,6 +16,8 @@ REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage 
 
 class SqliteSource(Source):
     """One `.db3` file."""
+
+    MAGIC = b"SQLite format 3\0"
 
     def __init__(self, path: Path) -> None:
         """Its topics; raises InvalidFile where its tables are not rosbag 2's."""
@@ -34,7 +35,7 @@ class SqliteSource(Source):
         self.topics = {topic: kind for topic, kind, _ in self._topics.values()}
 
     def _open(self) -> None:
-        self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_BLOCK)
+        self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
         self._base.text_factory = _text
         self._base.execute("PRAGMA trusted_schema = OFF")
         if self.truncated:

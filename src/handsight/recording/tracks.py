@@ -10,7 +10,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.messages.decode import POSE_COVARIANCE
+from handsight.messages.topics import POSE_COVARIANCE
 from handsight.recording.write import McapFile
 
 TOPIC = "/handsight/pose"

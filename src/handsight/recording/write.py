@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput, MissingExtra
-from handsight.messages.decode import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
+from handsight.messages.topics import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.observation import Observation
 from handsight.rig import Rig
 
