@@ -72,8 +72,8 @@ class ObservationAssembler:
     def _is_fresh(self, measurement: Measurement, stamp: float) -> bool:
         if stamp - measurement.stamp <= MAX_AGE_VISION:
             return True
-        report = self._report.topics[measurement.channel.topic]
-        report.used, report.stale = report.used - 1, report.stale + 1
+        measurement.report.used -= 1
+        measurement.report.stale += 1
         return False
 
     def _wrenches(self, stamp: float) -> dict[str, Array]:
@@ -106,8 +106,8 @@ class ObservationAssembler:
             return
         sensor.wrench = None
         self._report.fingers[finger] = f"{what}: a dead sensor? left out"
-        report = self._report.topics[measurement.channel.topic]
-        report.used, report.stuck = report.used - 1, report.stuck + 1
+        measurement.report.used -= 1
+        measurement.report.stuck += 1
 
 
 @dataclass(slots=True)

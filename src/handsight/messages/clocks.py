@@ -29,9 +29,8 @@ MAX_PUBLISHERS = 1000
 class Clocks:
     """By topic, what brings its stamps to the clock of the joint states."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self) -> None:
         """Offsets are written into the topics' reports."""
-        self._topics = report.topics
         self._shifts: dict[str, float] = {}
         self._joint_offsets: deque[float] = deque(maxlen=15)
         self._begun: deque[Measurement] | None = deque()
@@ -60,7 +59,7 @@ class Clocks:
             if full:
                 oldest = self._begun.popleft()
                 self._begun_bytes -= oldest.size
-                self._topics[oldest.channel.topic].stale += 1
+                oldest.report.stale += 1
             return ()
         late = measurement.log_time > first.log_time + COMPARED
         return (
@@ -84,7 +83,7 @@ class Clocks:
         # What begins later is compared with the joint states of its own time: a simulator's clock may drift.
         if topic not in self._shifts:
             self._learn([measurement])
-        if self._topics[topic].unstamped:
+        if measurement.report.unstamped:
             measurement.stamp = measurement.log_time
         elif measurement.channel.role == "joints":
             self._joint_offsets.append(measurement.log_time - measurement.stamp)
@@ -93,8 +92,7 @@ class Clocks:
 
     def _learn(self, first: list[Measurement]) -> None:
         """Offset and shift of a topic from the first of it."""
-        channel = first[0].channel
-        report = self._topics[channel.topic]
+        channel, report = first[0].channel, first[0].report
         report.unstamped = all(each.stamp == 0 for each in first)
         report.offset = 0.0 if report.unstamped else median(each.log_time - each.stamp for each in first)
         if channel.role == "joints":
@@ -153,8 +151,7 @@ class ReorderBuffer:
             if ahead and abs(joints.stamp - jumped.stamp) <= MAX_JUMP:
                 self._newest = max(joints.stamp, jumped.stamp)
                 return jumped, joints
-            error = MessageRejected("stamp far ahead of those before and after")
-            self._report.topics[joints.channel.topic].reject(error)
+            joints.report.reject(MessageRejected("stamp far ahead of those before and after"))
         if ahead:
             self._jumped = joints
             return ()
@@ -166,7 +163,7 @@ class ReorderBuffer:
 
     def _push(self, measurement: Measurement) -> None:
         if measurement.stamp < max(self._released, self._edge()):
-            self._report.topics[measurement.channel.topic].late += 1
+            measurement.report.late += 1
             return
         heapq.heappush(self._waiting, (measurement.stamp, next(self._count), measurement))
         self._bytes += measurement.size
@@ -180,10 +177,10 @@ class ReorderBuffer:
         if role != "tf":
             publisher = (topic, tuple(measurement.value)) if role == "joints" else topic
             if self._last_stamps.get(publisher) == self._released:
-                self._report.topics[topic].duplicated += 1
+                measurement.report.duplicated += 1
                 return
             if len(self._last_stamps) > MAX_PUBLISHERS:
                 self._last_stamps.clear()
             self._last_stamps[publisher] = self._released
-        self._report.topics[topic].use(self._released)
+        measurement.report.use(self._released)
         yield measurement

@@ -32,6 +32,8 @@ class Measurement:
     """What one message, or one transform of /tf, says."""
 
     channel: Channel
+    report: TopicReport
+    """Its topic's, where it is counted."""
     stamp: float
     """As the message says it; later, in the clock of the joint states [s]."""
     log_time: float
@@ -65,22 +67,20 @@ class Decoder:
                 message = _deserialized(raw)
                 if channel.role in ("tf", "tf_static"):
                     return _transforms(message, raw, channel, report)
-                value = READERS[channel.role](message, self._frames)
-                found = Measurement(channel, _stamp(message), raw.log_time, value)
+                found = _stamp(message), READERS[channel.role](message, self._frames)
             report.messages += 1
-            return [found]
+            return [Measurement(channel, report, found[0], raw.log_time, found[1])]
         except MessageRejected as error:
             report.messages += 1
             report.reject(error)
             return []
 
-    def _decode_fast(self, raw: RawMessage, channel: Channel) -> Measurement | None:
-        if raw.encoding != "cdr":
-            return None
-        if channel.role == "wrench" and (wrench := self._fast.wrench(raw.data)):
-            return Measurement(channel, wrench[0], raw.log_time, _wrench(wrench[1]))
-        if channel.role == "joints" and (joints := self._fast.joints(raw.data)):
-            return Measurement(channel, joints[0], raw.log_time, _positions(joints[1], joints[2]))
+    def _decode_fast(self, raw: RawMessage, channel: Channel) -> tuple[float, Any] | None:
+        """Stamp and value."""
+        if raw.encoding == "cdr" and channel.role == "wrench" and (wrench := self._fast.wrench(raw.data)):
+            return wrench[0], _wrench(wrench[1])
+        if raw.encoding == "cdr" and channel.role == "joints" and (joints := self._fast.joints(raw.data)):
+            return joints[0], _positions(joints[1], joints[2])
         return None
 
 
@@ -90,7 +90,8 @@ def _transforms(message: Any, raw: RawMessage, channel: Channel, report: TopicRe
     for each in message.transforms:
         report.messages += 1
         try:
-            found.append(Measurement(channel, _stamp(each), raw.log_time, frame_transform(each)))
+            value = frame_transform(each)
+            found.append(Measurement(channel, report, _stamp(each), raw.log_time, value))
         except MessageRejected as error:
             report.reject(error)
     return found

@@ -44,7 +44,7 @@ class ObservationStream:
             topic: kind for topic, kind in (topics or {}).items() if topic not in self._channels
         }
         self._tree, self._joint_names = TransformTree(), set[str]()
-        self._decoder, self._clocks = Decoder(rig.frames), Clocks(self.report)
+        self._decoder, self._clocks = Decoder(rig.frames), Clocks()
         self._order = ReorderBuffer(self.report, self._clocks)
         self._assembler = ObservationAssembler(rig, self.report, self._tree)
 

@@ -75,18 +75,18 @@ class ChunkedSource(Source):
         super().__init__(path)
         with path.open("rb") as file:
             self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self._chunks = list(self.index())
+        self._chunks = list(self._index())
         # Whoever closed the file repeated its topics outside the chunks; else they are only in them.
         if self.truncated or not self.topics:
             for chunk in self._chunks:
                 self._read(frozenset(), chunk)
 
     @abstractmethod
-    def index(self) -> Iterable[Chunk]:
+    def _index(self) -> Iterable[Chunk]:
         """The chunks as they lie in `data`; topics and where the file ends too early are noted."""
 
     @abstractmethod
-    def parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
+    def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         """The messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
@@ -108,7 +108,7 @@ class ChunkedSource(Source):
         data, fault = unpacked(packed, chunk.compression, chunk.size)
         if fault is None and chunk.crc and crc32(data) != chunk.crc:
             data, fault = b"", "its checksum does not match"
-        found, wrong = self.parse(data, wanted)
+        found, wrong = self._parse(data, wanted)
         if fault or wrong:
             self.damage[chunk.offset] = f"chunk at byte {chunk.offset}: {fault or wrong}"
         return found

@@ -24,13 +24,11 @@ class McapSource(ChunkedSource):
     MAGIC = b"\x89MCAP0\r\n"
 
     def __init__(self, path: Path) -> None:
-        """As `ChunkedSource`."""
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, str]] = {}
         super().__init__(path)
 
-    def index(self) -> Iterator[Chunk]:
-        """As `ChunkedSource.index`."""
+    def _index(self) -> Iterator[Chunk]:
         size, run = len(self.data), None
         for op, begin, end in _records(self.data, len(self.MAGIC), size):
             if run is not None and (op != MESSAGE or begin - run.offset > MAX_RUN):
@@ -74,8 +72,7 @@ class McapSource(ChunkedSource):
             compression = self.data[at : min(name, at + 20)].decode("ascii", "replace")
             yield Chunk(start, name + 8, length, compression, size, crc)
 
-    def parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
-        """As `ChunkedSource.parse`."""
+    def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, read = [], 0
         for op, begin, end in _records(data, 0, len(data)):
             if end > len(data) or op not in (SCHEMA, CHANNEL, MESSAGE):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from handsight.checks import Array
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.messages import CameraIntrinsics, ObservationStream, RawMessage, Report
 from handsight.observation import Observation
@@ -67,7 +66,6 @@ class Recording:
     """A recording, open; what was met so far is in `report`, `truth` and `intrinsics`."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
-        """As `open_recording`."""
         self._rig, self._source = rig, open_source(path)
         self._begin()
         if rig.topics.joint_states not in self._source.topics:
@@ -78,11 +76,8 @@ class Recording:
         self.report = RecordingReport(self._rig.topics.joint_states, source=self._source)
         """Counts and sentences."""
         self._stream = ObservationStream(self._rig, self._source.topics, report=self.report)
-
-    @property
-    def truth(self) -> list[tuple[float, Array]]:
+        self.truth = self._stream.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
-        return self._stream.truth
 
     @property
     def intrinsics(self) -> CameraIntrinsics | None:
@@ -123,11 +118,9 @@ class Recording:
         self._source.close()
 
     def __enter__(self) -> Self:
-        """Itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Let go of the file."""
         self.close()
 
 

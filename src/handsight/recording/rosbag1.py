@@ -23,12 +23,10 @@ class Rosbag1Source(ChunkedSource):
     MAGIC = b"#ROSBAG V2.0\n"
 
     def __init__(self, path: Path) -> None:
-        """As `ChunkedSource`."""
         self._connections: dict[bytes, tuple[str, str]] = {}
         super().__init__(path)
 
-    def index(self) -> list[Chunk]:
-        """As `ChunkedSource.index`."""
+    def _index(self) -> list[Chunk]:
         size, chunks, starts = len(self.data), list[Chunk](), list[int]()
         closed, at = False, len(self.MAGIC)
         for fields, begin, at in _records(self.data, len(self.MAGIC), size):
@@ -57,8 +55,7 @@ class Rosbag1Source(ChunkedSource):
         size = int.from_bytes(fields.get(b"size", b"")[:8], "little")
         return Chunk(start, begin, end - begin, compression, size)
 
-    def parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
-        """As `ChunkedSource.parse`."""
+    def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, end = [], 0
         for fields, begin, end in _records(data, 0, len(data)):
             op = _op(fields)

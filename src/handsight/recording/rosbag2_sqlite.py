@@ -49,7 +49,6 @@ class SqliteSource(Source):
             self._topics[key] = (str(topic), normal_type(str(kind)), str(encoding))
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.messages`."""
         keys = [key for key, about in self._topics.items() if about[0] in wanted and isinstance(key, int)]
         # The index by time lies all over the file: of a cut one, the rows as they were written.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
