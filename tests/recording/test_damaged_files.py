@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from handsight.errors import HandsightError, InvalidFile
 from handsight.recording import chunks, open_recording
-from recording.bags import START, Messages, alone, read, rig, save, sights, touched
+from messages.ros import START, Messages, everything, rig, touched
+from recording.bags import alone, read, save
 
 M = Messages()
 EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
@@ -238,7 +239,7 @@ def spoilt(data, rng):
     [("mcap", None), ("mcap", "STORAGE"), ("bag", None), ("bag", "LZ4"), ("bag", "BZ2"), ("db3", None)],
 )
 def test_no_damage_brings_the_reader_down_and_every_message_is_counted_once(tmp_path, kind, compression):
-    path = save(tmp_path, sights(Messages(1 if kind == "bag" else 2)), kind, compression=compression)
+    path = save(tmp_path, everything(Messages(1 if kind == "bag" else 2)), kind, compression=compression)
     path = path if kind == "bag" else alone(path)
     data, rng, survived = path.read_bytes(), np.random.default_rng(0), 0
     for i in range(250):

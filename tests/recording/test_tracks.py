@@ -11,7 +11,7 @@ from handsight import se3
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, TrackRow, write_track_csv, write_track_mcap, write_track_tum
-from recording.bags import START, Messages, rig
+from messages.ros import START, Messages, rig
 
 RNG = np.random.default_rng(0)
 SIGMAS = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])

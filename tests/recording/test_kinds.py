@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.errors import MissingExtra
+from handsight.errors import InvalidFile, MissingExtra
 from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, open_recording
-from recording.bags import FINGERS, JOINTS, START, Messages, alone, read, rig, save, sights, touched
+from messages.ros import FINGERS, JOINTS, START, Messages, everything, rig, touched
+from recording.bags import alone, read, save
 
 KINDS = [
     ("mcap", None),
@@ -55,7 +56,7 @@ def test_each_kind_of_recording_gives_what_was_written(tmp_path, kind, compressi
 
 @pytest.mark.parametrize(("kind", "ros"), [("mcap", 2), ("db3", 2), ("bag", 1)])
 def test_all_that_a_robot_sees_is_read_of_each_kind(tmp_path, kind, ros):
-    observations, recording = read(save(tmp_path, sights(Messages(ros)), kind))
+    observations, recording = read(save(tmp_path, everything(Messages(ros)), kind))
     assert len(observations) == 10
     for field in ("vision", "color", "depth"):
         assert sum(getattr(seen, field) is not None for seen in observations) == 3
@@ -191,7 +192,7 @@ def test_a_stamp_of_today_survives_to_the_last_bit(tmp_path):
 def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
     from handsight.messages import decode
 
-    path = save(tmp_path, sights(Messages()))
+    path = save(tmp_path, everything(Messages()))
     decode._typestore.cache_clear()
     for name in ("rosbags.typesys", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
@@ -208,3 +209,33 @@ def told():
 def test_importing_brings_nothing_of_ros():
     code = "import sys, handsight.recording; sys.exit('rosbags' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_a_recording_without_joint_states_says_what_is_there(tmp_path, kind):
+    messages = Messages(1 if kind == "bag" else 2)
+    rows = [row for row in touched(messages=messages) if row[0] != "/joint_states"]
+    path = save(tmp_path, rows, kind)
+    with pytest.raises(InvalidFile) as error:
+        open_recording(path, rig())
+    assert str(error.value) == (
+        f"{path}: expected joint states on /joint_states, got none; topics there: /ff/wrench, /th/wrench"
+    )
+
+
+def test_a_topic_of_joint_states_without_messages_says_so_at_the_end(tmp_path):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    messages = Messages()
+    with Writer(tmp_path / "a", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        wrench = writer.add_connection(
+            "/ff/wrench", "geometry_msgs/msg/WrenchStamped", typestore=messages.store
+        )
+        writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=messages.store)
+        message = messages.wrench(START, np.ones(6))
+        writer.write(wrench, int(START * 1e9), messages.store.serialize_cdr(message, message.__msgtype__))
+    with (
+        open_recording(tmp_path / "a", rig()) as recording,
+        pytest.raises(InvalidFile, match="expected joint states"),
+    ):
+        list(recording.observations())
