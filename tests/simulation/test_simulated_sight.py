@@ -3,7 +3,7 @@ import pytest
 
 from handsight import se3
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.simulation import Nuisances, Scenario, looking, model_of, picture, render, rig_of, simulate
+from handsight.simulation import Nuisances, Scenario, looking, model_of, render, rendering, rig_of, simulate
 from handsight.simulation.camera import EDGE, FAR, LOOKS_AT, NEAR, STEP, displacement, kinect
 from simulation.simulated import NONE, only, samples
 
@@ -143,7 +143,7 @@ def test_what_cannot_be_drawn_is_an_error(monkeypatch):
     def absent(name):
         raise ImportError(f"no library for {name}")
 
-    monkeypatch.setattr(picture, "import_module", absent)
+    monkeypatch.setattr(rendering, "import_module", absent)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     with pytest.raises(
         MissingExtra, match=r"expected EGL or OSMesa .* got egl: no library for mujoco.egl; osmesa: no"
