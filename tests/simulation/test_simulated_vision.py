@@ -8,14 +8,14 @@ from handsight.simulation.camera import EDGE, FAR, LOOKS_AT, NEAR, STEP, displac
 from simulation.simulated import NONE, only, samples
 
 
-def seen_world(sample):
+def vision_world(sample):
     """(4, 4) where the robot takes the object to be."""
     return rig_of(Scenario()).camera.T_mount_camera @ sample.observation.vision.T_frame_object
 
 
 def test_without_nuisances_vision_is_right():
     for sample in samples():
-        np.testing.assert_allclose(seen_world(sample), sample.T_world_object, atol=1e-12)
+        np.testing.assert_allclose(vision_world(sample), sample.T_world_object, atol=1e-12)
 
 
 def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
@@ -34,7 +34,7 @@ def test_a_wrong_camera_is_wrong_by_one_rigid_motion_of_the_world():
     for sample in samples("can", 4, "manipulate", 5.0, nuisances):
         if sample.observation.vision is not None:
             np.testing.assert_allclose(
-                seen_world(sample), T_believed_true @ sample.T_world_object, atol=1e-12
+                vision_world(sample), T_believed_true @ sample.T_world_object, atol=1e-12
             )
 
 
@@ -51,7 +51,7 @@ def test_white_noise_of_vision_has_the_size_it_is_told():
 def test_a_late_pose_is_that_of_a_moment_ago():
     run = samples("can", 0, "manipulate", 10.0, only(vision_delay=0.3))
     for now, then in zip(run[3:], run, strict=False):
-        np.testing.assert_allclose(seen_world(now), then.T_world_object, atol=1e-12)
+        np.testing.assert_allclose(vision_world(now), then.T_world_object, atol=1e-12)
 
 
 def test_poses_come_ten_times_a_second_and_images_thirty_times():
