@@ -40,11 +40,11 @@ def held_grasp() -> tuple[list[hs.Observation], list[hs.Observation]]:
 
 def stream(held: list[hs.Observation], begin: float, count: int) -> Iterator[hs.Observation]:
     """The held part round and round, `STEP` apart."""
-    seen = [observation.seen for observation in held if observation.seen is not None]
+    seen = [observation.vision for observation in held if observation.vision is not None]
     every = round(SEEN_EVERY / STEP)
     for k in range(count):
         looked = seen[k // every % len(seen)] if k % every == 0 else None
-        yield replace(held[k % len(held)], stamp=begin + STEP * k, seen=looked)
+        yield replace(held[k % len(held)], stamp=begin + STEP * k, vision=looked)
 
 
 def resident() -> float:

@@ -19,7 +19,7 @@ for sample in simulate(scenario):
         stamp=robot.stamp,
         joint_positions=robot.joint_positions,  # by name, in any order
         wrenches=robot.wrenches,  # by finger, as the sensors read them
-        seen=robot.seen,  # None where vision has nothing new
+        vision=robot.vision,  # None where vision has nothing new
         T_world_palm=robot.T_world_palm,  # None costs gravity, the table and a camera that stands in the world
     )
     estimate = tracker.update(seen)

@@ -39,7 +39,7 @@ def curves(name, seed, way):
     model = exact_model(name)
     by_stamp = {sample.observation.stamp: sample for sample in samples}
     steps = tracked(name, samples, WITH_MEAN[way])
-    seen = [sample for sample in samples if sample.observation.seen]
+    seen = [sample for sample in samples if sample.observation.vision]
     lines = {
         "vision": [
             (s.observation.stamp, *base_on_table(model, seen_in_palm(s.observation), s)) for s in seen

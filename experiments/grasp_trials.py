@@ -75,7 +75,7 @@ def last_instant(scenario):
 
 def seen_in_palm(observation):
     """T_palm_object (4, 4) as vision has it."""
-    T_world_object = rig().camera.T_mount_camera @ observation.seen.T_frame_object
+    T_world_object = rig().camera.T_mount_camera @ observation.vision.T_frame_object
     return se3.inverse(observation.T_world_palm) @ T_world_object
 
 

@@ -64,7 +64,7 @@ def run_rows(name, seed, ways):
     if samples[-1].dropped:
         return None
     model, turn = exact_model(name), turned(samples)
-    late = {s.observation.stamp: s for s in samples[int(LAST * len(samples)) :] if s.observation.seen}
+    late = {s.observation.stamp: s for s in samples[int(LAST * len(samples)) :] if s.observation.vision}
     rows = []
     for method, how in ways.items():
         steps = [step for step in tracked(name, samples, how) if step.stamp in late]
@@ -82,7 +82,7 @@ def by_paper(model, samples):
     """The paper's method whenever vision sees: (pose in the palm, no directions, sample) each, and the iterations."""
     found, iterations = [], []
     for sample in samples:
-        if sample.observation.seen is None:
+        if sample.observation.vision is None:
             continue
         T = seen_in_palm(sample.observation)
         contacts = fingertips().contacts(sample.observation).contacts

@@ -28,7 +28,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.recording import RecordingWriter, open_recording
-from handsight.recording.writing import McapFile
+from handsight.recording.write import McapFile
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
 from handsight.simulation.camera import displacement
 
@@ -179,7 +179,7 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
     seen, many = observations(grasp), 3000
     # Long enough to be interrupted: held for minutes.
     held = [
-        dataclasses.replace(seen[-1], stamp=seen[-1].stamp + (k + 1) / 20, seen=None) for k in range(many)
+        dataclasses.replace(seen[-1], stamp=seen[-1].stamp + (k + 1) / 20, vision=None) for k in range(many)
     ]
     recorded(tmp_path / "can.mcap", [*seen, *held], rig)
     write_rig(rig, tmp_path / "can.rig.yaml")
@@ -295,7 +295,7 @@ def test_a_camera_that_is_not_there_cannot_be_calibrated(moved, tmp_path):
     with pytest.raises(InvalidInput, match="^camera: expected one in the rig, got none"):
         calibrate_camera(path, dataclasses.replace(rig, camera=None), model)
     blind = recorded(
-        tmp_path / "blind.mcap", (dataclasses.replace(s, seen=None) for s in seen_by(path, rig)[:40]), rig
+        tmp_path / "blind.mcap", (dataclasses.replace(s, vision=None) for s in seen_by(path, rig)[:40]), rig
     )
     with pytest.raises(InvalidInput, match="expected an object that is held and seen, got none"):
         calibrate_camera(blind, rig, model)
@@ -366,7 +366,7 @@ def test_depth_in_the_wrong_unit_is_told(grasp, tmp_path, monkeypatch):
     rig = dataclasses.replace(rig, topics=topics)
     depth = np.full((6, 8), 9.0, dtype=np.float32)  # is written as 9 000 mm
     with monkeypatch.context() as patch:
-        patch.setattr("handsight.recording.writing._millimetres", lambda metres: metres.astype("<u2"))
+        patch.setattr("handsight.recording.write._millimetres", lambda metres: metres.astype("<u2"))
         path = recorded(
             tmp_path / "a.mcap", (dataclasses.replace(s, depth=depth) for s in observations(grasp)), rig
         )

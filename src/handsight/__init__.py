@@ -11,7 +11,7 @@ The five lines most users need:
 And those whose robot runs:
 
     tracker = hs.Tracker(hs.Rig.from_file("rig.yaml"), model)
-    estimate = tracker.update(hs.Observation(stamp, joint_positions, wrenches, seen, T_world_palm))
+    estimate = tracker.update(hs.Observation(stamp, joint_positions, wrenches, vision, T_world_palm))
 """
 
 from importlib import import_module

@@ -14,27 +14,29 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 
-SeenFrom = Literal["camera", "world", "palm"]
-SEEN_FROM: tuple[SeenFrom, ...] = ("camera", "world", "palm")
+VisionFrame = Literal["camera", "world", "palm"]
+VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenPose:
+class PoseMeasurement:
     """Where vision says the object is."""
 
     T_frame_object: Array
     """(4, 4)."""
-    frame: SeenFrom = "camera"
+    frame: VisionFrame = "camera"
     """In what the pose is given: the rig's camera (optical frame), the world or the palm."""
     covariance: Array | None = None
     """(6, 6) of (δp [m], δθ [rad]) along the frame's axes; None: vision does not say, the rig does."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "seen.T_frame_object"))
-        if self.frame not in SEEN_FROM:
-            raise InvalidInput(f"seen.frame: expected one of {', '.join(SEEN_FROM)}, got {self.frame!r}")
+        object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
+        if self.frame not in VISION_FRAMES:
+            raise InvalidInput(
+                f"vision.frame: expected one of {', '.join(VISION_FRAMES)}, got {self.frame!r}"
+            )
         if self.covariance is not None:
-            covariance = checks.covariance(self.covariance, "seen.covariance", (6, 6))
+            covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
             object.__setattr__(self, "covariance", covariance)
 
 
@@ -49,7 +51,7 @@ class Observation:
     wrenches: Mapping[str, Array] = field(default_factory=dict)
     """By finger: (6,) force [N] and torque [N m] as the sensor reads them, in its frame and about its origin, bias
     and weight still in them."""
-    seen: SeenPose | None = None
+    vision: PoseMeasurement | None = None
     """A pose from vision that arrived since the last observation."""
     T_world_palm: Array | None = None
     """(4, 4)."""

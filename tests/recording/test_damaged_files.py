@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight.errors import HandsightError, InvalidFile
-from handsight.recording import blocks, open_recording
-from recording.bags import START, Messages, alone, read, rig, save, sights, touched
+from handsight.recording import chunks, open_recording
+from messages.ros import START, Messages, everything, rig, touched
+from recording.bags import alone, read, save
 
 M = Messages()
 EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
@@ -183,7 +184,7 @@ def bombs():
 def test_a_chunk_unpacks_to_no_more_than_it_says(tmp_path, compression):
     packed = bombs()[compression]
     tracemalloc.start()
-    data, fault = blocks.unpacked(packed, compression, 1000)
+    data, fault = chunks.unpacked(packed, compression, 1000)
     assert tracemalloc.get_traced_memory()[1] < 4e6
     tracemalloc.stop()
     assert (data, fault) == (bytes(1000), None)
@@ -192,9 +193,9 @@ def test_a_chunk_unpacks_to_no_more_than_it_says(tmp_path, compression):
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2", ""])
 def test_a_chunk_that_says_it_is_huge_is_not_unpacked(tmp_path, compression):
     packed = (bombs() | {"": b"x"})[compression]
-    data, fault = blocks.unpacked(packed, compression, 1 << 62)
+    data, fault = chunks.unpacked(packed, compression, 1 << 62)
     assert data == b""
-    assert fault == f"says it unpacks to {1 << 62} bytes, at most {blocks.LARGEST_BLOCK} are read"
+    assert fault == f"says it unpacks to {1 << 62} bytes, at most {chunks.MAX_UNPACKED} are read"
     with pytest.raises(InvalidFile, match="expected joint states"):
         open_recording(mcap_with_chunk(tmp_path / "a.mcap", packed, 1 << 62, compression), rig())
 
@@ -202,12 +203,12 @@ def test_a_chunk_that_says_it_is_huge_is_not_unpacked(tmp_path, compression):
 def test_frames_one_after_another_are_unpacked(tmp_path):
     from backports import zstd
 
-    data, fault = blocks.unpacked(zstd.compress(b"ab") + zstd.compress(b"cd"), "zstd", 4)
+    data, fault = chunks.unpacked(zstd.compress(b"ab") + zstd.compress(b"cd"), "zstd", 4)
     assert (data, fault) == (b"abcd", None)
 
 
 def test_an_unknown_compression_is_named():
-    assert blocks.unpacked(b"x", "rar", 5) == (b"", "expected compression none, lz4, zstd or bz2, got 'rar'")
+    assert chunks.unpacked(b"x", "rar", 5) == (b"", "expected compression none, lz4, zstd or bz2, got 'rar'")
 
 
 def test_a_chunk_with_a_wrong_checksum_is_not_used(tmp_path):
@@ -238,7 +239,7 @@ def spoilt(data, rng):
     [("mcap", None), ("mcap", "STORAGE"), ("bag", None), ("bag", "LZ4"), ("bag", "BZ2"), ("db3", None)],
 )
 def test_no_damage_brings_the_reader_down_and_every_message_is_counted_once(tmp_path, kind, compression):
-    path = save(tmp_path, sights(Messages(1 if kind == "bag" else 2)), kind, compression=compression)
+    path = save(tmp_path, everything(Messages(1 if kind == "bag" else 2)), kind, compression=compression)
     path = path if kind == "bag" else alone(path)
     data, rng, survived = path.read_bytes(), np.random.default_rng(0), 0
     for i in range(250):

@@ -23,7 +23,7 @@ def only(**settings):
     return dataclasses.replace(NONE, **settings)
 
 
-def felt(observation):
+def sensed(observation):
     """By finger: (contact in the palm frame or None, force on the tip in the palm frame), from raw wrenches and joints."""
     rig = rig_of(Scenario())
     gravity_palm = observation.T_world_palm[:3, :3].T @ rig.gravity
@@ -47,7 +47,7 @@ def felt(observation):
 def location_errors(sample):
     """How far sensed points are from the simulator's [m], of tips that touch the object and nothing else."""
     errors = []
-    for finger, (point, _) in felt(sample.observation).items():
+    for finger, (point, _) in sensed(sample.observation).items():
         touches = [touch for touch in sample.contacts_truth if touch.finger == finger]
         if len(touches) == 1 and touches[0].other == "object":
             assert point is not None, f"{finger} touches the object and feels nothing"

@@ -3,7 +3,7 @@ import pytest
 
 from handsight.contact import compensate
 from handsight.simulation import Nuisances, Scenario, rig_of
-from simulation.simulated import NONE, felt, location_errors, only, samples
+from simulation.simulated import NONE, location_errors, only, samples, sensed
 
 SENSOR = {"force_noise": 0.01, "torque_noise": 5e-5}
 
@@ -22,7 +22,7 @@ def test_a_wrench_tells_where_the_tip_is_touched(kind, tips, clean, noisy):
 @pytest.mark.parametrize("kind", ["can", "box"])
 def test_at_rest_a_sensor_feels_the_sum_of_the_forces_on_its_tip(kind):
     sample = samples(kind)[-1]
-    for finger, (_, force_palm) in felt(sample.observation).items():
+    for finger, (_, force_palm) in sensed(sample.observation).items():
         true = sum((t.force_palm for t in sample.contacts_truth if t.finger == finger), np.zeros(3))
         np.testing.assert_allclose(force_palm, true, atol=2e-3)
 
@@ -35,14 +35,14 @@ def test_an_open_hand_reads_bias_and_weight_alone():
         # Whatever way gravity points, its force is the tip's weight.
         unloaded = np.linalg.norm(raw[:3] - calibration.bias_force)
         assert unloaded == pytest.approx(calibration.mass * 9.81, rel=0.02)
-    assert all(np.linalg.norm(force) < 2e-3 for _, force in felt(first.observation).values())
+    assert all(np.linalg.norm(force) < 2e-3 for _, force in sensed(first.observation).values())
 
 
 @pytest.mark.parametrize(("kind", "tips"), [("can", 5), ("box", 3)])
 def test_in_the_air_the_tips_carry_the_objects_weight(kind, tips):
     sample = samples(kind, motion="manipulate")[-1]
     assert len(sample.forces_object) == tips
-    total_palm = sum(force for _, force in felt(sample.observation).values())
+    total_palm = sum(force for _, force in sensed(sample.observation).values())
     total_world = sample.observation.T_world_palm[:3, :3] @ total_palm
     np.testing.assert_allclose(total_world, [0, 0, -0.15 * 9.81], atol=0.02)
 
@@ -78,7 +78,7 @@ def test_a_tip_gives_way_to_the_force_on_it_and_the_joints_do_not_tell():
     hard, soft = samples("can")[-1], samples("can", nuisances=only(tip_compliance=compliance))[-1]
     rig = rig_of(Scenario())
     away = [rig.hand.Ts_palm_tip(s.observation.joint_positions) for s in (hard, soft)]
-    for i, (finger, (_, force_palm)) in enumerate(felt(hard.observation).items()):
+    for i, (finger, (_, force_palm)) in enumerate(sensed(hard.observation).items()):
         center = rig.fingers[finger].T_frame_surface[:, 3]
         moved = ((away[0][i] - away[1][i]) @ center)[:3]
         np.testing.assert_allclose(
@@ -103,7 +103,9 @@ def test_a_setting_changes_its_own_error_and_no_other():
     usual = samples(nuisances=Nuisances())
     blind = samples(nuisances=Nuisances(joint_offset=0, joint_noise=0, force_noise=0, torque_noise=0))
     for a, b in zip(usual, blind, strict=True):
-        np.testing.assert_array_equal(a.observation.seen.T_frame_object, b.observation.seen.T_frame_object)
+        np.testing.assert_array_equal(
+            a.observation.vision.T_frame_object, b.observation.vision.T_frame_object
+        )
         np.testing.assert_array_equal(a.T_palm_object, b.T_palm_object)
     quiet = samples(nuisances=Nuisances(camera_position=0, vision_position=0, vision_delay=0))
     for a, b in zip(usual, quiet, strict=True):

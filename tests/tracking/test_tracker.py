@@ -11,7 +11,7 @@ import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
-from handsight.observation import SeenPose
+from handsight.observation import PoseMeasurement
 from handsight.replay import errors_of
 from handsight.tracking import Tracker, TrackerSettings
 from handsight.tracking.propagation import point_covariance
@@ -25,7 +25,7 @@ def tracked(grasp, **settings):
 
 
 def later(observation, by, **changes):
-    return replace(observation, stamp=observation.stamp + by, seen=None, **changes)
+    return replace(observation, stamp=observation.stamp + by, vision=None, **changes)
 
 
 def base_error(grasp, T):
@@ -35,7 +35,7 @@ def base_error(grasp, T):
 
 def test_a_can_is_where_touch_says_it_is(can):
     tracker = tracked(can)
-    with_vision = [o for o in can.observations if o.seen is not None]
+    with_vision = [o for o in can.observations if o.vision is not None]
     seen = [base_error(can, tracker.vision.in_palm(o, o.T_world_palm)) for o in with_vision]
     assert tracker.state == "tracking", tracker.reason
     assert base_error(can, tracker.estimate.T_palm_object) < min(0.004, np.mean(seen))
@@ -87,7 +87,7 @@ def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
 def test_nothing_is_answered_before_anything_is_known(can):
     tracker = Tracker(can.rig, can.model)
     assert tracker.state == "lost"
-    assert tracker.update(replace(can.observations[0], seen=None)) is None
+    assert tracker.update(replace(can.observations[0], vision=None)) is None
     assert (tracker.state, tracker.reason) == ("lost", "no pose yet: neither a start nor vision")
 
 
@@ -96,7 +96,7 @@ def test_a_start_named_by_the_user_needs_no_vision(can):
     start = hs.PosePrior.from_sigmas(off, 0.03, 0.2)
     tracker = Tracker(can.rig, can.model, start=start)
     for seen in can.held:
-        tracker.update(replace(seen, seen=None))
+        tracker.update(replace(seen, vision=None))
     assert tracker.state == "tracking", tracker.reason
     assert base_error(can, tracker.estimate.T_palm_object) < 0.004
 
@@ -129,8 +129,8 @@ def test_a_finger_that_lets_go_is_a_reason_to_correct(can):
 def test_vision_is_a_reason_to_correct(can):
     tracker = tracked(can)
     last, corrections = can.observations[-1], tracker.corrections
-    vision = next(o.seen for o in reversed(can.observations) if o.seen is not None)
-    tracker.update(replace(later(last, 0.02), seen=vision))
+    vision = next(o.vision for o in reversed(can.observations) if o.vision is not None)
+    tracker.update(replace(later(last, 0.02), vision=vision))
     assert tracker.corrections == corrections + 1
 
 
@@ -210,14 +210,14 @@ def test_an_object_neither_touched_nor_seen_for_long_is_lost(can):
 def test_vision_beyond_the_gate_is_left_out_until_five_in_a_row(can):
     tracker = tracked(can)
     last = can.observations[-1]
-    vision = next(o.seen for o in reversed(can.observations) if o.seen is not None)
-    far = SeenPose(se3.moved(vision.T_frame_object, np.array([0.5, 0, 0, 0, 0, 0])), vision.frame)
+    vision = next(o.vision for o in reversed(can.observations) if o.vision is not None)
+    far = PoseMeasurement(se3.moved(vision.T_frame_object, np.array([0.5, 0, 0, 0, 0, 0])), vision.frame)
     before = tracker.smoother.now.T_palm_object
     for k in range(1, 5):
-        tracker.update(replace(later(last, 0.1 * k), seen=far))
+        tracker.update(replace(later(last, 0.1 * k), vision=far))
         np.testing.assert_array_equal(tracker.smoother.now.T_palm_object, before)
     assert tracker.vision.rejected == 4
-    tracker.update(replace(later(last, 0.5), seen=far))
+    tracker.update(replace(later(last, 0.5), vision=far))
     assert np.abs(tracker.smoother.now.T_palm_object - before).max() > 0.1
 
 
@@ -260,12 +260,12 @@ def test_a_camera_the_rig_does_not_have_is_said(can):
 
 def test_memory_stays_flat(can):
     tracker = tracked(can, rate=20.0)
-    last, vision = can.observations[-1], can.observations[0].seen
+    last, vision = can.observations[-1], can.observations[0].vision
 
     def run(first, count):
         for k in range(first, first + count):
             seen = vision if k % 10 == 0 else None
-            tracker.update(replace(later(last, 0.01 * k), seen=seen))
+            tracker.update(replace(later(last, 0.01 * k), vision=seen))
 
     run(1, 100)
     gc.collect()

@@ -1,37 +1,17 @@
 """Recordings: MCAP, rosbag 1 and rosbag 2 to `Observation`s and back, and what was tracked as MCAP, TUM or CSV.
 
-What a reader may rely on:
-
-* **Time** is `header.stamp` [s]. A topic whose stamps are all 0 in its first second (or in its first message, if it
-  begins later) is timed by when it was logged. Joint states are the clock of the rig.
-* **Clocks**: a topic's offset is the median of log time minus stamp over the first second. One that differs from the
-  joint states' by more than 0.1 s is told. By more than 0.5 s it is another clock, and the topic's stamps are shifted
-  by the difference; but a vision pose, an image or a truth that comes up to 2 s later than its stamp was slow, not
-  wrong, and keeps it.
-* **Order**: messages are put in order of stamp through a window of 0.2 s (and the differences of offset that were
-  left as they are). What comes later than that is dropped, and counted as late. So is what follows where stamps go
-  back for good. Joint states that jump ahead by more than 1 s must agree with the next ones, else they are bad.
-* **Observations**: one per joint state message, at its stamp (messages of one stamp give one), with the positions of
-  all that publish joint states (at most 0.1 s old), the newest wrench of each finger (0.05 s), `T_world_palm` from
-  /tf (each link static or 0.1 s), and the newest vision pose and images since the last one (0.2 s).
-* **Counted and left out**: messages of the same topic and stamp beyond the first; messages with NaN or infinity; what
-  cannot be read as its topic's type, in an unknown frame or a wrong unit; readings of a sensor that is stuck (the
-  same six numbers for 0.5 s while another finger's change) or at full scale.
-* **A damaged file** gives what can be read of it; `report.truncated` and `report.sentences()` say what was lost.
-
-Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
+What becomes of the messages is said in `handsight.messages`: a recording is read as a live robot is heard. A damaged
+file gives what can be read of it; `report.truncated` and `report.sentences()` say what was lost.
 """
 
-from handsight.recording.reading import Recording, open_recording
-from handsight.recording.report import Report, TopicReport
-from handsight.recording.results import TrackRow, write_track_csv, write_track_mcap, write_track_tum
-from handsight.recording.writing import RecordingWriter
+from handsight.recording.open import Recording, RecordingReport, open_recording
+from handsight.recording.tracks import TrackRow, write_track_csv, write_track_mcap, write_track_tum
+from handsight.recording.write import RecordingWriter
 
 __all__ = [
     "Recording",
+    "RecordingReport",
     "RecordingWriter",
-    "Report",
-    "TopicReport",
     "TrackRow",
     "open_recording",
     "write_track_csv",

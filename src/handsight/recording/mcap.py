@@ -1,4 +1,4 @@
-"""MCAP files (https://mcap.dev/spec), whole or cut, with or without a summary.
+"""MCAP files (https://mcap.dev/spec), complete or cut, with or without a summary.
 
 The chunks' own headers are the index, so a file that was never closed is read as any other.
 """
@@ -6,46 +6,32 @@ The chunks' own headers are the index, so a file that was never closed is read a
 import mmap
 import struct
 from collections.abc import Collection, Iterator
-from functools import partial
 from pathlib import Path
-from zlib import crc32
 
-from handsight.recording.blocks import Block, Raw, Source, merged, normal_type, seconds, unpacked
+from handsight.messages import RawMessage
+from handsight.recording.chunks import Chunk, ChunkedSource, normal_type, seconds
 
-MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
 MESSAGE_HEAD, CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
-LONGEST_RUN = 1 << 20
-"""Bytes of messages outside chunks that make one block."""
+MAX_RUN = 1 << 20
+"""Bytes of messages outside chunks that are taken as one chunk."""
 
 
-class McapSource(Source):
+class McapSource(ChunkedSource):
     """One `.mcap` file."""
 
+    MAGIC = b"\x89MCAP0\r\n"
+
     def __init__(self, path: Path) -> None:
-        """Index of its chunks; `path` is known to begin as MCAP does."""
-        super().__init__(path)
-        with path.open("rb") as file:
-            self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, str]] = {}
-        self._blocks = list(self._index())
-        # Whoever closed the file repeated its channels at the end; else they are in the chunks.
-        if self.truncated or not self.topics:
-            for block in self._blocks:
-                self._read(frozenset(), block)
+        super().__init__(path)
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
-        return merged(self._blocks, partial(self._read, wanted))
-
-    def close(self) -> None:
-        self._data.close()
-
-    def _index(self) -> Iterator[Block]:
-        size, run = len(self._data), None
-        for op, begin, end in _records(self._data, len(MAGIC), size):
-            if run is not None and (op != MESSAGE or begin - run.offset > LONGEST_RUN):
+    def _index(self) -> Iterator[Chunk]:
+        size, run = len(self.data), None
+        for op, begin, end in _records(self.data, len(self.MAGIC), size):
+            if run is not None and (op != MESSAGE or begin - run.offset > MAX_RUN):
                 yield run
                 run = None
             if op == CHUNK:
@@ -61,36 +47,32 @@ class McapSource(Source):
             if op == MESSAGE and end - begin >= MESSAGE_HEAD.size:
                 run = self._extended(run, begin, end)
             elif op in (SCHEMA, CHANNEL):
-                self._define(op, self._data[begin:end])
+                self._define(op, self.data[begin:end])
         else:
             self.truncated = f"the file ends at byte {size} without MCAP's footer: it was not closed"
         if run is not None:
             yield run
 
-    def _extended(self, run: Block | None, begin: int, end: int) -> Block:
+    def _extended(self, run: Chunk | None, begin: int, end: int) -> Chunk:
         """The run of messages outside chunks with one more."""
-        log = MESSAGE_HEAD.unpack_from(self._data, begin)[2]
+        log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
         offset = begin - RECORD.size if run is None else run.offset
         start = log if run is None else min(run.start, log)
-        return Block(start, offset, end - offset, size=end - offset)
+        return Chunk(start, offset, end - offset, size=end - offset)
 
-    def _chunk(self, begin: int, end: int) -> Iterator[Block]:
-        """The chunk's block, what there is of it."""
+    def _chunk(self, begin: int, end: int) -> Iterator[Chunk]:
+        """The chunk, what there is of it."""
         at = begin + CHUNK_HEAD.size + TEXT.size
         if at > end:
             return
-        start, _, size, crc = CHUNK_HEAD.unpack_from(self._data, begin)
-        name = at + TEXT.unpack_from(self._data, at - TEXT.size)[0]
+        start, _, size, crc = CHUNK_HEAD.unpack_from(self.data, begin)
+        name = at + TEXT.unpack_from(self.data, at - TEXT.size)[0]
         if name + 8 <= end:
-            length = min(int.from_bytes(self._data[name : name + 8], "little"), end - name - 8)
-            compression = self._data[at : min(name, at + 20)].decode("ascii", "replace")
-            yield Block(start, name + 8, length, compression, size, crc)
+            length = min(int.from_bytes(self.data[name : name + 8], "little"), end - name - 8)
+            compression = self.data[at : min(name, at + 20)].decode("ascii", "replace")
+            yield Chunk(start, name + 8, length, compression, size, crc)
 
-    def _read(self, wanted: Collection[str], block: Block) -> list[Raw]:
-        packed = self._data[block.offset : block.offset + block.length]
-        data, fault = unpacked(packed, block.compression, block.size)
-        if fault is None and block.crc and crc32(data) != block.crc:
-            data, fault = b"", "its checksum does not match"
+    def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, read = [], 0
         for op, begin, end in _records(data, 0, len(data)):
             if end > len(data) or op not in (SCHEMA, CHANNEL, MESSAGE):
@@ -99,15 +81,12 @@ class McapSource(Source):
             if op != MESSAGE:
                 self._define(op, data[begin:end])
             elif end - begin >= MESSAGE_HEAD.size:
-                channel, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
-                about = self._channels.get(channel)
-                if about is not None and about[0] in wanted:
-                    found.append(Raw(*about, seconds(log), data[begin + MESSAGE_HEAD.size : end]))
-        if fault is None and read < len(data):
-            fault = f"expected messages, got something else at {read} of {len(data)} bytes"
-        if fault is not None:
-            self.damage[block.offset] = f"chunk at byte {block.offset}: {fault}"
-        return found
+                key, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
+                channel = self._channels.get(key)
+                if channel is not None and channel[0] in wanted:
+                    found.append(RawMessage(*channel, seconds(log), data[begin + MESSAGE_HEAD.size : end]))
+        wrong = f"expected messages, got something else at {read} of {len(data)} bytes"
+        return found, wrong if read < len(data) else None
 
     def _define(self, op: int, data: bytes) -> None:
         """Take in a schema or a channel; one that is no such thing is passed over, with its messages."""

@@ -1,75 +1,61 @@
-"""Bags of ROS 1 (format 2.0), whole or cut, indexed or not: http://wiki.ros.org/Bags/Format/2.0."""
+"""Bags of ROS 1 (format 2.0), complete or cut, indexed or not: http://wiki.ros.org/Bags/Format/2.0."""
 
 import mmap
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-from handsight.recording.blocks import Block, Raw, Source, merged, normal_type, unpacked
+from handsight.messages import RawMessage
+from handsight.recording.chunks import Chunk, ChunkedSource, normal_type
 
-MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CONNECTION = 2, 3, 4, 5, 7
 LENGTH, TIME, ENTRY = struct.Struct("<I"), struct.Struct("<II"), struct.Struct("<III")
-LONGEST_HEADER = 1 << 20
+MAX_HEADER = 1 << 20
 """Bytes; a connection's header holds the definition of its type, and that is its data."""
 
 Fields = dict[bytes, bytes]
 
 
-class Rosbag1Source(Source):
+class Rosbag1Source(ChunkedSource):
     """One `.bag` file."""
 
+    MAGIC = b"#ROSBAG V2.0\n"
+
     def __init__(self, path: Path) -> None:
-        """Index of its chunks; `path` is known to begin as a bag does."""
-        super().__init__(path)
-        with path.open("rb") as file:
-            self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self._connections: dict[bytes, tuple[str, str]] = {}
-        self._blocks = self._index()
-        if self.truncated or not self.topics:
-            for block in self._blocks:
-                self._read(frozenset(), block)
+        super().__init__(path)
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
-        return merged(self._blocks, partial(self._read, wanted))
-
-    def close(self) -> None:
-        self._data.close()
-
-    def _index(self) -> list[Block]:
-        size, blocks, starts = len(self._data), list[Block](), list[int]()
-        closed, at = False, len(MAGIC)
-        for fields, begin, at in _records(self._data, len(MAGIC), size):
+    def _index(self) -> list[Chunk]:
+        size, chunks, starts = len(self.data), list[Chunk](), list[int]()
+        closed, at = False, len(self.MAGIC)
+        for fields, begin, at in _records(self.data, len(self.MAGIC), size):
             op = _op(fields)
             if op == BAG:
                 # Written last, over a placeholder: a recorder that died left 0.
                 closed = 0 < int.from_bytes(fields.get(b"index_pos", b"")[:8], "little") < size
             elif op == CHUNK:
                 # Without an index behind it, a chunk comes after the one before.
-                blocks.append(self._chunk(fields, begin, min(at, size), blocks[-1].start if blocks else 0))
+                chunks.append(self._chunk(fields, begin, min(at, size), chunks[-1].start if chunks else 0))
                 starts.clear()
-            elif op == INDEX and blocks and at <= size:
-                starts += _earliest(self._data[begin:at])
+            elif op == INDEX and chunks and at <= size:
+                starts += _earliest(self.data[begin:at])
                 if starts:
-                    blocks[-1] = replace(blocks[-1], start=min(starts))
+                    chunks[-1] = replace(chunks[-1], start=min(starts))
             elif op == CONNECTION and at <= size:
-                self._define(fields, self._data[begin:at])
+                self._define(fields, self.data[begin:at])
         if at != size:
             self.truncated = f"the file ends at byte {size} in the middle of a record"
         elif not closed:
             self.truncated = f"the file ends at byte {size} without an index: it was not closed"
-        return blocks
+        return chunks
 
-    def _chunk(self, fields: Fields, begin: int, end: int, start: int) -> Block:
+    def _chunk(self, fields: Fields, begin: int, end: int, start: int) -> Chunk:
         compression = fields.get(b"compression", b"")[:20].decode("ascii", "replace")
         size = int.from_bytes(fields.get(b"size", b"")[:8], "little")
-        return Block(start, begin, end - begin, compression, size)
+        return Chunk(start, begin, end - begin, compression, size)
 
-    def _read(self, wanted: Collection[str], block: Block) -> list[Raw]:
-        packed = self._data[block.offset : block.offset + block.length]
-        data, fault = unpacked(packed, block.compression, block.size)
+    def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, end = [], 0
         for fields, begin, end in _records(data, 0, len(data)):
             op = _op(fields)
@@ -78,16 +64,14 @@ class Rosbag1Source(Source):
             if op == CONNECTION:
                 self._define(fields, data[begin:end])
             elif op == MESSAGE:
-                about = self._connections.get(fields.get(b"conn", b""))
+                connection = self._connections.get(fields.get(b"conn", b""))
                 time = fields.get(b"time", b"")
-                if about is not None and about[0] in wanted and len(time) == TIME.size:
+                if connection is not None and connection[0] in wanted and len(time) == TIME.size:
                     sec, nanosec = TIME.unpack(time)
-                    found.append(Raw(*about, "ros1", sec + nanosec * 1e-9, data[begin:end]))
-        if fault is None and end != len(data):
-            fault = "expected whole messages, got a record that ends beyond the chunk"
-        if fault is not None:
-            self.damage[block.offset] = f"chunk at byte {block.offset}: {fault}"
-        return found
+                    log = sec + nanosec * 1e-9
+                    found.append(RawMessage(*connection, "ros1", log, data[begin:end]))
+        wrong = "expected whole messages, got a record that ends beyond the chunk"
+        return found, wrong if end != len(data) else None
 
     def _define(self, fields: Fields, data: bytes) -> None:
         """Take in a connection; one that is no such thing is passed over, with its messages."""
@@ -103,7 +87,7 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fiel
     """Header, first and last byte of each record's data; the last may say that it ends beyond `stop`."""
     while at + LENGTH.size <= stop:
         begin = at + LENGTH.size + LENGTH.unpack_from(data, at)[0]
-        if begin + LENGTH.size > stop or begin - at > LONGEST_HEADER:
+        if begin + LENGTH.size > stop or begin - at > MAX_HEADER:
             yield {}, stop, stop + 1
             return
         fields = _fields(data[at + LENGTH.size : begin])

@@ -57,13 +57,13 @@ def kinect(depth: NDArray[np.float32], amount: float, rng: np.random.Generator) 
     Noise: Nguyen, Izadi and Lovell (2012), axial; quantisation grows with the depth's square.
     """
     z = depth.astype(np.float64)
-    seen = (z > NEAR) & (z < FAR)
+    valid = (z > NEAR) & (z < FAR)
     if amount > 0:
         z = z + amount * (0.0012 + 0.0019 * (z - 0.4) ** 2) * rng.normal(size=z.shape)
         disparity = np.round(1 / (amount * STEP * np.maximum(z, NEAR / 2)))
         z = 1 / (amount * STEP * np.maximum(disparity, 1))
-        seen &= (rng.random(z.shape) > amount * DROPOUT) & ~_lost_at_edges(depth)
-    return np.where(seen, z, np.nan).astype(np.float32)
+        valid &= (rng.random(z.shape) > amount * DROPOUT) & ~_lost_at_edges(depth)
+    return np.where(valid, z, np.nan).astype(np.float32)
 
 
 def _lost_at_edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -28,9 +28,9 @@ class Grasp:
     """Targets of the joints' servos at first [rad]; 0 for those not named."""
     closed: Mapping[str, float]
     """The same at the end."""
-    reach: float = 1.0
+    furthest: float = 1.0
     """How far a finger closes at most, in parts of the way from opening to closed."""
-    enough: float = np.inf
+    stop_force: float = np.inf
     """Force at the tip at which a finger closes no further [N]."""
 
 
@@ -67,11 +67,13 @@ BOX = Grasp(
         TH={4: 0.0, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61},
     ),
 )
-MESH = replace(CAN, opening=_joints(TH={4: -0.7, 3: 1.22, 2: 0.18, 1: 0.0, 0: -0.9}), reach=1.6, enough=1.5)
-"""Any other object: as the can, each finger until it feels the object."""
+MESH = replace(
+    CAN, opening=_joints(TH={4: -0.7, 3: 1.22, 2: 0.18, 1: 0.0, 0: -0.9}), furthest=1.6, stop_force=1.5
+)
+"""Any other object: as the can, each finger until it touches the object."""
 
 
-def drawn(grasp: Grasp, rng: np.random.Generator) -> Grasp:
+def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
     """The same grasp, a little elsewhere: each number uniform within its half width."""
     shift, turn = rng.uniform(-SHIFT, SHIFT, 3), rng.uniform(-TURN, TURN, 3)
     aim = rng.uniform(-AIM, AIM, len(grasp.closed))

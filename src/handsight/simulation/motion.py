@@ -10,7 +10,7 @@ from handsight.simulation.scenario import Motion
 
 HELD, FREED, KEPT = 0.3, 0.4, 0.5
 """After closing [s]: the object is still held in place; it is let go and settles in the hand; the palm waits."""
-_WAY = (
+_LEGS = (
     # seconds, then where at their end: x, y, z [m], turn about the vertical, tilt about the forearm [deg]
     (KEPT, 0.00, 0.00, 0.00, 0, 0),
     (1.5, 0.00, 0.10, 0.00, 0, 0),
@@ -26,8 +26,8 @@ _WAY = (
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """The palm's way from where the grasp was made."""
+class PalmPath:
+    """How the palm moves from where the grasp was made."""
 
     T_world_palm: Array
     """(4, 4) at first."""
@@ -54,8 +54,8 @@ class Way:
         return np.asarray(se3.compose(R, self.pivot + now[:, :3] - R @ self.pivot) @ self.T_world_palm)
 
 
-def way(motion: Motion, T_world_palm: Array, pivot: Array) -> Way:
+def palm_path(motion: Motion, T_world_palm: Array, pivot: Array) -> PalmPath:
     """What the palm does once the object is in the hand."""
-    legs = np.array(_WAY if motion == "manipulate" else _WAY[:1], dtype=np.float64)
+    legs = np.array(_LEGS if motion == "manipulate" else _LEGS[:1], dtype=np.float64)
     legs[:, 4:] = np.deg2rad(legs[:, 4:])
-    return Way(T_world_palm, pivot, legs)
+    return PalmPath(T_world_palm, pivot, legs)

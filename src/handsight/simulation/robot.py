@@ -27,7 +27,7 @@ from handsight.simulation.scene import (
     hand_file,
     tip_shape,
 )
-from handsight.simulation.senses import UNLOADED
+from handsight.simulation.sensors import UNLOADED
 
 SCANNED, SCAN_SEED = 4000, 7
 """Points of a scanned object's cloud."""
@@ -95,14 +95,14 @@ def _hand() -> Hand:
 
 def _finger(name: str, unloaded: Array) -> Finger:
     semi_axes, center_z = tip_shape(name)
-    center = np.array([0.0, 0.0, center_z])
+    center, zero = np.array([0.0, 0.0, center_z]), np.zeros(3)
     calibration = WrenchCalibration(
         bias_force=unloaded[:3],
         bias_torque=unloaded[3:],
         mass=TIP_MASS,
         center_of_mass=center,
-        residual_force=np.zeros(3),
-        residual_torque=np.zeros(3),
+        residual_force=zero,
+        residual_torque=zero,
         condition=1.0,
         reading="on_tip",
     )

@@ -55,11 +55,11 @@ class Nuisances:
     camera_rotation: float = float(np.deg2rad(6.0))
     """Constant: by how much it turns the scene, about the scene's middle, sigma [rad]."""
     vision_position: float = 0.005
-    """From one seen pose to the next: sigma [m]."""
+    """From one pose measurement to the next: sigma [m]."""
     vision_rotation: float = float(np.deg2rad(3.0))
     """[rad]"""
     vision_delay: float = 0.02
-    """How much older a seen pose, or an image, is than its stamp says [s]."""
+    """How much older a pose measurement, or an image, is than its stamp says [s]."""
     table_height: float = 0.003
     """Constant: how much higher the table is than the robot has it, sigma [m]."""
     table_tilt: float = float(np.deg2rad(1.0))
@@ -94,7 +94,7 @@ class Scenario:
 
     object: str = "can"
     """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres, standing along z: its convex hull
-    is what is simulated, closed on until the tips feel it."""
+    is what is simulated, closed on until the tips touch it."""
     seed: int = 0
     """Of everything that is drawn."""
     motion: Motion = "grasp"
@@ -107,8 +107,13 @@ class Scenario:
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
 
     def __post_init__(self) -> None:
-        if self.object not in ("can", "box"):
-            _check_mesh(self.object)
+        known = isinstance(self.object, str) and (
+            self.object in ("can", "box") or Path(self.object).suffix.lower() in MESHES
+        )
+        if not known:
+            raise InvalidInput(
+                f"object: expected can, box or a mesh file ({', '.join(MESHES)}), got {self.object!r:.80}"
+            )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
         if self.motion not in get_args(Motion):
@@ -122,7 +127,7 @@ class Scenario:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TipTouch:
+class TipContact:
     """A contact of a fingertip as the simulator has it: truth to test with, nothing a robot knows."""
 
     finger: str
@@ -143,7 +148,7 @@ class Sample:
     """(4, 4) true."""
     T_world_object: Array
     """(4, 4) true."""
-    contacts_truth: tuple[TipTouch, ...]
+    contacts_truth: tuple[TipContact, ...]
     """Of all fingertips, with whatever they touch."""
     phase: Phase
     """`close`: the fingers close and the object is held in place; `hold`: it is free and the palm is still; `move`."""
@@ -156,14 +161,7 @@ class Sample:
     def forces_object(self) -> Mapping[str, float]:
         """By finger: how hard the object pushes it [N]."""
         total: dict[str, Array] = {}
-        for touch in self.contacts_truth:
-            if touch.other == "object":
-                total[touch.finger] = total.get(touch.finger, np.zeros(3)) + touch.force_palm
+        for contact in self.contacts_truth:
+            if contact.other == "object":
+                total[contact.finger] = total.get(contact.finger, np.zeros(3)) + contact.force_palm
         return {finger: float(np.linalg.norm(force)) for finger, force in total.items()}
-
-
-def _check_mesh(name: object) -> None:
-    if not isinstance(name, str) or Path(name).suffix.lower() not in MESHES:
-        raise InvalidInput(
-            f"object: expected can, box or a mesh file ({', '.join(MESHES)}), got {name!r:.80}"
-        )

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
-from handsight.simulation.senses import Senses
+from handsight.simulation.sensors import Sensors
 from handsight.simulation.world import World
 
 
@@ -16,27 +16,27 @@ def simulate(scenario: Scenario, progress: Callable[[float], None] | None = None
     InvalidFile or InvalidObject for a mesh that cannot be used.
     """
     world = World(scenario)
-    senses = Senses(scenario, world)
+    sensors = Sensors(scenario, world)
     every, steps = round(STEPS_PER_SECOND / scenario.rate), round(world.duration * STEPS_PER_SECOND)
     try:
         for step in range(steps + 1):
             if step:
                 world.step()
             if step % every == 0:
-                world.look()
-                yield _sample(world, senses)
+                world.refresh()
+                yield _sample(world, sensors)
                 if progress is not None:
                     progress(step / steps)
     finally:
-        senses.close()
+        sensors.close()
 
 
-def _sample(world: World, senses: Senses) -> Sample:
+def _sample(world: World, sensors: Sensors) -> Sample:
     return Sample(
-        observation=senses.observe(),
+        observation=sensors.observe(),
         T_palm_object=world.T_palm_object(),
-        T_world_object=senses.T_world_scene @ world.pose("object"),
-        contacts_truth=world.touches(),
+        T_world_object=sensors.T_world_scene @ world.pose("object"),
+        contacts_truth=world.tip_contacts(),
         phase=world.phase,
         dropped=world.dropped(),
         configuration=world.data.qpos.copy(),

@@ -8,9 +8,9 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.simulation.grasps import BOX, CAN, CLOSING, MESH, Grasp, drawn
-from handsight.simulation.motion import FREED, HELD, KEPT, Way, way
-from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipTouch
+from handsight.simulation.grasps import BOX, CAN, CLOSING, MESH, Grasp, perturbed
+from handsight.simulation.motion import FREED, HELD, KEPT, palm_path
+from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
 from handsight.simulation.scene import FINGERS, T_MOUNT_PALM, Scene, mujoco_module, scene
 
 SETTLE = 0.15
@@ -21,9 +21,9 @@ AWAY = np.array([0.0, 0.0, 3.0])
 """Where the object waits meanwhile [m]."""
 PALM_ABOVE_TABLE = 0.0468
 """Of a grasp on any object [m]: lower, the palm's edge touches the table."""
-FARTHEST, FURTHEST = 0.03, 0.5
+MAX_SHIFT, MAX_TURN = 0.03, 0.5
 """How far [m], and by what angle [rad], an object moves in a grasp that holds it."""
-OVERLAP = 0.003
+MAX_OVERLAP = 0.003
 """Of the open hand and the object [m]: more, and it does not fit in."""
 
 
@@ -36,15 +36,15 @@ class World:
         self.scene = scene(scenario.object)
         self.data: Any = self._mujoco.MjData(self.scene.model)
         grasp = _grasp(scenario, self.scene)
-        self.grasp = drawn(grasp, np.random.default_rng((int(scenario.seed), 1)))
+        self.grasp = perturbed(grasp, np.random.default_rng((int(scenario.seed), 1)))
         middle = np.array([0.0, 0.0, self.scene.size_object[2] / 2])
         T_world_middle = se3.compose(R_WORLD_PALM @ grasp.T_palm_middle[:3, :3], middle)
         T_middle_object = se3.compose(np.eye(3), -self.scene.center_object)
         self.T_world_object_begin = T_world_middle @ T_middle_object
-        self.way: Way = way(scenario.motion, T_world_middle @ se3.inverse(self.grasp.T_palm_middle), middle)
-        self.duration = CLOSING + HELD + FREED + self.way.duration
+        self.path = palm_path(scenario.motion, T_world_middle @ se3.inverse(self.grasp.T_palm_middle), middle)
+        self.duration = CLOSING + HELD + FREED + self.path.duration
         times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
-        self._arm = _rows(self.way.at(times - (CLOSING + HELD + FREED)) @ se3.inverse(T_MOUNT_PALM))
+        self._arm = _rows(self.path.at(times - (CLOSING + HELD + FREED)) @ se3.inverse(T_MOUNT_PALM))
         self._begin, self._away = _rows(np.array([self.T_world_object_begin, se3.compose(np.eye(3), AWAY)]))
         self.steps = 0
         self._closed = dict.fromkeys(FINGERS, 0.0)
@@ -61,7 +61,7 @@ class World:
         """What is going on."""
         if self.time < CLOSING + HELD:
             return "close"
-        moves = len(self.way.legs) > 1  # the first is to wait
+        moves = len(self.path.legs) > 1  # the first is to wait
         return "move" if moves and self.time >= CLOSING + HELD + FREED + KEPT else "hold"
 
     def step(self) -> None:
@@ -75,7 +75,7 @@ class World:
         self._mujoco.mj_step(self.scene.model, self.data)
         self.steps += 1
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Poses and sensors of this very instant: a step leaves those of its beginning behind."""
         if self.phase == "close":
             self._hold_object(self._begin)
@@ -100,19 +100,19 @@ class World:
         if self._T_palm_object_freed is None:
             return False
         moved = se3.difference(self.T_palm_object(), self._T_palm_object_freed)
-        return bool(np.linalg.norm(moved[:3]) > FARTHEST or np.linalg.norm(moved[3:]) > FURTHEST)
+        return bool(np.linalg.norm(moved[:3]) > MAX_SHIFT or np.linalg.norm(moved[3:]) > MAX_TURN)
 
-    def touches(self) -> tuple[TipTouch, ...]:
-        """The tips' contacts with whatever they touch."""
+    def tip_contacts(self) -> tuple[TipContact, ...]:
+        """The fingertips' contacts with whatever they touch."""
         T_palm_world = se3.inverse(self.pose("palm"))
-        found = []
-        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
-            for k, geom in enumerate(contact.geom):
-                if int(geom) in self.scene.tips and contact.exclude == 0:
-                    found.append(self._touch(i, contact, k, T_palm_world))
-        return tuple(found)
+        return tuple(
+            self._tip_contact(i, contact, side, T_palm_world)
+            for i, contact in enumerate(self.data.contact[: self.data.ncon])
+            for side, geom in enumerate(contact.geom)
+            if int(geom) in self.scene.tips and contact.exclude == 0
+        )
 
-    def _touch(self, i: int, contact: Any, side: int, T_palm_world: Array) -> TipTouch:
+    def _tip_contact(self, i: int, contact: Any, side: int, T_palm_world: Array) -> TipContact:
         """Contact i as its first or second geom, a tip, has it."""
         sign = 1.0 if side == 1 else -1.0  # MuJoCo's normal and force are from the first geom to the second
         axes = np.asarray(contact.frame).reshape(3, 3)
@@ -120,7 +120,7 @@ class World:
         self._mujoco.mj_contactForce(self.scene.model, self.data, i, wrench)
         # A contact's position is in the middle of the overlap.
         point = contact.pos + sign * contact.dist / 2 * axes[0]
-        return TipTouch(
+        return TipContact(
             finger=self.scene.tips[int(contact.geom[side])],
             point_palm=se3.apply(T_palm_world, point[None])[0],
             force_palm=T_palm_world[:3, :3] @ (sign * axes.T @ wrench[:3]),
@@ -137,9 +137,9 @@ class World:
         for _ in range(round(SETTLE * STEPS_PER_SECOND)):
             self._hold_object(self._away)
             self._mujoco.mj_step(self.scene.model, self.data)
-        self.look()
+        self.refresh()
         deepest = min((c.dist for c in self.data.contact[: self.data.ncon] if self._of_hand(c)), default=0.0)
-        if deepest < -OVERLAP:
+        if deepest < -MAX_OVERLAP:
             size = " x ".join(f"{1000 * side:.0f}" for side in self.scene.size_object)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
 
@@ -149,19 +149,19 @@ class World:
         return self.scene.bodies["object"] in of and 0 not in of
 
     def _hold_object(self, row: Array) -> None:
-        self.data.qpos[self.scene.object_q : self.scene.object_q + 7] = row
-        self.data.qvel[self.scene.object_v : self.scene.object_v + 6] = 0.0
+        q, v = self.scene.object_q, self.scene.object_v
+        self.data.qpos[q : q + 7], self.data.qvel[v : v + 6] = row, 0.0
 
     def _move_arm(self) -> None:
         row = self._arm[min(self.steps, len(self._arm) - 1)]
         self.data.mocap_pos[0], self.data.mocap_quat[0] = row[:3], row[3:]
 
     def _close_fingers(self) -> None:
-        """Moves the servos' targets on, of those fingers that do not feel enough yet."""
+        """Moves the servos' targets on, of those fingers that do not press enough yet."""
         for finger in FINGERS:
-            if np.linalg.norm(self.reading(finger)[:3]) < self.grasp.enough:
-                further = self._closed[finger] + self.grasp.reach / (CLOSING * STEPS_PER_SECOND)
-                self._closed[finger] = min(further, self.grasp.reach)
+            if np.linalg.norm(self.reading(finger)[:3]) < self.grasp.stop_force:
+                further = self._closed[finger] + self.grasp.furthest / (CLOSING * STEPS_PER_SECOND)
+                self._closed[finger] = min(further, self.grasp.furthest)
         for joint, angle in self.grasp.closed.items():
             begin = self.grasp.opening.get(joint, 0.0)
             share = self._closed[joint.removeprefix("robot0:")[:2].lower()]

@@ -9,7 +9,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
-from handsight.observation import Observation, SeenPose
+from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig
 from handsight.tracking.smoother import PoseBiasSmoother
 
@@ -39,7 +39,7 @@ class VisionUpdate:
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
     ) -> PoseBiasSmoother | None:
         """The smoother after an observation; the same one (or None) where that has no pose, or none that can be."""
-        seen = observation.seen
+        seen = observation.vision
         if seen is None:
             return smoother
         mount = self._mount_of(seen)
@@ -57,7 +57,7 @@ class VisionUpdate:
 
     def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""
-        seen = observation.seen
+        seen = observation.vision
         if seen is None:
             return None
         T_mount_palm = np.eye(4) if self._mount_of(seen) == "palm" else T_world_palm
@@ -71,14 +71,14 @@ class VisionUpdate:
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
         return PoseBiasSmoother.from_prior(T_palm_object, covariance, bias, pivot)
 
-    def _mount_of(self, seen: SeenPose) -> Mount:
+    def _mount_of(self, seen: PoseMeasurement) -> Mount:
         if seen.frame == "camera":
             if self._rig.camera is None:
-                raise InvalidInput("seen.frame: expected world or palm (the rig has no camera), got 'camera'")
+                raise InvalidInput("vision.frame: expected world or palm (the rig has no camera), got 'camera'")
             return self._rig.camera.on
         return seen.frame
 
-    def _in_mount(self, seen: SeenPose) -> tuple[Array, Array]:
+    def _in_mount(self, seen: PoseMeasurement) -> tuple[Array, Array]:
         """The measured pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
         T_mount_frame = self.camera.T_mount_camera if seen.frame == "camera" else np.eye(4)
         if seen.covariance is None:

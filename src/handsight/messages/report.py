@@ -1,14 +1,25 @@
-"""What was in a recording and what of it was used, as numbers and as sentences for the user."""
+"""What messages came and what of them was used, as numbers and as sentences for the user."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-LONGEST_GAP = 0.1
+from handsight.messages.topics import WRENCH
+
+MAX_GAP = 0.1
 """Joint states farther apart are counted as a gap [s]."""
-TOLD_OFFSET = 0.1
+MAX_QUIET_DIFFERENCE = 0.1
 """Clocks farther apart are told [s]."""
-MOST_REASONS = 8
+MAX_REASONS = 8
 """Different reasons that are kept for a topic; a message's own words may be among them."""
+
+
+class MessageRejected(Exception):
+    """A message that is not used, and why; never leaves this package."""
+
+    def __init__(self, reason: str, *, nan: bool = False) -> None:
+        """`nan`: it is one that holds NaN or infinity."""
+        super().__init__(reason)
+        self.nan = nan
 
 
 @dataclass(slots=True)
@@ -58,14 +69,11 @@ class TopicReport:
             return None
         return (self.used + self.stale - 1) / (self.last - self.first)
 
-    def refuse(self, reason: str, *, nan: bool = False) -> None:
-        """Count a message as nan or bad."""
-        self.nan, self.bad = self.nan + nan, self.bad + (not nan)
-        self.note(reason)
-
-    def note(self, reason: str) -> None:
-        """Remember why a message was not used."""
-        if reason not in self.reasons and len(self.reasons) >= MOST_REASONS:
+    def reject(self, error: MessageRejected) -> None:
+        """Count a message as nan or bad, and why."""
+        self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
+        reason = str(error)
+        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
             reason = "other reasons"
         self.reasons[reason] = self.reasons.get(reason, 0) + 1
 
@@ -77,7 +85,7 @@ class TopicReport:
             return
         gap = stamp - self.last
         self.gap = max(self.gap, gap)
-        self.gaps += gap > LONGEST_GAP
+        self.gaps += gap > MAX_GAP
         self.last = max(self.last, stamp)
 
     def sentences(self) -> Iterator[str]:
@@ -93,22 +101,21 @@ class TopicReport:
             yield f"{self.topic}: {count} of {self.messages} messages left out: {reason}"
         if self.unstamped:
             yield f"{self.topic}: no stamps (all 0); timed by when it was recorded"
-        if abs(self.difference) > TOLD_OFFSET:
+        if abs(self.difference) > MAX_QUIET_DIFFERENCE:
             what = "shifted by that: another clock" if self.shifted else "left as they are"
             yield f"{self.topic}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
 
 
 @dataclass(slots=True)
 class Report:
-    """What a recording held, as far as it was read."""
+    """What was heard on the topics of a rig so far."""
 
-    path: str
+    joint_states: str
+    """The topic whose stamps are the clock."""
     topics: dict[str, TopicReport] = field(default_factory=dict)
-    """By name; those the rig listens to and the recording has."""
+    """By name; those the rig listens to and that are there."""
     others: dict[str, str] = field(default_factory=dict)
     """Type by topic, of those the rig does not listen to."""
-    unknown_wrenches: tuple[str, ...] = ()
-    """Topics of wrenches that belong to no finger of the rig."""
     observations: int = 0
     """How many were made."""
     placed: int = 0
@@ -120,51 +127,45 @@ class Report:
     backwards: tuple[int, float, float] | None = None
     """Joint states whose stamp is more than 1 s before an earlier one's: how many, how far back at most [s], and the
     stamp from where the first of them went back [s]."""
-    truncated: str | None = None
-    """Where the file ends too early; None: it is whole."""
-    damage: tuple[str, ...] = ()
-    """What in the file could not be read."""
     ended: bool = False
-    """Whether it was read to its end."""
+    """Whether all messages have come."""
+
+    @property
+    def unknown_wrenches(self) -> tuple[str, ...]:
+        """Topics of wrenches that belong to no finger of the rig."""
+        return tuple(sorted(topic for topic, kind in self.others.items() if kind == WRENCH))
 
     @property
     def first(self) -> float | None:
         """Stamp of the first joint states [s]."""
-        return self._joints.first if self._joints else None
+        return self._joints.first
 
     @property
     def last(self) -> float | None:
         """Stamp of the last joint states [s]."""
-        return self._joints.last if self._joints else None
+        return self._joints.last
 
     @property
-    def _joints(self) -> TopicReport | None:
-        return next(iter(self.topics.values()), None)
+    def _joints(self) -> TopicReport:
+        return self.topics.get(self.joint_states) or TopicReport(self.joint_states)
 
     def sentences(self) -> list[str]:
         """All that is worth telling a user, worst first; empty: nothing is wrong."""
-        said = []
-        if self.truncated:
-            said.append(f"{self.path}: cut: {self.truncated}; what lies before was read")
-        said += [f"{self.path}: damaged: {part}" for part in self.damage[:5]]
-        if len(self.damage) > 5:
-            said.append(f"{self.path}: damaged in {len(self.damage) - 5} more places")
+        said, joints = [], self._joints
         if self.backwards:
             count, far, stamp = self.backwards
             said.append(
-                f"{self._joints.topic if self._joints else ''}: stamps go back by up to {far:.3f} s from "
+                f"{joints.topic}: stamps go back by up to {far:.3f} s from "
                 f"{stamp:.3f} s on ({count} messages; played in a loop, or a clock that was set back?)"
             )
         said += [f"finger {finger}: {what}" for finger, what in self.fingers.items()]
         for topic in self.topics.values():
             said += topic.sentences()
-        if self._joints is not None and self._joints.gaps:
+        if joints.gaps:
             said.append(
-                f"{self._joints.topic}: {self._joints.gaps} gaps of more than {LONGEST_GAP} s, "
-                f"the longest {self._joints.gap:.3f} s"
+                f"{joints.topic}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
             )
         for finger, count in self.without.items():
-            if count:
-                said.append(f"finger {finger}: no wrench in {count} of {self.observations} observations")
+            said.append(f"finger {finger}: no wrench in {count} of {self.observations} observations")
         said += [f"{topic}: wrenches of no finger of the rig; not used" for topic in self.unknown_wrenches]
         return said

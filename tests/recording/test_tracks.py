@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from handsight import se3
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.observation import Observation, SeenPose
+from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, TrackRow, write_track_csv, write_track_mcap, write_track_tum
-from recording.bags import START, Messages, rig
+from messages.ros import START, Messages, rig
 
 RNG = np.random.default_rng(0)
 SIGMAS = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])
@@ -120,7 +120,7 @@ def test_a_row_is_checked():
             Observation(1.0, T_world_palm=np.eye(4)),
             r"topics.tf: expected a topic in the rig to write to, got none",
         ),
-        (Observation(1.0, seen=SeenPose(np.eye(4))), r"topics.vision: expected a topic"),
+        (Observation(1.0, vision=PoseMeasurement(np.eye(4))), r"topics.vision: expected a topic"),
         (Observation(1.0, depth=np.ones((2, 2), np.float32)), r"topics.depth: expected a topic"),
         (Observation(1.0, color=np.ones((2, 2, 3), np.uint8)), r"topics.color: expected a topic"),
     ],

@@ -1,41 +1,34 @@
-"""What all kinds of recording files have in common: raw messages, and the blocks they lie in.
+"""What all kinds of recording files have in common: raw messages, and the chunks they lie in.
 
 Files are hostile until read: no length is believed beyond the file's own, nothing is unpacked beyond a limit.
 """
 
+import mmap
 import sys
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
+from zlib import crc32
 
 from handsight.errors import MissingExtra
+from handsight.messages import RawMessage
 
-LARGEST_BLOCK = 1 << 27
-"""Bytes that a block may unpack to; recorders write 1 to 16 MiB."""
-LARGEST_WAITING = 1 << 28
-"""Bytes that overlapping blocks may hold back until their turn."""
+MAX_UNPACKED = 1 << 27
+"""Bytes that a chunk may unpack to; recorders write 1 to 16 MiB."""
+MAX_WAITING_BYTES = 1 << 28
+"""Bytes that overlapping chunks may hold back until their turn."""
 PIECE = 1 << 16
 """Bytes unpacked at a time: what came before a fault is kept."""
 
 
-class Raw(NamedTuple):
-    """One message as it lies in the file."""
-
-    topic: str
-    type: str
-    """As ROS 2 writes it: `package/msg/Name`."""
-    encoding: str
-    """`cdr` of ROS 2, `ros1`, or what else the file says."""
-    log: float
-    """When it was recorded [s]."""
-    data: bytes
-
-
 class Source(ABC):
     """A recording file, open."""
+
+    MAGIC: ClassVar[bytes]
+    """What such a file begins with."""
 
     def __init__(self, path: Path) -> None:
         """Nothing known of it yet but its name."""
@@ -43,12 +36,12 @@ class Source(ABC):
         self.topics: dict[str, str] = {}
         """Type by topic, of all that was recorded."""
         self.truncated: str | None = None
-        """Where the file ends too early; None: it is whole."""
+        """Where the file ends too early; None: it is complete."""
         self.damage: dict[int, str] = {}
         """By byte: what of it could not be read."""
 
     @abstractmethod
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Messages on the wanted topics in order of log time, from the first, each time it is called."""
 
     @abstractmethod
@@ -57,7 +50,7 @@ class Source(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class Chunk:
     """A stretch of the file that is read in one go."""
 
     start: int
@@ -74,6 +67,57 @@ class Block:
     """CRC-32 of the unpacked bytes; 0: not given."""
 
 
+class ChunkedSource(Source):
+    """A file of chunks, which are found first and read when their turn comes."""
+
+    def __init__(self, path: Path) -> None:
+        """Index of its chunks; `path` is known to begin with MAGIC."""
+        super().__init__(path)
+        with path.open("rb") as file:
+            self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._chunks = list(self._index())
+        # Whoever closed the file repeated its topics outside the chunks; else they are only in them.
+        if self.truncated or not self.topics:
+            for chunk in self._chunks:
+                self._read(frozenset(), chunk)
+
+    @abstractmethod
+    def _index(self) -> Iterable[Chunk]:
+        """The chunks as they lie in `data`; topics and where the file ends too early are noted."""
+
+    @abstractmethod
+    def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
+        """The messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
+
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.messages`, as far as MAX_WAITING_BYTES reaches."""
+        waiting: list[RawMessage] = []
+        for chunk in sorted(self._chunks, key=lambda chunk: chunk.start):
+            ready = bisect_left(waiting, seconds(chunk.start), key=lambda raw: raw.log_time)
+            yield from waiting[:ready]
+            del waiting[:ready]
+            waiting += self._read(wanted, chunk)
+            waiting.sort(key=lambda raw: raw.log_time)
+            if sum(len(raw.data) for raw in waiting) > MAX_WAITING_BYTES:
+                yield from waiting
+                waiting.clear()
+        yield from waiting
+
+    def _read(self, wanted: Collection[str], chunk: Chunk) -> list[RawMessage]:
+        packed = self.data[chunk.offset : chunk.offset + chunk.length]
+        data, fault = unpacked(packed, chunk.compression, chunk.size)
+        if fault is None and chunk.crc and crc32(data) != chunk.crc:
+            data, fault = b"", "its checksum does not match"
+        found, wrong = self._parse(data, wanted)
+        if fault or wrong:
+            self.damage[chunk.offset] = f"chunk at byte {chunk.offset}: {fault or wrong}"
+        return found
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self.data.close()
+
+
 def seconds(nanoseconds: int) -> float:
     """As the stamps of messages are made: equal times are equal numbers."""
     sec, rest = divmod(nanoseconds, 10**9)
@@ -86,25 +130,10 @@ def normal_type(name: str) -> str:
     return f"{package}/msg/{rest}" if rest and "/" not in rest else name
 
 
-def merged(blocks: Iterable[Block], read: Callable[[Block], list[Raw]]) -> Iterator[Raw]:
-    """The messages of all blocks in order of log time, as far as LARGEST_WAITING reaches."""
-    waiting: list[Raw] = []
-    for block in sorted(blocks, key=lambda block: block.start):
-        ready = bisect_left(waiting, seconds(block.start), key=lambda raw: raw.log)
-        yield from waiting[:ready]
-        del waiting[:ready]
-        waiting += read(block)
-        waiting.sort(key=lambda raw: raw.log)
-        if sum(len(raw.data) for raw in waiting) > LARGEST_WAITING:
-            yield from waiting
-            waiting.clear()
-    yield from waiting
-
-
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
     """At most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing)."""
-    if size > LARGEST_BLOCK:
-        return b"", f"says it unpacks to {size} bytes, at most {LARGEST_BLOCK} are read"
+    if size > MAX_UNPACKED:
+        return b"", f"says it unpacks to {size} bytes, at most {MAX_UNPACKED} are read"
     if compression in ("", "none"):
         return data[:size], None if len(data) >= size else f"expected {size} bytes, got {len(data)}"
     new = _unpacker(compression)
@@ -119,7 +148,7 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
                 piece = b""
                 if unpacker.eof:  # several frames may follow one another
                     piece, unpacker = unpacker.unused_data or b"", new()
-    except Exception as error:  # each library has errors of its own; what came before is kept
+    except Exception as error:  # each library has errors of its own on broken bytes; what came before is kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
 

@@ -1,17 +1,19 @@
 """What was tracked, as MCAP, TUM text and CSV. Rows without a pose are in the CSV only."""
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.recording.messages import POSE_COVARIANCE
-from handsight.recording.writing import McapFile
+from handsight.messages.topics import POSE_COVARIANCE
+from handsight.recording.write import McapFile, header, pose_with_covariance
 
 TOPIC = "/handsight/pose"
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -48,27 +50,20 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
     Raises InvalidFile, and MissingExtra without rosbags.
     """
-    file = McapFile(Path(path))
-    try:
+    with McapFile(Path(path)) as file:
         for row in rows:
             if row.T_palm_object is not None:
-                pose = file.pose_with_covariance(row.T_palm_object, row.covariance)
-                fields = {"header": file.header(row.stamp, frame), "pose": pose}
+                pose = pose_with_covariance(row.T_palm_object, row.covariance)
+                fields = {"header": header(row.stamp, frame), "pose": pose}
                 file.write(TOPIC, POSE_COVARIANCE, row.stamp, fields)
-    finally:
-        file.close()
 
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
-    try:
-        with Path(path).open("w", encoding="utf-8") as file:
-            for row in rows:
-                if row.T_palm_object is not None:
-                    numbers = " ".join(f"{value:.9f}" for value in _pose(row.T_palm_object))
-                    file.write(f"{row.stamp:.9f} {numbers}\n")
-    except OSError as error:
-        raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
+    with _writing(path) as file:
+        for row in rows:
+            if row.T_palm_object is not None:
+                file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
 
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
@@ -76,21 +71,25 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
     Raises InvalidFile.
     """
+    with _writing(path) as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
+        for row in rows:
+            pose = [""] * 7 if row.T_palm_object is None else _pose(row.T_palm_object)
+            sigmas = [""] * 6
+            if row.covariance is not None:
+                sigmas = [f"{x:.6g}" for x in np.sqrt(np.diagonal(row.covariance))]
+            table.writerow([f"{row.stamp:.9f}", row.state, row.reason, *pose, *sigmas])
+
+
+@contextmanager
+def _writing(path: str | Path) -> Iterator[TextIO]:
     try:
         with Path(path).open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
-            for row in rows:
-                pose = (
-                    [""] * 7 if row.T_palm_object is None else [f"{x:.9f}" for x in _pose(row.T_palm_object)]
-                )
-                sigmas = [""] * 6
-                if row.covariance is not None:
-                    sigmas = [f"{x:.6g}" for x in np.sqrt(np.diagonal(row.covariance))]
-                table.writerow([f"{row.stamp:.9f}", row.state, row.reason, *pose, *sigmas])
+            yield file
     except OSError as error:
         raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _pose(T: Array) -> list[float]:
-    return [*T[:3, 3].tolist(), *se3.quaternion_from_rotation(T[:3, :3]).tolist()]
+def _pose(T: Array) -> list[str]:
+    return [f"{x:.9f}" for x in (*T[:3, 3], *se3.quaternion_from_rotation(T[:3, :3]))]

@@ -3,19 +3,19 @@ import pytest
 
 from handsight import se3
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.simulation import Nuisances, Scenario, looking, model_of, picture, render, rig_of, simulate
+from handsight.simulation import Nuisances, Scenario, looking, model_of, render, rendering, rig_of, simulate
 from handsight.simulation.camera import EDGE, FAR, LOOKS_AT, NEAR, STEP, displacement, kinect
 from simulation.simulated import NONE, only, samples
 
 
-def seen_world(sample):
+def vision_world(sample):
     """(4, 4) where the robot takes the object to be."""
-    return rig_of(Scenario()).camera.T_mount_camera @ sample.observation.seen.T_frame_object
+    return rig_of(Scenario()).camera.T_mount_camera @ sample.observation.vision.T_frame_object
 
 
 def test_without_nuisances_vision_is_right():
     for sample in samples():
-        np.testing.assert_allclose(seen_world(sample), sample.T_world_object, atol=1e-12)
+        np.testing.assert_allclose(vision_world(sample), sample.T_world_object, atol=1e-12)
 
 
 def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
@@ -32,9 +32,9 @@ def test_a_wrong_camera_is_wrong_by_one_rigid_motion_of_the_world():
     nuisances = only(camera_position=0.08, camera_height=0.064, camera_rotation=0.1)
     T_believed_true = displacement(nuisances, 4)
     for sample in samples("can", 4, "manipulate", 5.0, nuisances):
-        if sample.observation.seen is not None:
+        if sample.observation.vision is not None:
             np.testing.assert_allclose(
-                seen_world(sample), T_believed_true @ sample.T_world_object, atol=1e-12
+                vision_world(sample), T_believed_true @ sample.T_world_object, atol=1e-12
             )
 
 
@@ -42,7 +42,7 @@ def test_white_noise_of_vision_has_the_size_it_is_told():
     run = samples("can", 0, "manipulate", 10.0, only(vision_position=0.005, vision_rotation=0.05))
     camera = se3.inverse(rig_of(Scenario()).camera.T_mount_camera)
     wrong = np.array(
-        [se3.difference(s.observation.seen.T_frame_object, camera @ s.T_world_object) for s in run]
+        [se3.difference(s.observation.vision.T_frame_object, camera @ s.T_world_object) for s in run]
     )
     np.testing.assert_allclose(wrong[:, :3].std(axis=0), 0.005, rtol=0.2)
     np.testing.assert_allclose(wrong[:, 3:].std(axis=0), 0.05, rtol=0.2)
@@ -51,12 +51,12 @@ def test_white_noise_of_vision_has_the_size_it_is_told():
 def test_a_late_pose_is_that_of_a_moment_ago():
     run = samples("can", 0, "manipulate", 10.0, only(vision_delay=0.3))
     for now, then in zip(run[3:], run, strict=False):
-        np.testing.assert_allclose(seen_world(now), then.T_world_object, atol=1e-12)
+        np.testing.assert_allclose(vision_world(now), then.T_world_object, atol=1e-12)
 
 
 def test_poses_come_ten_times_a_second_and_images_thirty_times():
     run = list(simulate(Scenario(rate=50.0, nuisances=NONE)))
-    seen = [s.observation.stamp for s in run if s.observation.seen is not None]
+    seen = [s.observation.stamp for s in run if s.observation.vision is not None]
     np.testing.assert_allclose(np.diff(seen), 0.1, atol=1e-9)
     stream, stamps = simulate(Scenario(rate=50.0, images=True, nuisances=NONE)), []
     for sample, _ in zip(stream, range(11), strict=False):
@@ -143,7 +143,7 @@ def test_what_cannot_be_drawn_is_an_error(monkeypatch):
     def absent(name):
         raise ImportError(f"no library for {name}")
 
-    monkeypatch.setattr(picture, "import_module", absent)
+    monkeypatch.setattr(rendering, "import_module", absent)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     with pytest.raises(
         MissingExtra, match=r"expected EGL or OSMesa .* got egl: no library for mujoco.egl; osmesa: no"

@@ -1,7 +1,7 @@
 """Pictures of the scene, drawn without a screen."""
 
 import os
-from dataclasses import dataclass
+from contextlib import closing
 from importlib import import_module
 from typing import Any
 
@@ -15,21 +15,17 @@ from handsight.simulation.camera import believed_camera
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.scene import FINER, IMAGE_SIZE, Scene, mujoco_module, scene
 
+NO_LIBRARY = (ImportError, RuntimeError, AttributeError, OSError)
+"""What PyOpenGL raises for a missing library."""
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ghost:
-    """A second object in a picture."""
-
-    T_palm_object: Array
-    """(4, 4)"""
-    rgba: tuple[float, float, float, float]
-    """Opacity last, each 0 to 1."""
+Rgba = tuple[float, float, float, float]
+"""Opacity last, each 0 to 1."""
 
 
-class Pictures:
+class Renderer:
     """Draws one scene from any camera pose; to be closed before the next is opened."""
 
     def __init__(self, built: Scene) -> None:
@@ -40,14 +36,7 @@ class Pictures:
         self._context = _context()
         self._context.make_current()
         self._drawn, self._option = mujoco.MjvScene(built.model, maxgeom=400), mujoco.MjvOption()
-        self._option.geomgroup[:] = [
-            1,
-            1,
-            0,
-            0,
-            0,
-            0,
-        ]  # the hand's collision shapes are in 4, what is hidden in 5
+        self._option.geomgroup[:] = [1, 1, 0, 0, 0, 0]  # hand's collision shapes: 4; what is hidden: 5
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, built.camera
         self._device = mujoco.MjrContext(built.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -67,16 +56,21 @@ class Pictures:
         return self._color(), self._depth()
 
     def draw(
-        self, configuration: Array, T_world_camera: Array, *, ghost: Ghost | None, show_object: bool
+        self,
+        configuration: Array,
+        T_world_camera: Array,
+        *,
+        ghost: tuple[Array, Rgba] | None,
+        show_object: bool,
     ) -> Color:
-        """Color (h, w, 3); `ghost` is a second object, seen through the hand where it is less than opaque."""
+        """Color (h, w, 3); `ghost`: T_palm_object (4, 4) and color of a second object, drawn through the hand."""
         self._pose(configuration, T_world_camera)
         geom = self._scene.model.geom("object").id
         for drawn in self._drawn.geoms[: self._drawn.ngeom]:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            self._add(geom, ghost)
+            self._add(geom, *ghost)
         return self._color(finer=FINER)
 
     def _pose(self, configuration: Array, T_world_camera: Array) -> None:
@@ -91,17 +85,17 @@ class Pictures:
             model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
         )
 
-    def _add(self, geom: int, ghost: Ghost) -> None:
+    def _add(self, geom: int, T_palm_object: Array, rgba: Rgba) -> None:
         model, data = self._scene.model, self._data
         body = self._scene.bodies["palm"]
         T_world_palm = se3.compose(data.xmat[body].reshape(3, 3), data.xpos[body])
         # MuJoCo moves a mesh's frame into its own axes of inertia.
         T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], np.roll(model.geom_quat[geom], -1))
-        T = T_world_palm @ ghost.T_palm_object @ T_object_geom
+        T = T_world_palm @ T_palm_object @ T_object_geom
         drawn = self._drawn.geoms[self._drawn.ngeom]
         self._mujoco.mjv_initGeom(
             drawn, int(model.geom_type[geom]), model.geom_size[geom], T[:3, 3], T[:3, :3].ravel(),
-            np.array(ghost.rgba, dtype=np.float32),
+            np.array(rgba, dtype=np.float32),
         )  # fmt: skip
         if model.geom_dataid[geom] >= 0:
             drawn.dataid = 2 * model.geom_dataid[geom]  # the mesh itself; its hull is the next
@@ -137,7 +131,7 @@ def render(
     sample: Sample,
     *,
     ghost: ArrayLike | None = None,
-    color: tuple[float, float, float, float] = (0.95, 0.75, 0.1, 0.6),
+    color: Rgba = (0.95, 0.75, 0.1, 0.6),
     show_object: bool = True,
     T_world_camera: ArrayLike | None = None,
 ) -> Color:
@@ -152,12 +146,9 @@ def render(
     if sample.configuration.shape != (built.model.nq,):
         raise InvalidInput(f"sample: expected one of the scenario's ({scenario.object}), got another scene's")
     T = believed_camera() if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
-    wanted = None if ghost is None else Ghost(se3.check(ghost, "ghost"), color)
-    pictures = Pictures(built)
-    try:
-        return pictures.draw(sample.configuration, T, ghost=wanted, show_object=show_object)
-    finally:
-        pictures.close()
+    wanted = None if ghost is None else (se3.check(ghost, "ghost"), color)
+    with closing(Renderer(built)) as renderer:
+        return renderer.draw(sample.configuration, T, ghost=wanted, show_object=show_object)
 
 
 def _context() -> Any:
@@ -168,12 +159,7 @@ def _context() -> Any:
     for kind in kinds:
         try:
             return import_module(f"mujoco.{kind}").GLContext(*IMAGE_SIZE)
-        except (
-            ImportError,
-            RuntimeError,
-            AttributeError,
-            OSError,
-        ) as error:  # PyOpenGL's for a missing library
+        except NO_LIBRARY as error:
             said.append(f"{kind}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
             os.environ.pop("PYOPENGL_PLATFORM", None)  # which importing it has set
             if platform is not None:

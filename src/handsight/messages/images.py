@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.errors import MissingExtra
+from handsight.messages.report import MessageRejected
 
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
 
-LARGEST_IMAGE = 50_000_000
-"""Pixels."""
-FARTHEST = 20.0
+MAX_PIXELS = 50_000_000
+MAX_MEDIAN_M = 20.0
 """A depth image whose median is beyond it [m] is not in metres."""
-NEAREST_MM = 20
+MIN_MEDIAN_MM = 20
 """A depth image whose median is below it [mm] is not in millimetres."""
 COMPRESSED_DEPTH = struct.Struct("<iff")
 """What `compressed_depth_image_transport` puts before the PNG: a format, and A, B of depth = A / (value - B)."""
@@ -32,17 +32,8 @@ _LAYOUTS: dict[str, tuple[str, int]] = {
 }
 
 
-class Refused(Exception):
-    """A message that is not used, and why; never leaves this package."""
-
-    def __init__(self, reason: str, *, nan: bool = False) -> None:
-        """`nan`: it is one that holds NaN or infinity."""
-        super().__init__(reason)
-        self.nan = nan
-
-
 def color(message: Any) -> Color:
-    """The colour image of an Image or CompressedImage; raises Refused."""
+    """The colour image of an Image or CompressedImage; raises MessageRejected."""
     if hasattr(message, "format"):
         return _opened(bytes(message.data), lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
     pixels = _pixels(message, ("rgb8", "bgr8"))
@@ -50,7 +41,7 @@ def color(message: Any) -> Color:
 
 
 def depth(message: Any) -> Depth:
-    """The depth image of an Image or CompressedImage; raises Refused, also for the wrong unit."""
+    """The depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
     if hasattr(message, "format"):
         return _compressed_depth(bytes(message.data), str(message.format))
     pixels = _pixels(message, ("16UC1", "mono16", "32FC1"))[..., 0]
@@ -60,13 +51,13 @@ def depth(message: Any) -> Depth:
 def _pixels(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
     """(h, w, channels) as the encoding says, rows padded to `step`."""
     if message.encoding not in expected:
-        raise Refused(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
+        raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
     kind, channels = _LAYOUTS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     h, w, step = int(message.height), int(message.width), int(message.step)
     row = w * channels * dtype.itemsize
     if h == 0 or w == 0 or step < row or len(message.data) < step * (h - 1) + row:
-        raise Refused(
+        raise MessageRejected(
             f"expected {h} rows of {step} bytes for {w} x {h} {message.encoding}, got {len(message.data)} bytes"
         )
     data = np.frombuffer(message.data, dtype=np.uint8)
@@ -75,28 +66,32 @@ def _pixels(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
 
 
 def _metres(pixels: NDArray[Any]) -> Depth:
-    """Millimetres if the pixels are integers, else metres; raises Refused where the numbers say otherwise."""
-    whole = pixels.dtype.kind == "u"
+    """Millimetres if the pixels are integers, else metres; raises MessageRejected where the numbers say otherwise."""
+    integers = pixels.dtype.kind == "u"
     metres = pixels.astype(np.float32)
     with np.errstate(invalid="ignore"):
         metres[~((metres > 0) & np.isfinite(metres))] = np.nan
     sample = metres[::4, ::4]
     sample = sample[~np.isnan(sample)]
     median = float(np.median(sample)) if sample.size else None
-    if median is not None and whole and median < NEAREST_MM:
-        raise Refused(f"expected depth in millimetres (16UC1), got a median of {median:g} (another unit?)")
-    if median is not None and not whole and median > FARTHEST:
-        raise Refused(f"expected depth in metres (32FC1), got a median of {median:.4g} (millimetres?)")
-    return metres * np.float32(1e-3) if whole else metres
+    if median is not None and integers and median < MIN_MEDIAN_MM:
+        raise MessageRejected(
+            f"expected depth in millimetres (16UC1), got a median of {median:g} (another unit?)"
+        )
+    if median is not None and not integers and median > MAX_MEDIAN_M:
+        raise MessageRejected(
+            f"expected depth in metres (32FC1), got a median of {median:.4g} (millimetres?)"
+        )
+    return metres * np.float32(1e-3) if integers else metres
 
 
 def _compressed_depth(data: bytes, described: str) -> Depth:
     if "rvl" in described.lower():
-        raise Refused("expected compressed depth as PNG, got RVL")
+        raise MessageRejected("expected compressed depth as PNG, got RVL")
     if "compressedDepth" not in described:
         return _metres(_opened(data, _sixteen_bits))
     if len(data) < COMPRESSED_DEPTH.size:
-        raise Refused(f"expected a header of {COMPRESSED_DEPTH.size} bytes, got {len(data)} bytes")
+        raise MessageRejected(f"expected a header of {COMPRESSED_DEPTH.size} bytes, got {len(data)} bytes")
     _, a, b = COMPRESSED_DEPTH.unpack_from(data)
     values = _opened(data[COMPRESSED_DEPTH.size :], _sixteen_bits)
     if not described.startswith("32FC1"):
@@ -108,12 +103,12 @@ def _compressed_depth(data: bytes, described: str) -> Depth:
 
 def _sixteen_bits(image: Any) -> NDArray[np.uint16]:
     if not image.mode.startswith("I"):
-        raise Refused(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
+        raise MessageRejected(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
     return np.asarray(image).astype(np.uint16)
 
 
 def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
-    """What `read` makes of a PNG or JPEG; raises Refused where it is none, or too large."""
+    """What `read` makes of a PNG or JPEG; raises MessageRejected where it is none, or too large."""
     try:
         from PIL import Image
     except ImportError:
@@ -122,10 +117,10 @@ def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-                if image.width * image.height > LARGEST_IMAGE:
-                    raise Refused(f"expected at most {LARGEST_IMAGE} pixels, got {image.size}")
+                if image.width * image.height > MAX_PIXELS:
+                    raise MessageRejected(f"expected at most {MAX_PIXELS} pixels, got {image.size}")
                 return read(image)
-    except (Refused, MissingExtra):
+    except (MessageRejected, MissingExtra):
         raise
     except Exception as error:  # pillow's plugins raise many kinds; each says that the bytes are no image
-        raise Refused(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None
+        raise MessageRejected(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None

@@ -1,13 +1,13 @@
-"""The sqlite3 files of rosbag 2 (`.db3`), whole or cut."""
+"""The sqlite3 files of rosbag 2 (`.db3`), complete or cut."""
 
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from handsight.errors import InvalidFile
-from handsight.recording.blocks import LARGEST_BLOCK, Raw, Source, normal_type, seconds
+from handsight.messages import RawMessage
+from handsight.recording.chunks import MAX_UNPACKED, Source, normal_type, seconds
 
-MAGIC = b"SQLite format 3\0"
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises; its error messages may themselves be no text."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
@@ -16,6 +16,8 @@ REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage 
 
 class SqliteSource(Source):
     """One `.db3` file."""
+
+    MAGIC = b"SQLite format 3\0"
 
     def __init__(self, path: Path) -> None:
         """Its topics; raises InvalidFile where its tables are not rosbag 2's."""
@@ -33,7 +35,7 @@ class SqliteSource(Source):
         self.topics = {topic: kind for topic, kind, _ in self._topics.values()}
 
     def _open(self) -> None:
-        self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_BLOCK)
+        self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
         self._base.text_factory = _text
         self._base.execute("PRAGMA trusted_schema = OFF")
         if self.truncated:
@@ -46,8 +48,7 @@ class SqliteSource(Source):
         for key, topic, kind, encoding in self._base.execute(f"SELECT {columns} FROM topics"):
             self._topics[key] = (str(topic), normal_type(str(kind)), str(encoding))
 
-    def messages(self, wanted: Collection[str]) -> Iterator[Raw]:
-        """As `Source.messages`."""
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         keys = [key for key, about in self._topics.items() if about[0] in wanted and isinstance(key, int)]
         # The index by time lies all over the file: of a cut one, the rows as they were written.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
@@ -56,7 +57,7 @@ class SqliteSource(Source):
         try:
             for key, log, data in self._base.execute(query):
                 if isinstance(log, int) and isinstance(data, bytes):
-                    yield Raw(*self._topics[key], seconds(log), data)
+                    yield RawMessage(*self._topics[key], seconds(log), data)
         except BROKEN as error:
             self.truncated = self.truncated or f"the file cannot be read to its end ({error})"
 

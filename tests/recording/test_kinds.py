@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.errors import MissingExtra
-from handsight.observation import Observation, SeenPose
+from handsight.errors import InvalidFile, MissingExtra
+from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, open_recording
-from recording.bags import FINGERS, JOINTS, START, Messages, alone, read, rig, save, sights, touched
+from messages.ros import FINGERS, JOINTS, START, Messages, everything, rig, touched
+from recording.bags import alone, read, save
 
 KINDS = [
     ("mcap", None),
@@ -55,9 +56,9 @@ def test_each_kind_of_recording_gives_what_was_written(tmp_path, kind, compressi
 
 @pytest.mark.parametrize(("kind", "ros"), [("mcap", 2), ("db3", 2), ("bag", 1)])
 def test_all_that_a_robot_sees_is_read_of_each_kind(tmp_path, kind, ros):
-    observations, recording = read(save(tmp_path, sights(Messages(ros)), kind))
+    observations, recording = read(save(tmp_path, everything(Messages(ros)), kind))
     assert len(observations) == 10
-    for field in ("seen", "color", "depth"):
+    for field in ("vision", "color", "depth"):
         assert sum(getattr(seen, field) is not None for seen in observations) == 3
     assert all(seen.T_world_palm is not None for seen in observations)
     assert recording.report.sentences() == []
@@ -121,7 +122,7 @@ def sample():
         stamp=12.345678901,
         joint_positions=dict(zip(JOINTS, rng.normal(size=3), strict=True)),
         wrenches={"ff": rng.normal(size=6)},
-        seen=SeenPose(se3.random(rng), "world", np.diag([1, 2, 3, 4, 5, 6.0])),
+        vision=PoseMeasurement(se3.random(rng), "world", np.diag([1, 2, 3, 4, 5, 6.0])),
         T_world_palm=se3.random(rng),
         color=rng.integers(0, 255, size=(24, 32, 3), dtype=np.uint8),
         depth=depth,
@@ -141,17 +142,17 @@ def test_what_the_writer_wrote_comes_back(tmp_path, sample):
     assert set(seen.wrenches) == {"ff"}
     np.testing.assert_array_equal(seen.wrenches["ff"], sample.wrenches["ff"])
     np.testing.assert_allclose(seen.T_world_palm, sample.T_world_palm, atol=1e-12)
-    np.testing.assert_allclose(seen.seen.T_frame_object, sample.seen.T_frame_object, atol=1e-12)
-    assert seen.seen.frame == "world"
-    np.testing.assert_array_equal(seen.seen.covariance, sample.seen.covariance)
+    np.testing.assert_allclose(seen.vision.T_frame_object, sample.vision.T_frame_object, atol=1e-12)
+    assert seen.vision.frame == "world"
+    np.testing.assert_array_equal(seen.vision.covariance, sample.vision.covariance)
     np.testing.assert_array_equal(seen.color, sample.color)
     np.testing.assert_allclose(seen.depth, sample.depth, atol=0.00051)
     assert seen.depth.dtype == np.float32
     ((stamp, T),) = recording.truth
     assert stamp == seen.stamp
     np.testing.assert_allclose(T, T_palm_object, atol=1e-12)
-    np.testing.assert_array_equal(recording.intrinsics, rig().camera.intrinsics)
-    assert recording.lens.size == (32, 24)
+    np.testing.assert_array_equal(recording.intrinsics.matrix, rig().camera.intrinsics)
+    assert recording.intrinsics.size == (32, 24)
 
 
 def test_what_the_writer_wrote_rosbags_reads(tmp_path, sample):
@@ -189,10 +190,10 @@ def test_a_stamp_of_today_survives_to_the_last_bit(tmp_path):
 
 
 def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
-    from handsight.recording import messages
+    from handsight.messages import decode
 
-    path = save(tmp_path, sights(Messages()))
-    messages._typestore.cache_clear()
+    path = save(tmp_path, everything(Messages()))
+    decode._typestore.cache_clear()
     for name in ("rosbags.typesys", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
     with told(), open_recording(path, rig()) as recording:
@@ -208,3 +209,33 @@ def told():
 def test_importing_brings_nothing_of_ros():
     code = "import sys, handsight.recording; sys.exit('rosbags' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_a_recording_without_joint_states_says_what_is_there(tmp_path, kind):
+    messages = Messages(1 if kind == "bag" else 2)
+    rows = [row for row in touched(messages=messages) if row[0] != "/joint_states"]
+    path = save(tmp_path, rows, kind)
+    with pytest.raises(InvalidFile) as error:
+        open_recording(path, rig())
+    assert str(error.value) == (
+        f"{path}: expected joint states on /joint_states, got none; topics there: /ff/wrench, /th/wrench"
+    )
+
+
+def test_a_topic_of_joint_states_without_messages_says_so_at_the_end(tmp_path):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    messages = Messages()
+    with Writer(tmp_path / "a", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        wrench = writer.add_connection(
+            "/ff/wrench", "geometry_msgs/msg/WrenchStamped", typestore=messages.store
+        )
+        writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=messages.store)
+        message = messages.wrench(START, np.ones(6))
+        writer.write(wrench, int(START * 1e9), messages.store.serialize_cdr(message, message.__msgtype__))
+    with (
+        open_recording(tmp_path / "a", rig()) as recording,
+        pytest.raises(InvalidFile, match="expected joint states"),
+    ):
+        list(recording.observations())

@@ -1,4 +1,4 @@
-"""The simulated world to what the robot measures of it, with everything that is wrong about that."""
+"""The simulated world to what the robot measures of it, with all errors of its sensors."""
 
 from collections import deque
 from typing import Any
@@ -7,14 +7,14 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.observation import Observation, SeenPose
+from handsight.observation import Observation, PoseMeasurement
 from handsight.simulation.camera import believed_camera, displacement, kinect
-from handsight.simulation.picture import Pictures
+from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, TIP_MASS, mujoco_module, tip_shape
 from handsight.simulation.world import World
 
-SEEN_PER_SECOND, IMAGES_PER_SECOND = 10.0, 30.0
+VISION_PER_SECOND, IMAGES_PER_SECOND = 10.0, 30.0
 UNLOADED = np.array(
     [
         [0.21, -0.34, 0.12, 0.0021, -0.0013, 0.0008],
@@ -27,11 +27,11 @@ UNLOADED = np.array(
 """What each finger's sensor reads without load [N, N m]: calibration knows it."""
 
 
-class Senses:
-    """Joints, wrenches, camera: errors that are constant are drawn at the start, noise at every look."""
+class Sensors:
+    """Joints, wrenches, camera: errors that are constant are drawn at the start, noise at every sample."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
-        """Draws by the scenario's seed, a stream for each sense, so that none depends on another's settings."""
+        """Draws by the scenario's seed, a stream for each sensor, so that none depends on another's settings."""
         self.scenario, self.world, self.nuisances = scenario, world, scenario.nuisances
         seed, n = int(scenario.seed), scenario.nuisances
         constant = np.random.default_rng((seed, 2))
@@ -47,26 +47,26 @@ class Senses:
         self.T_world_scene = _table(n, np.random.default_rng((seed, 9)))
         self._T_camera_world = se3.inverse(believed_camera()) @ displacement(n, seed)
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
-        self._pictures = Pictures(world.scene) if scenario.images else None
-        self._looks = 0
+        self._renderer = Renderer(world.scene) if scenario.images else None
+        self._samples = 0
         self._angles = list(world.scene.joints.values())
         self._own = {finger: _joints_of(finger, list(world.scene.joints)) for finger in FINGERS}
         self._dofs = np.array(list(world.scene.dofs.values()))
 
     def close(self) -> None:
         """Frees what drew the images."""
-        if self._pictures is not None:
-            self._pictures.close()
+        if self._renderer is not None:
+            self._renderer.close()
 
     def observe(self) -> Observation:
-        """What is measured now; the world must have been looked at."""
+        """What is measured now; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
-        seen = self._seen(T_world_object) if self._due(SEEN_PER_SECOND) else None
+        vision = self._vision_pose(T_world_object) if self._due(VISION_PER_SECOND) else None
         images = {}
-        if self._pictures is not None and self._due(IMAGES_PER_SECOND):
-            images = self._images(self._pictures, configuration)
-        self._looks += 1
+        if self._renderer is not None and self._due(IMAGES_PER_SECOND):
+            images = self._images(self._renderer, configuration)
+        self._samples += 1
         # A load bends the tip, which the joints do not tell: it is as if they were turned the other way.
         bent = self._bent()
         joints = self.world.data.qpos[self._angles] + self._offsets - bent
@@ -75,14 +75,14 @@ class Senses:
             stamp=self.world.time,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
             wrenches=self._wrenches(),
-            seen=seen,
+            vision=vision,
             T_world_palm=self.T_world_scene @ self.world.pose("palm"),
             **images,
         )
 
     def _due(self, per_second: float) -> bool:
-        """Whether something that comes so often comes with this look."""
-        so_far = per_second / self.scenario.rate * np.array([self._looks - 1, self._looks]) + 1e-9
+        """Whether something that comes so often comes with this sample."""
+        so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
 
     def _wrenches(self) -> dict[str, Array]:
@@ -110,14 +110,14 @@ class Senses:
             bent[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
         return bent
 
-    def _seen(self, T_world_object: Array) -> SeenPose:
+    def _vision_pose(self, T_world_object: Array) -> PoseMeasurement:
         sigma = np.repeat([self.nuisances.vision_position, self.nuisances.vision_rotation], 3)
         T_camera_object = self._T_camera_world @ T_world_object
-        return SeenPose(se3.moved(T_camera_object, sigma * self._vision.normal(size=6)), "camera")
+        return PoseMeasurement(se3.moved(T_camera_object, sigma * self._vision.normal(size=6)), "camera")
 
-    def _images(self, pictures: Pictures, configuration: Array) -> dict[str, Any]:
+    def _images(self, renderer: Renderer, configuration: Array) -> dict[str, Any]:
         T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
-        color, depth = pictures.take(configuration, T_scene_camera)
+        color, depth = renderer.take(configuration, T_scene_camera)
         return {"color": color, "depth": kinect(depth, self.nuisances.depth_noise, self._grain)}
 
 

@@ -1,0 +1,142 @@
+"""Measurements in order of stamp to Observations."""
+
+from dataclasses import dataclass
+
+from handsight.checks import Array
+from handsight.messages.decode import Measurement
+from handsight.messages.report import Report
+from handsight.messages.transforms import TransformTree
+from handsight.observation import Observation
+from handsight.rig import Rig
+
+MAX_AGE_JOINTS, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.05, 0.2
+"""Oldest that still counts as now [s]."""
+STUCK = 0.5
+"""A sensor that reads the same for longer, while another's changes, is dead [s]."""
+MIN_STUCK_READINGS = 5
+"""A slow topic says little about itself."""
+AT_FULL_SCALE = 0.999
+
+
+class ObservationAssembler:
+    """What the next observation is made of."""
+
+    def __init__(self, rig: Rig, report: Report, tree: TransformTree) -> None:
+        """What is left out is counted in the report."""
+        self._rig, self._report, self._tree = rig, report, tree
+        self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
+        self._sensors: dict[str, WrenchSensor] = {}
+        self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
+        self._due: float | None = None  # stamp of joint states without an observation
+        self.truth: list[tuple[float, Array]] = []
+        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
+
+    def put(self, measurement: Measurement) -> Observation | None:
+        """The observation of the joint states before this measurement, if it completes it."""
+        done = self.finish() if self._due is not None and measurement.stamp > self._due else None
+        role = measurement.channel.role
+        if role == "joints":
+            self._joints[tuple(measurement.value)] = measurement
+            self._due = measurement.stamp
+        elif role == "wrench":
+            self._take_wrench(measurement)
+        elif role == "tf":
+            self._tree.put(measurement.value, measurement.stamp)
+        elif role == "truth":
+            self.truth.append((measurement.stamp, measurement.value))
+        else:
+            self._vision[role] = measurement
+        return done
+
+    def finish(self) -> Observation | None:
+        """The observation of the newest joint states, if they have none yet."""
+        if self._due is None:
+            return None
+        stamp, self._due = self._due, None
+        self._joints = {
+            names: each for names, each in self._joints.items() if stamp - each.stamp <= MAX_AGE_JOINTS
+        }
+        positions: dict[str, float] = {}
+        for joints in sorted(self._joints.values(), key=lambda each: each.stamp):
+            positions.update(joints.value)
+        vision = {role: each.value for role, each in self._vision.items() if self._is_fresh(each, stamp)}
+        self._vision.clear()
+        world, palm = (self._rig.frames[role].lstrip("/") for role in ("world", "palm"))
+        T_world_palm = self._tree.lookup(world, palm, stamp)
+        self._report.observations += 1
+        self._report.placed += T_world_palm is not None
+        return Observation(
+            stamp, positions, wrenches=self._wrenches(stamp), T_world_palm=T_world_palm, **vision
+        )
+
+    def _is_fresh(self, measurement: Measurement, stamp: float) -> bool:
+        if stamp - measurement.stamp <= MAX_AGE_VISION:
+            return True
+        measurement.report.used -= 1
+        measurement.report.stale += 1
+        return False
+
+    def _wrenches(self, stamp: float) -> dict[str, Array]:
+        found = {}
+        for finger in self._rig.topics.wrenches:
+            sensor = self._sensors.get(finger)
+            if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= MAX_AGE_WRENCH:
+                found[finger] = sensor.wrench
+            else:
+                self._report.without[finger] = self._report.without.get(finger, 0) + 1
+        return found
+
+    def _take_wrench(self, measurement: Measurement) -> None:
+        """Keep a wrench, unless its sensor is at full scale or stuck."""
+        finger, stamp = measurement.channel.finger, measurement.stamp
+        sensor = self._sensors.setdefault(finger, WrenchSensor())
+        sensor.read(measurement.value, stamp)
+        full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
+        if full is not None and sensor.is_saturated(full):
+            sensor.saturated += 1
+            what = f"reads full scale ({full[0]:g} N, {full[1]:g} N m) in {sensor.saturated} messages"
+        elif sensor.is_constant(stamp) and any(
+            other.changed >= stamp - STUCK for other in self._sensors.values() if other is not sensor
+        ):
+            sensor.stuck += 1
+            what = (
+                f"reads the same six numbers beyond {STUCK} s while others change, in {sensor.stuck} messages"
+            )
+        else:
+            return
+        sensor.wrench = None
+        self._report.fingers[finger] = f"{what}: a dead sensor? left out"
+        measurement.report.used -= 1
+        measurement.report.stuck += 1
+
+
+@dataclass(slots=True)
+class WrenchSensor:
+    """What is known of a finger's sensor."""
+
+    wrench: Array | None = None
+    """(6,) the newest; None: it cannot be used."""
+    stamp: float = -float("inf")
+    """Of the newest reading [s]."""
+    reading: tuple[float, ...] = ()
+    changed: float = -float("inf")
+    """When the reading was last another [s]."""
+    repeated: int = 0
+    stuck: int = 0
+    saturated: int = 0
+
+    def read(self, wrench: Array, stamp: float) -> None:
+        """Take in a reading."""
+        self.wrench, self.stamp, reading = wrench, stamp, tuple(wrench.tolist())
+        if reading != self.reading:
+            self.reading, self.changed, self.repeated = reading, stamp, 0
+        self.repeated += 1
+
+    def is_saturated(self, full_scale: tuple[float, float]) -> bool:
+        """Whether force or torque is as large as the sensor can read."""
+        force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
+        return force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]
+
+    def is_constant(self, stamp: float) -> bool:
+        """Whether it has read the same for long."""
+        return self.repeated >= MIN_STUCK_READINGS and stamp - self.changed > STUCK

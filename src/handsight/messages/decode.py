@@ -1,0 +1,203 @@
+"""ROS messages to what an `Observation` is made of; rosbags reads what `fast_cdr` does not."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handsight.checks import Array
+from handsight.errors import InvalidInput, MissingExtra
+from handsight.messages import images
+from handsight.messages.fast_cdr import FastCdrReader
+from handsight.messages.report import MessageRejected, TopicReport
+from handsight.messages.topics import TF, TF_ROS1, TYPES, Channel, RawMessage, Role
+from handsight.messages.transforms import frame_transform, rigid_transform
+from handsight.observation import VISION_FRAMES, PoseMeasurement
+
+
+class CameraIntrinsics(NamedTuple):
+    """What a CameraInfo says."""
+
+    matrix: Array
+    """(3, 3) [pixels]."""
+    size: tuple[int, int]
+    """(width, height) [pixels]."""
+
+
+@dataclass(slots=True, eq=False)
+class Measurement:
+    """What one message, or one transform of /tf, says."""
+
+    channel: Channel
+    report: TopicReport
+    """Its topic's, where it is counted."""
+    stamp: float
+    """As the message says it; later, in the clock of the joint states [s]."""
+    log_time: float
+    """When it was recorded or received [s]."""
+    value: Any
+    """By role: dict of positions; (6,); PoseMeasurement; (4, 4); image; FrameTransform; CameraIntrinsics."""
+
+    @property
+    def size(self) -> int:
+        """About how many bytes it holds."""
+        return 500 + (self.value.nbytes if self.channel.role in ("color", "depth") else 0)
+
+
+class Decoder:
+    """Raw messages to measurements."""
+
+    def __init__(self, frames: Mapping[str, str]) -> None:
+        """`frames`: what messages call world, palm and camera."""
+        self._frames, self._fast = frames, FastCdrReader()
+
+    def decode(self, raw: RawMessage, channel: Channel, report: TopicReport) -> list[Measurement]:
+        """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
+
+        Each is counted in the report as a message, and so is what was rejected, with its reason.
+        """
+        try:
+            if raw.type not in TYPES[channel.role]:
+                expected = " or ".join(TYPES[channel.role])
+                raise MessageRejected(f"expected {expected}, got {raw.type or 'no type'}")
+            if (found := self._decode_fast(raw, channel)) is None:
+                message = _deserialized(raw)
+                if channel.role in ("tf", "tf_static"):
+                    return _transforms(message, raw, channel, report)
+                found = _stamp(message), READERS[channel.role](message, self._frames)
+            report.messages += 1
+            return [Measurement(channel, report, found[0], raw.log_time, found[1])]
+        except MessageRejected as error:
+            report.messages += 1
+            report.reject(error)
+            return []
+
+    def _decode_fast(self, raw: RawMessage, channel: Channel) -> tuple[float, Any] | None:
+        """Stamp and value."""
+        if raw.encoding == "cdr" and channel.role == "wrench" and (wrench := self._fast.wrench(raw.data)):
+            return wrench[0], _wrench(wrench[1])
+        if raw.encoding == "cdr" and channel.role == "joints" and (joints := self._fast.joints(raw.data)):
+            return joints[0], _positions(joints[1], joints[2])
+        return None
+
+
+def _transforms(message: Any, raw: RawMessage, channel: Channel, report: TopicReport) -> list[Measurement]:
+    """Each transform by itself: one that cannot be used does not spoil the others."""
+    found = []
+    for each in message.transforms:
+        report.messages += 1
+        try:
+            value = frame_transform(each)
+            found.append(Measurement(channel, report, _stamp(each), raw.log_time, value))
+        except MessageRejected as error:
+            report.reject(error)
+    return found
+
+
+def _deserialized(raw: RawMessage) -> Any:
+    store = _typestore(raw.encoding)
+    kind = TF if raw.type == TF_ROS1 else raw.type
+    try:
+        if raw.encoding == "ros1":
+            return store.deserialize_ros1(raw.data, kind)
+        return store.deserialize_cdr(raw.data, kind)
+    except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
+        said = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
+        raise MessageRejected(said) from None
+
+
+@lru_cache
+def _typestore(encoding: str) -> Any:
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
+    stores = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
+    if encoding not in stores:
+        raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
+    store = get_typestore(stores[encoding])
+    if TF not in store.types:  # ROS 1's own messages have only its forerunner
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    return store
+
+
+def _stamp(message: Any) -> float:
+    stamp = message.header.stamp
+    return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, float]:
+    if len(names) != len(positions):
+        raise MessageRejected(f"expected as many positions as names, got {len(positions)} for {len(names)}")
+    found = dict(zip(names, positions, strict=True))
+    if len(found) != len(names):
+        raise MessageRejected("expected each joint once, got one name twice")
+    if not all(map(isfinite, positions)):
+        bad = [name for name, position in found.items() if not isfinite(position)]
+        raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
+    return found
+
+
+def _wrench(values: Sequence[float]) -> Array:
+    """(6,)"""
+    if not all(map(isfinite, values)):
+        raise MessageRejected("force or torque is not finite", nan=True)
+    return np.array(values)
+
+
+def _wrench_message(message: Any, _: Mapping[str, str]) -> Array:
+    force, torque = message.wrench.force, message.wrench.torque
+    return _wrench((force.x, force.y, force.z, torque.x, torque.y, torque.z))
+
+
+def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
+    pose, covariance = message.pose, None
+    if hasattr(pose, "covariance"):
+        covariance, pose = np.array(pose.covariance, dtype=np.float64).reshape(6, 6), pose.pose
+    p, q = pose.position, pose.orientation
+    T = rigid_transform((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    if covariance is not None and not np.isfinite(covariance).all():
+        raise MessageRejected("covariance is not finite", nan=True)
+    if covariance is not None and not covariance.any():
+        covariance = None  # what drivers send that do not know it
+    named = message.header.frame_id.lstrip("/")
+    for role in VISION_FRAMES:
+        if frames.get(role, "").lstrip("/") == named:
+            try:
+                return PoseMeasurement(T, role, covariance)
+            except InvalidInput as error:
+                raise MessageRejected(str(error)) from None
+    known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
+    raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
+
+
+def _truth(message: Any, frames: Mapping[str, str]) -> Array:
+    pose = _vision(message, frames)
+    if pose.frame != "palm":
+        raise MessageRejected(
+            f"expected the truth in the palm ({frames.get('palm')!r}), got it in the {pose.frame}"
+        )
+    return pose.T_frame_object
+
+
+def _intrinsics(message: Any, _: Mapping[str, str]) -> CameraIntrinsics:
+    K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
+    if not np.isfinite(K).all():
+        raise MessageRejected("intrinsics are not finite", nan=True)
+    if not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
+    return CameraIntrinsics(K, (int(message.width), int(message.height)))
+
+
+READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {
+    "joints": lambda message, _: _positions(message.name, message.position.tolist()),
+    "wrench": _wrench_message,
+    "vision": _vision,
+    "truth": _truth,
+    "color": lambda message, _: images.color(message),
+    "depth": lambda message, _: images.depth(message),
+    "info": _intrinsics,
+}
