@@ -17,11 +17,11 @@ import numpy as np
 
 import handsight as hs
 import report
+from handsight.cli.simulate import record
+from handsight.cli.terminal import bar
+from handsight.cli.track import run
 from handsight.rig import Rig
-from handsight.simulate_job import record
 from handsight.simulation import Scenario, model_of, rig_of, simulate
-from handsight.terminal import bar
-from handsight.track_job import run
 from handsight.tracking import TrackerSettings
 
 STEP, SEEN_EVERY = 1e-3, 0.1

@@ -14,7 +14,7 @@ from grasp_trials import OBJECTS, exact_model, seen_in_palm
 from handsight import se3
 from handsight.errors import MissingExtra
 from handsight.objects.symmetry import nearest
-from handsight.replay import base_center
+from handsight.tracking.replay import base_center
 from manipulations import WITH_MEAN, recorded, tracked
 
 WAYS = {"can": "maximum, table", "box": "mean, outside, table"}

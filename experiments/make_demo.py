@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
-from handsight.simulate_job import record
+from handsight.cli.simulate import record
 from handsight.simulation import Scenario
 from scenes import BOX, CAN, tilted
 

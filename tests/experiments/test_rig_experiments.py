@@ -16,7 +16,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.replay import errors_of
+from handsight.tracking.replay import errors_of
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 needs_simulator = pytest.mark.skipif(

@@ -12,9 +12,9 @@ from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.observation import SeenPose
-from handsight.replay import errors_of
 from handsight.tracking import Skin, Tracker, TrackerSettings
 from handsight.tracking.answers import point_covariance
+from handsight.tracking.replay import errors_of
 
 
 def tracked(grasp, **settings):

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from handsight import checks
+from handsight.cli.terminal import bar
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.recording import RecordingWriter
 from handsight.rig import ObjectEntry, Rig
 from handsight.rig.writing import write as write_rig
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
-from handsight.terminal import bar
 
 MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""

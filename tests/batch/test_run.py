@@ -10,9 +10,10 @@ from queue import SimpleQueue
 
 import pytest
 
-from handsight import crew, stream
-from handsight.crew import CrewFailure, Processes
-from handsight.stream import Answers, Chunk, Died, Done, Feed, Stream, is_error
+from handsight.batch import crew
+from handsight.batch import run as stream
+from handsight.batch.crew import CrewFailure, Processes
+from handsight.batch.run import Answers, Chunk, Died, Done, Feed, Stream, is_error
 
 
 class Pretended:
@@ -175,7 +176,7 @@ def test_a_file_that_cannot_be_read_on_is_an_error():
 @pytest.fixture
 def fragile(monkeypatch):
     """Runs orders through real worker processes; answers what came back."""
-    monkeypatch.setattr(crew, "PROGRAM", "fragile_worker")
+    monkeypatch.setattr(crew, "PROGRAM", "batch.fragile_worker")
 
     def run(orders, size=2):
         events = SimpleQueue()
@@ -207,7 +208,7 @@ def test_a_line_that_kills_every_worker_is_an_error_in_its_place(fragile):
 
 
 def test_workers_killed_while_they_wait_are_replaced(monkeypatch):
-    monkeypatch.setattr(crew, "PROGRAM", "fragile_worker")
+    monkeypatch.setattr(crew, "PROGRAM", "batch.fragile_worker")
     read, write = os.pipe()
     events = SimpleQueue()
     with Processes(2, ".", events) as hands:
@@ -240,7 +241,7 @@ def test_workers_that_cannot_start_are_an_error(monkeypatch, capfd):
 
 
 def test_leaving_early_ends_the_workers(monkeypatch):
-    monkeypatch.setattr(crew, "PROGRAM", "fragile_worker")
+    monkeypatch.setattr(crew, "PROGRAM", "batch.fragile_worker")
     events = SimpleQueue()
     with Processes(2, ".", events) as hands:
         work = iter(Stream(Feed(source(["say 1", "sleep 60", "sleep 60"]), events), hands, events))

@@ -9,14 +9,14 @@ import threading
 from queue import SimpleQueue
 from typing import Any
 
+from handsight.batch.run import DEATHS, Answers, Chunk, Died, Done, Events, Failed
 from handsight.errors import HandsightError
-from handsight.stream import DEATHS, Answers, Chunk, Died, Done, Events, Failed
 
 ONE_THREAD = dict.fromkeys(
     ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
 """A worker for each core leaves none over for threads."""
-PROGRAM = "handsight.worker"
+PROGRAM = "handsight.batch.worker"
 
 
 class CrewFailure(HandsightError):

@@ -7,8 +7,8 @@ import time
 import uuid
 from typing import Any
 
+from handsight.batch.run import DEATHS, Answers, Chunk, Died, Done, Events, Failed
 from handsight.errors import HandsightError, MissingExtra
-from handsight.stream import DEATHS, Answers, Chunk, Died, Done, Events, Failed
 
 CONNECT_SECONDS = 5
 ASK_SECONDS = 2
@@ -20,9 +20,9 @@ class ClusterFailure(HandsightError):
 
 
 def answer_on_worker(folder: str, lines: list[bytes]) -> Answers:
-    """What runs on the cluster: `handsight.worker.answer_lines`, with one thread for the kernels."""
+    """What runs on the cluster: `handsight.batch.worker.answer_lines`, with one thread for the kernels."""
     from handsight._kernels.threads import alone
-    from handsight.worker import answer_lines
+    from handsight.batch.worker import answer_lines
 
     # Dask has a process or a thread for each core already.
     with alone():

@@ -1,4 +1,4 @@
-"""What a worker does: chunks of lines in, answers out. `python -m handsight.worker` is one that `crew` starts."""
+"""What a worker does: chunks of lines in, answers out. `python -m handsight.batch.worker` is one that `crew` starts."""
 
 import contextlib
 import os
@@ -9,8 +9,8 @@ import time
 import warnings
 from pathlib import Path
 
-from handsight.problems import Reader, answer_text
-from handsight.stream import Answers
+from handsight.batch.problems import Reader, answer_text
+from handsight.batch.run import Answers
 
 _readers: dict[str, Reader] = {}
 # One chunk at a time in a process: neither the models kept nor the kernels' threads are made to be shared.

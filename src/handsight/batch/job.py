@@ -7,8 +7,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO
 
-from handsight.stream import Crew, Events, Feed, Stream, is_error, lines_of
-from handsight.terminal import opened_input, warn
+from handsight.batch.run import Crew, Events, Feed, Stream, is_error, lines_of
+from handsight.cli.terminal import opened_input, warn
 
 MOST_PANELS = 6
 """Problems that a picture has room for."""
@@ -44,7 +44,7 @@ def answered(problems: str, folder: str, workers: int, cluster: str | None) -> I
     """The lines with their answers, in order: from this process, from others, from a cluster."""
     whole = problems.endswith(".json")
     if workers == 1 and cluster is None:
-        from handsight.problems import Reader, answer_text
+        from handsight.batch.problems import Reader, answer_text
 
         reader = Reader(Path(folder))
         with opened_input(problems) as source:
@@ -61,10 +61,10 @@ def _crew(
     folder: str, workers: int, cluster: str | None, events: Events
 ) -> contextlib.AbstractContextManager[Crew]:
     if cluster is not None:
-        from handsight.cluster import Cluster
+        from handsight.batch.cluster import Cluster
 
         return Cluster(cluster, folder, events)
-    from handsight.crew import Processes
+    from handsight.batch.crew import Processes
 
     return Processes(workers or _cores(), folder, events)
 

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.calibrate_job import calibrate_camera
 from handsight.cli import main
+from handsight.cli.simulate import nuisances
+from handsight.cli.track import run, write
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.rig import Rig
 from handsight.rig.writing import write as write_rig
-from handsight.simulate_job import nuisances
-from handsight.track_job import run, write
 from handsight.tracking import TrackerSettings
+from handsight.tracking.camera_calibration import calibrate_camera
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
@@ -481,8 +481,8 @@ def test_a_hand_whose_joint_is_not_in_the_recording_says_so(grasp, tmp_path):
 
 
 def test_a_wrong_size_of_the_object_is_in_the_rig_beside_the_recording():
+    from handsight.cli.simulate import _believed, nuisances
     from handsight.errors import InvalidInput
-    from handsight.simulate_job import _believed, nuisances
     from handsight.simulation import Scenario, rig_of
 
     for name, size in (("can", "cylinder"), ("box", "box")):

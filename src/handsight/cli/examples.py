@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from handsight import se3
+from handsight.batch.problems import Problem, Reader, answer
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects.symmetry import nearest
-from handsight.problems import Problem, Reader, answer
 
 NAMES = ("can", "box")
 

@@ -11,11 +11,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from handsight.batch.job import MOST_PANELS, Tally, answered
+
 # Help and version are to be there at once: what computes is imported by the command that needs it.
-from handsight import cli_demo, cli_robot
+from handsight.cli import demo, robot
+from handsight.cli.terminal import one_line_warning, opened_output, progress, say
 from handsight.errors import HandsightError, InvalidInput
-from handsight.job import MOST_PANELS, Tally, answered
-from handsight.terminal import one_line_warning, opened_output, progress, say
 
 app = typer.Typer(
     help="Know where the object is in the robot's hand, by touch and sight.",
@@ -24,8 +25,8 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-cli_demo.register(app)
-cli_robot.register(app)
+demo.register(app)
+robot.register(app)
 INTERRUPTED, NOBODY_READS = 130, 141
 """Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
 
@@ -116,7 +117,7 @@ def correct(
     tally = Tally()
     try:
         if plot is not None:
-            from handsight.plot import require_matplotlib
+            from handsight.viewer.corrections import require_matplotlib
 
             require_matplotlib()
         folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
@@ -142,8 +143,8 @@ def correct(
 
 
 def _draw(pairs: list[tuple[bytes, str]], folder: Path, plot: Path) -> None:
-    from handsight.plot import draw_corrections
-    from handsight.problems import Reader
+    from handsight.batch.problems import Reader
+    from handsight.viewer.corrections import draw_corrections
 
     reader = Reader(folder)
     draw_corrections([(reader.read(line), json.loads(text)) for line, text in pairs], plot)
@@ -204,7 +205,3 @@ def warmup() -> None:
     began = time.monotonic()
     warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))
     print(f"compiled in {time.monotonic() - began:.1f} s; kept in {folder()}")
-
-
-if __name__ == "__main__":
-    main()

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handsight.problems import Reader, answer_text
+from handsight.batch.problems import Reader, answer_text
 
 pytest.importorskip("distributed", reason="needs handsight[cluster]")
 
-DATA = Path(__file__).parent.parent / "src/handsight/data"
+DATA = Path(__file__).parents[2] / "src/handsight/data"
 PATIENCE = 300
 
 
@@ -137,7 +137,7 @@ def test_nobody_at_the_address_is_a_sentence(tmp_path):
 def test_without_dask_the_extra_is_named(monkeypatch):
     from queue import SimpleQueue
 
-    from handsight.cluster import Cluster
+    from handsight.batch.cluster import Cluster
     from handsight.errors import MissingExtra
 
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handsight.cli.terminal import live_rows
 from handsight.errors import MissingExtra
-from handsight.terminal import live_rows
 
 if TYPE_CHECKING:
-    from handsight.demo import Comparison
-    from handsight.track_job import Run
+    from handsight.cli.examples import Comparison
+    from handsight.cli.track import Run
 
 
 def register(app: typer.Typer) -> None:
@@ -33,7 +33,7 @@ def demo(
     """
     from rich.console import Console
 
-    from handsight.demo import examples, recordings
+    from handsight.cli.examples import examples, recordings
 
     out = Console(width=None if sys.stdout.isatty() else 110)
     found = list(examples())
@@ -44,7 +44,7 @@ def demo(
         "there the answer is vision's, and the estimate says so.",
     )
     try:
-        from handsight.plot import draw_corrections
+        from handsight.viewer.corrections import draw_corrections
 
         draw_corrections([(row.problem, row.answered) for row in found], plot)
         _plain(out, f"wrote {plot}")
@@ -79,8 +79,8 @@ def _corrections(found: Sequence["Comparison"]) -> Any:
 
 def _replayed(name: str, path: Path, plot: Path, out: Any) -> "Run":
     """A recording tracked, and drawn where that can be."""
+    from handsight.cli.track import run, watching
     from handsight.rig import Rig
-    from handsight.track_job import run, watching
     from handsight.tracking import TrackerSettings
 
     rig = Rig.from_file(path.with_suffix(".rig.yaml"))
@@ -88,7 +88,7 @@ def _replayed(name: str, path: Path, plot: Path, out: Any) -> "Run":
     with live_rows(path.name) as show:
         ended = run(path, rig, model, TrackerSettings(outside=500), watching(show))
     try:
-        from handsight.plot_track import draw_track
+        from handsight.viewer.track import draw_track
 
         drawn = plot.with_name(f"{plot.stem}-{name}{plot.suffix}")
         draw_track(ended.name, model, ended.steps, ended.truths, drawn)

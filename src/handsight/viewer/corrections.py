@@ -12,7 +12,7 @@ from handsight.errors import HandsightError, MissingExtra
 from handsight.objects import ObjectModel
 
 if TYPE_CHECKING:
-    from handsight.problems import Problem
+    from handsight.batch.problems import Problem
 
 BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
 CLOUD = 900

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 HANDSIGHT = [sys.executable, "-m", "handsight.cli"]
-DATA = Path(__file__).parent.parent / "src/handsight/data"
+DATA = Path(__file__).parents[2] / "src/handsight/data"
 
 BOX = {
     "object": {"box": [0.06, 0.09, 0.14]},
@@ -258,7 +258,7 @@ def test_the_demo_corrects_can_and_box_and_draws_them(tmp_path):
 
 
 def test_the_demo_takes_most_of_what_touch_can_see():
-    from handsight.demo import examples
+    from handsight.cli.examples import examples
 
     for row in examples():
         assert row.shift[0] == pytest.approx(0.08, abs=1e-3)
@@ -412,7 +412,7 @@ def test_a_worker_that_is_killed_costs_no_line(tmp_path):
 
 
 def test_a_fault_of_ours_costs_its_line_only(monkeypatch):
-    from handsight import problems
+    from handsight.batch import problems
 
     def faulty(problem):
         raise ZeroDivisionError("no")
@@ -483,13 +483,13 @@ def test_editors_and_users_see_the_same_names():
 def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
     import types
 
-    from handsight import cli
     from handsight._kernels import compiled
+    from handsight.cli.main import warmup
 
     warm = types.ModuleType("handsight._kernels.warm")
     warm.warm = lambda report: (report("fields", 1.25), report("solver", 20.0))
     monkeypatch.setitem(sys.modules, "handsight._kernels.warm", warm)
-    cli.warmup()
+    warmup()
     out, said = capsys.readouterr()
     assert said.splitlines() == ["   1.2 s  fields", "  20.0 s  solver"]
     assert re.match(r"compiled in \d\.\d s; kept in ", out)

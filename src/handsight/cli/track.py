@@ -18,9 +18,9 @@ from handsight.recording import (
     write_track_mcap,
     write_track_tum,
 )
-from handsight.replay import Errors, Step, Tally, Truths, errors, replay
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking.replay import Errors, Step, Tally, Truths, errors, replay
 
 REFRESH = 0.2
 """Seconds between two looks at a run."""
@@ -187,7 +187,7 @@ def write(ended: Run, rig: Rig, model: ObjectModel, folder: Path) -> Iterator[st
         yield "no picture: there is no pose"
         return
     try:
-        from handsight.plot_track import draw_track
+        from handsight.viewer.track import draw_track
 
         draw_track(ended.name, model, ended.steps, ended.truths, folder / "track.png")
         yield f"wrote {folder / 'track.png'}"

@@ -10,9 +10,9 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.recording import open_recording
-from handsight.replay import Tally, replay
 from handsight.rig import Rig
 from handsight.tracking import Tracker
+from handsight.tracking.replay import Tally, replay
 
 LITTLE_TURN = np.deg2rad(20)
 """A palm that turned less leaves error and pose mixed."""

@@ -1,4 +1,4 @@
-"""A worker as `handsight.worker`, but its lines are orders: what a test needs to go wrong goes wrong."""
+"""A worker as `handsight.batch.worker`, but its lines are orders: what a test needs to go wrong goes wrong."""
 
 import json
 import os
@@ -6,7 +6,7 @@ import signal
 import time
 from pathlib import Path
 
-from handsight import worker
+from handsight.batch import worker
 
 
 def obeyed(reader, line):

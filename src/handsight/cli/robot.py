@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handsight.cli.terminal import live_rows, say
 from handsight.errors import InvalidInput
-from handsight.terminal import live_rows, say
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
@@ -77,7 +77,7 @@ def track(
     handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output results
     ```
     """
-    from handsight.track_job import run, watching, write
+    from handsight.cli.track import run, watching, write
     from handsight.tracking import TrackerSettings
 
     found, model = _rig_and_object(recording, rig, object)
@@ -114,7 +114,7 @@ def simulate(
     Beside the recording goes its rig, OUTPUT.rig.yaml. All of it is synthetic (MuJoCo); what spoils the readings, and
     by how much, is a setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`.
     """
-    from handsight.simulate_job import nuisances, record
+    from handsight.cli.simulate import nuisances, record
     from handsight.simulation import Scenario
 
     chosen: Any = motion  # the scenario says which there are
@@ -134,8 +134,8 @@ def check(
 
     The exit code is 1 where the recording lacks something that tracking needs.
     """
+    from handsight.cli.rig import print_rig
     from handsight.rig import Rig
-    from handsight.rig_table import print_rig
 
     found = Rig.from_file(rig)
     print_rig(found, str(rig))
@@ -162,8 +162,8 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     Vision's error stays where it is in the world while the palm turns with the object; so the two come apart, and touch
     says where the object is. Printed: the camera's corrected pose for the rig file, and how well it is known.
     """
-    from handsight.calibrate_job import LITTLE_TURN, calibrate_camera
     from handsight.rig.writing import pose_text
+    from handsight.tracking.camera_calibration import LITTLE_TURN, calibrate_camera
 
     found, model = _rig_and_object(recording, rig, object)
     calibrated = calibrate_camera(recording, found, model)

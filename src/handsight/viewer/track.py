@@ -10,9 +10,9 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import HandsightError
 from handsight.objects import ObjectModel
-from handsight.plot import require_matplotlib
-from handsight.replay import Step, Truths, base_center
 from handsight.tracking.answers import point_covariance
+from handsight.tracking.replay import Step, Truths, base_center
+from handsight.viewer.corrections import require_matplotlib
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000
