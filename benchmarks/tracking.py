@@ -89,7 +89,7 @@ def replayed(images: bool, repeats: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "can.mcap"
         scenario = Scenario(object="can", seed=1, motion="grasp" if images else "manipulate", images=images)
-        record(scenario, path, lambda line: None)
+        record(scenario, path)
         rig = Rig.from_file(path.with_name("can.rig.yaml"))
         settings = TrackerSettings(rate=100)
         ended = [run(path, rig, model_of(scenario), settings, lambda *said: None) for _ in range(repeats)]

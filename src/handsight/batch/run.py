@@ -1,90 +1,69 @@
-"""Many lines, many workers: read as they come, answered anywhere, handed on in order, never all in memory.
+"""Many lines answered by many workers: read as they come, answered anywhere, handed on in order, never all in memory.
 
-A thread reads ahead a little; a crew (worker processes of this machine, or a cluster) answers chunks of lines and
-says so in a queue of events; all decisions fall in the caller's thread, in `Stream`.
+A thread reads lines and submits them in chunks; the caller's thread hands on the answers, and tries lines again whose
+worker died.
 """
 
+import contextlib
+import functools
+import io
 import json
+import os
 import threading
-from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future
+from pathlib import Path
 from queue import SimpleQueue
-from typing import IO, NamedTuple, Protocol
+from typing import NamedTuple
 
-from handsight.errors import HandsightError, InvalidFile
+from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
+from handsight.errors import InvalidFile
 
 CHUNK_LINES = 256
-CHUNK_BYTES = 256_000
-AHEAD_BYTES = 4_000_000
-"""Lines read before a worker asks for them."""
+BLOCK_BYTES = 256_000
 HELD_BYTES = 64_000_000
-"""Lines and answers that wait for an earlier line's answer; above it nothing more is begun."""
-LINE_BYTES = 200
-"""What Python spends on a line besides its characters."""
-DEATHS = 3
-"""Workers that may die on the same lines before the lines are to blame."""
+"""Lines that wait for their answer or for an earlier line's; above it nothing more is begun."""
+LINE_BYTES = 3000
+"""What a line takes besides its characters: its answer and Python's own."""
+Source = io.BufferedIOBase
 
 
-class Answers(NamedTuple):
-    """What a worker made of a chunk."""
+class Answered(NamedTuple):
+    """Consecutive lines with their answers."""
 
+    lines: list[bytes]
     texts: list[str]
     """One line of JSON for each line, without its end."""
-    seconds: float
-    notes: list[str]
-    """Warnings, for the terminal."""
+    warnings: list[str]
+    """What workers warned of meanwhile."""
 
 
-@dataclass
-class Chunk:
-    """Consecutive lines that one worker answers at a time."""
+@contextlib.contextmanager
+def answering(
+    source: Source,
+    folder: Path,
+    *,
+    whole: bool = False,
+    workers: int = 1,
+    cluster: str | None = None,
+    first: Callable[[], object] = os.getpid,
+) -> Iterator[Iterator[Answered]]:
+    """The lines with their answers, in order: from this process (1 worker), from `workers` others (0: one for each
+    core), or from the Dask cluster at an address.
 
-    first: int
-    """Number of its first line."""
-    lines: list[bytes]
-    deaths: int = 0
-    """Workers that have died on it."""
-
-
-@dataclass(frozen=True)
-class Done:
-    """A chunk was answered."""
-
-    chunk: Chunk
-    answers: Answers
-
-
-@dataclass(frozen=True)
-class Died:
-    """A chunk was lost with the worker that had it."""
-
-    chunk: Chunk
-    workers: int = 1
-
-
-@dataclass(frozen=True)
-class Failed:
-    """Nothing more can be answered."""
-
-    error: HandsightError
-
-
-Events = SimpleQueue[Done | Died | Failed | None]
-"""None: lines have come, or will come no more."""
-
-
-class Crew(Protocol):
-    """Who answers chunks, and says so in the events."""
-
-    chunk_seconds: float
-    """How long a worker should be busy with one chunk."""
-
-    def room(self) -> int:
-        """How many chunks it takes at the same time."""
-
-    def put(self, chunk: Chunk) -> None:
-        """Begins a chunk; an event follows."""
+    `source` is closed at its end; `whole`: all of it is one line. `folder`: what mesh paths are relative to, absolute.
+    `first` is called in the first worker process before it works. Raises WorkerFailure, InvalidFile.
+    """
+    if workers == 1 and cluster is None:
+        yield _here(source, folder, whole=whole)
+        return
+    work = functools.partial(answer_lines, str(folder))
+    with Cluster(cluster, work) if cluster else Processes(workers or _cores(), work, first) as those:
+        run = Run(source, those, whole=whole)
+        try:
+            yield iter(run)
+        finally:
+            run.close()
 
 
 def is_error(text: str) -> bool:
@@ -92,147 +71,141 @@ def is_error(text: str) -> bool:
     return text.startswith('{"error"')
 
 
-class Feed:
-    """The lines of a file, read ahead by a thread, so that a slow source holds up no answer."""
+def _here(source: Source, folder: Path, *, whole: bool) -> Iterator[Answered]:
+    from handsight.batch.problems import Reader, answer_text
 
-    def __init__(self, source: IO[bytes], events: Events, *, whole: bool = False) -> None:
-        """`source` is the feed's from here on; `whole`: all of it is one line."""
-        self._source, self._events, self._whole = source, events, whole
-        self._lines: deque[bytes] = deque()
-        self._held = 0
-        self._over = self._asked = False
-        self._changed = threading.Condition()
-        # A daemon, and never waited for: nothing can interrupt it while it waits for input.
-        threading.Thread(target=self._read, name="handsight-reader", daemon=True).start()
+    reader = Reader(folder)
+    for lines in blocks(source, whole=whole):
+        for line in lines:
+            yield Answered([line], [answer_text(reader, line)], [])
 
-    @property
-    def ended(self) -> bool:
-        """Whether every line was taken."""
-        with self._changed:
-            return self._over and not self._lines
 
-    def take(self, most: int) -> list[bytes]:
-        """The next lines, as many as have come; none: an event tells of the next."""
-        taken: list[bytes] = []
-        size = 0
-        with self._changed:
-            while self._lines and len(taken) < most and size < CHUNK_BYTES:
-                taken.append(self._lines.popleft())
-                size += len(taken[-1]) + LINE_BYTES
-            self._held -= size
-            self._asked = not taken
-            self._changed.notify()
-        return taken
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
-    def _read(self) -> None:
+
+def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
+    """The lines that are not blank, without their ends, as many at a time as have come; closes the source."""
+    begun: list[bytes] = []
+    with source:
         try:
-            with self._source:
-                for line in lines_of(self._source, whole=self._whole):
-                    self._add(line)
+            if whole:
+                yield [source.read()]
+                return
+            while block := source.read1(BLOCK_BYTES):
+                *lines, rest = block.split(b"\n")
+                if lines:
+                    lines[0] = b"".join([*begun, lines[0]])
+                    begun.clear()
+                    yield [line for line in lines if line.strip()]
+                begun.append(rest)
         except OSError as error:
-            said = f"{getattr(self._source, 'name', 'input')}: {error.strerror or error}"
-            self._events.put(Failed(InvalidFile(said)))
-        with self._changed:
-            self._over = True
-        self._events.put(None)
-
-    def _add(self, line: bytes) -> None:
-        with self._changed:
-            while self._held > AHEAD_BYTES:
-                self._changed.wait()
-            self._lines.append(line)
-            self._held += len(line) + LINE_BYTES
-            if self._asked:
-                self._asked = False
-                self._events.put(None)
+            raise InvalidFile(f"{getattr(source, 'name', 'input')}: {error.strerror or error}") from None
+    last = b"".join(begun)
+    if last.strip():
+        yield [last]
 
 
-def lines_of(source: IO[bytes], *, whole: bool) -> Iterator[bytes]:
-    """The lines that are not blank."""
-    if whole:
-        yield source.read()
-        return
-    for line in source:
-        if line.strip():
-            yield line
+class Run:
+    """Iterates over the lines of a source with their answers, a chunk at a time, in order."""
 
-
-class Stream:
-    """Iterates over a feed's lines with their answers, a chunk at a time, in order."""
-
-    def __init__(self, feed: Feed, crew: Crew, events: Events) -> None:
-        """The crew and the feed tell `events`."""
-        self.feed, self.crew, self.events = feed, crew, events
-        self.notes: deque[str] = deque()
-        """Warnings that have come; whoever shows them takes them out."""
-        self._again: deque[Chunk] = deque()
-        self._done: dict[int, Done] = {}
-        self._running = self._held = self._read = self._handed = 0
+    def __init__(self, source: Source, workers: Processes | Cluster, *, whole: bool = False) -> None:
+        """`source` is the run's from here on; `whole`: all of it is one line."""
+        self._workers = workers
+        self._order: SimpleQueue[tuple[list[bytes], Future[Answers]] | BaseException | None] = SimpleQueue()
+        """What was begun, in the order of the lines; at the end an error or None."""
+        self._changed = threading.Condition()
+        self._running = self._held = 0
         # The first chunks are small, so that a few slow lines are spread over all workers.
         self._size = 1
+        self._closing = False
+        # A daemon, and never waited for: nothing can interrupt it while it waits for input.
+        arguments = (blocks(source, whole=whole),)
+        threading.Thread(target=self._read, args=arguments, name="handsight-reader", daemon=True).start()
 
-    def __iter__(self) -> Iterator[tuple[list[bytes], list[str]]]:
-        while True:
-            while (done := self._done.pop(self._handed, None)) is not None:
-                self._handed += len(done.chunk.lines)
-                self._held -= _size(done.chunk.lines) + _size(done.answers.texts)
-                yield done.chunk.lines, done.answers.texts
-            while self._running < self.crew.room() and (chunk := self._next()) is not None:
+    def __iter__(self) -> Iterator[Answered]:
+        while (begun := self._order.get()) is not None:
+            if isinstance(begun, BaseException):
+                raise begun
+            lines, future = begun
+            deaths = self._deaths(future)
+            answers = self._tried_alone(lines, deaths) if deaths else future.result()
+            yield Answered(lines, answers.texts, answers.warnings)
+            with self._changed:
+                self._held -= _bytes(lines)
+                self._changed.notify()
+
+    def close(self) -> None:
+        """Begins nothing more."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+
+    def _read(self, source: Iterator[list[bytes]]) -> None:
+        end = None
+        try:
+            for lines in source:
+                while lines and not self._closing:
+                    lines = lines[self._begin(lines) :]
+        except BaseException as error:  # who waits for the answers must hear of it, whatever it is
+            end = error
+        self._order.put(end)
+
+    def _begin(self, lines: list[bytes]) -> int:
+        """How many of the lines were begun, once there was room."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._closing or (self._held < HELD_BYTES and self._running < self._workers.room())
+            )
+            chunk = lines[: self._size]
+            if not self._closing:
+                future = self._workers.submit(chunk)
+                self._held += _bytes(chunk)
                 self._running += 1
-                self.crew.put(chunk)
-            if self._handed == self._read and self.feed.ended:
-                return
-            self._take(self.events.get())
+                self._order.put((chunk, future))
+                future.add_done_callback(lambda future: self._ended(len(chunk), future))
+        return len(chunk)
 
-    def _next(self) -> Chunk | None:
-        if self._again:
-            return self._again.popleft()
-        if self._held >= HELD_BYTES:
-            return None
-        lines = self.feed.take(self._size)
-        if not lines:
-            return None
-        chunk = Chunk(self._read, lines)
-        self._read += len(lines)
-        self._held += _size(lines)
-        return chunk
+    def _ended(self, lines: int, future: Future[Answers]) -> None:
+        """Makes room, and chunks that keep a worker busy for as long as it should be."""
+        with self._changed:
+            self._running -= 1
+            if not future.cancelled() and future.exception() is None:
+                seconds, aim = future.result().seconds, self._workers.chunk_seconds
+                if seconds > 2 * aim:
+                    self._size = max(1, min(self._size, lines // 2))
+                elif seconds < aim / 2 and lines == self._size:
+                    self._size = min(2 * lines, CHUNK_LINES)
+            self._changed.notify_all()
 
-    def _take(self, event: Done | Died | Failed | None) -> None:
-        match event:
-            case Failed(error):
-                raise error
-            case Done(chunk, answers):
-                self._running -= 1
-                self._keep(chunk, answers)
-                self._adapt(len(chunk.lines), answers.seconds)
-            case Died(chunk, workers):
-                self._running -= 1
-                self._retry(chunk, workers)
+    def _deaths(self, future: Future[Answers]) -> int:
+        """How many workers died on a chunk, once it has ended; raises WorkerFailure where something else went wrong."""
+        try:
+            error = future.exception()
+        except CancelledError as cancelled:
+            error = cancelled
+        return 0 if error is None else self._workers.deaths(error)
 
-    def _keep(self, chunk: Chunk, answers: Answers) -> None:
-        self.notes.extend(answers.notes)
-        self._held += _size(answers.texts)
-        self._done[chunk.first] = Done(chunk, answers)
-
-    def _adapt(self, lines: int, seconds: float) -> None:
-        aim = self.crew.chunk_seconds
-        if seconds > 2 * aim:
-            self._size = max(1, min(self._size, lines // 2))
-        elif seconds < aim / 2 and lines == self._size:
-            self._size = min(2 * lines, CHUNK_LINES)
-
-    def _retry(self, chunk: Chunk, workers: int) -> None:
-        chunk.deaths += workers
-        if chunk.deaths < DEATHS:
-            self._again.append(chunk)
-        elif len(chunk.lines) > 1:
+    def _tried_alone(self, lines: list[bytes], deaths: int) -> Answers:
+        """The answers to lines that were lost with a worker, while no others are at work: who dies, dies of these."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._running)
+            while deaths < DEATHS:
+                future = self._workers.submit(lines)
+                died = self._deaths(future)
+                if not died:
+                    return future.result()
+                deaths += died
+            if len(lines) == 1:
+                said = f"line: expected a problem that a worker survives, got {deaths} that died (out of memory?)"
+                return Answers([json.dumps({"error": said})], 0.0, [])
             # One of them kills. Each alone may be unlucky, but not as often as a chunk.
-            for i, line in enumerate(chunk.lines):
-                self._again.append(Chunk(chunk.first + i, [line], deaths=1))
-        else:
-            said = f"line: expected a problem that a worker survives, got {chunk.deaths} that died (out of memory?)"
-            self._keep(chunk, Answers([json.dumps({"error": said})], 0.0, []))
+            each = [self._tried_alone([line], 1) for line in lines]
+        return Answers(
+            [text for one in each for text in one.texts], 0.0, [w for one in each for w in one.warnings]
+        )
 
 
-def _size(lines: list[bytes] | list[str]) -> int:
+def _bytes(lines: list[bytes]) -> int:
     return sum(len(line) + LINE_BYTES for line in lines)

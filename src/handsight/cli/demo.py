@@ -1,24 +1,25 @@
-"""The command `handsight demo`: parse, call, print."""
+"""`handsight demo`: a can and a box held by five fingers, vision 8 cm off, and a recording of each (all synthetic)."""
 
+import contextlib
+import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.terminal import live_rows
+from handsight.cli.terminal import announce_compiling, live_rows
 from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
-    from handsight.cli.examples import Comparison
+    from handsight.batch.problems import Problem
     from handsight.cli.track import Run
+    from handsight.evaluation import CorrectionErrors
 
-
-def register(app: typer.Typer) -> None:
-    """Adds the command to the program."""
-    app.command()(demo)
+NAMES = ("can", "box")
 
 
 def demo(
@@ -33,8 +34,7 @@ def demo(
     """
     from rich.console import Console
 
-    from handsight.cli.examples import examples, recordings
-
+    announce_compiling()
     out = Console(width=None if sys.stdout.isatty() else 110)
     found = list(examples())
     out.print(_corrections(found))
@@ -44,9 +44,10 @@ def demo(
         "there the answer is vision's, and the estimate says so.",
     )
     try:
-        from handsight.viewer.corrections import draw_corrections
+        from handsight.viewer.corrections import Panel, draw_corrections
 
-        draw_corrections([(row.problem, row.answered) for row in found], plot)
+        problems = [(row.problem, row.answer) for row in found]
+        draw_corrections([Panel(p.model, p.contacts, p.vision, answer) for p, answer in problems], plot)
         _plain(out, f"wrote {plot}")
     except MissingExtra as error:
         _plain(out, f"no picture: {error}")
@@ -59,6 +60,61 @@ def demo(
     out.print(_tracks(runs))
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """One example's errors against its truth."""
+
+    name: str
+    problem: "Problem"
+    answer: dict[str, Any]
+    """In the form of the command's answers."""
+    vision: "CorrectionErrors"
+    corrected: "CorrectionErrors"
+
+
+def examples() -> Iterator[Comparison]:
+    """Solves the problems of `data/demo.jsonl` and compares them with `data/demo_truth.jsonl`."""
+    from handsight.batch.problems import Reader, answer
+
+    reader = Reader(Path.cwd())
+    for name, line, truth in zip(NAMES, _lines("demo.jsonl"), _lines("demo_truth.jsonl"), strict=True):
+        problem = reader.read(line.encode())
+        yield _compared(name, problem, answer(problem), json.loads(truth))
+
+
+def _compared(name: str, problem: "Problem", answer: dict[str, Any], truth: dict[str, Any]) -> Comparison:
+    import numpy as np
+
+    from handsight import se3
+    from handsight.evaluation import correction_errors
+
+    T_true, T_corrected = (
+        se3.from_position_quaternion(pose["position"], pose["quaternion_xyzw"]) for pose in (truth, answer)
+    )
+    T_vision = T_corrected if problem.vision is None else problem.vision.T_palm_object
+    unobservable = np.asarray(answer["unobservable"]).reshape(-1, 6)
+    vision, corrected = (
+        correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
+        for T in (T_vision, T_corrected)
+    )
+    return Comparison(name, problem, answer, vision, corrected)
+
+
+@contextlib.contextmanager
+def recordings() -> Iterator[dict[str, Path]]:
+    """By object, the built-in recordings, each with its rig beside it."""
+    from importlib import resources
+
+    with resources.as_file(resources.files("handsight").joinpath("data")) as folder:
+        yield {name: folder / f"{name}.mcap" for name in NAMES}
+
+
+def _lines(name: str) -> list[str]:
+    from importlib import resources
+
+    return resources.files("handsight").joinpath("data", name).read_text(encoding="utf-8").splitlines()
+
+
 def _corrections(found: Sequence["Comparison"]) -> Any:
     from rich.table import Table
 
@@ -67,12 +123,14 @@ def _corrections(found: Sequence["Comparison"]) -> Any:
     for column in columns:
         table.add_column(column, justify="left" if column == "object" else "right")
     for row in found:
+        before, after = row.vision, row.corrected
         table.add_row(
             row.name,
-            *(f"{1e3 * a:.1f} → {1e3 * b:.1f} mm" for a, b in (row.shift, row.shift_seen)),
-            "{:.1f} → {:.1f}°".format(*map(math.degrees, row.turn)),
-            f"{1e3 * row.gap[0]:.1f} → {1e3 * row.gap[1]:.2f} mm",
-            f"{len(row.answered['unobservable'])} of 6",
+            f"{1e3 * before.shift:.1f} → {1e3 * after.shift:.1f} mm",
+            f"{1e3 * before.shift_observable:.1f} → {1e3 * after.shift_observable:.1f} mm",
+            f"{math.degrees(before.turn):.1f} → {math.degrees(after.turn):.1f}°",
+            f"{1e3 * before.gap:.1f} → {1e3 * after.gap:.2f} mm",
+            f"{len(row.answer['unobservable'])} of 6",
         )
     return table
 

@@ -1,23 +1,66 @@
-"""A scenario simulated into a recording, its rig beside it."""
+"""`handsight simulate`: a scenario simulated into a recording, its rig beside it."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from handsight import checks
-from handsight.cli.terminal import bar
+import typer
+
+from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.recording import RecordingWriter
-from handsight.rig import ObjectEntry, Rig
-from handsight.rig.writing import write as write_rig
-from handsight.simulation import Nuisances, Scenario, rig_of, simulate
+
+if TYPE_CHECKING:
+    from handsight.rig import ObjectEntry, Rig
+    from handsight.simulation import Nuisances, Scenario
 
 MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
 
-def nuisances(settings: Iterable[str]) -> Nuisances:
+def simulate(
+    object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres, standing along z.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The recording, MCAP; default: OBJECT-SEED.mcap here."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    motion: Annotated[
+        str, typer.Option(help="grasp: close and hold; manipulate: then move, lift and turn the object.")
+    ] = "manipulate",
+    images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
+    nuisance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="Another size of a nuisance, in SI units; `none` switches all off."
+        ),
+    ] = None,
+) -> None:
+    """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
+
+    Beside the recording goes its rig, OUTPUT.rig.yaml. All of it is synthetic (MuJoCo); what spoils the readings, and
+    by how much, is a setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`.
+    """
+    from handsight.simulation import Scenario
+
+    announce_compiling()
+    chosen: Any = motion  # the scenario says which there are
+    scenario = Scenario(
+        object=object, seed=seed, motion=chosen, images=images, nuisances=nuisances(nuisance or [])
+    )
+    path = output or Path(f"{Path(object).stem}-{seed}.mcap")
+    samples, dropped = record(scenario, path)
+    size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
+    say(f"wrote {path}: {samples} observations, {size}, and {_rig_path(path).name}")
+    if dropped:
+        say("the object has slipped out of the grasp; another --seed may hold it")
+
+
+def nuisances(settings: Iterable[str]) -> "Nuisances":
     """The usual nuisances with some of another size, from `name=value`; `none` begins with all of them off."""
+    from handsight import checks
+    from handsight.simulation import Nuisances
+
     chosen = Nuisances()
     names = [field.name for field in dataclasses.fields(Nuisances)]
     for setting in settings:
@@ -41,30 +84,38 @@ def nuisances(settings: Iterable[str]) -> Nuisances:
     return chosen
 
 
-def record(scenario: Scenario, path: Path, say: Callable[[str], None]) -> None:
-    """Simulates into `path`, and writes the rig beside it; Ctrl-C leaves what was simulated by then."""
+def record(scenario: "Scenario", path: Path) -> tuple[int, bool]:
+    """How many observations were simulated into `path`, and whether the hand dropped the object in the end.
+
+    The rig is written beside it. Ctrl-C leaves what was simulated by then.
+    """
+    from handsight.recording import RecordingWriter
+    from handsight.rig.writing import write as write_rig
+    from handsight.simulation import rig_of, simulate
+
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
     rig = rig_of(scenario)
     # The one object there is need not be named to `track`.
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
-    rig_path = path.with_name(f"{path.stem}.rig.yaml")
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
         for sample in simulate(scenario, advance):
             writer.write(sample.observation)
             writer.write_truth(sample.observation.stamp, sample.T_palm_object)
             samples, dropped = samples + 1, sample.dropped
-    write_rig(rig, rig_path)
-    say(
-        f"wrote {path}: {samples} observations, {path.stat().st_size / 1e6:.1f} MB (synthetic), and {rig_path.name}"
-    )
-    if dropped:
-        say("the object has slipped out of the grasp; another --seed may hold it")
+    write_rig(rig, _rig_path(path))
+    return samples, dropped
 
 
-def _believed(scenario: Scenario, rig: Rig) -> ObjectEntry:
+def _rig_path(recording: Path) -> Path:
+    return recording.with_name(f"{recording.stem}.rig.yaml")
+
+
+def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":
     """The object in the size that the robot takes it to have."""
+    from handsight.rig import ObjectEntry
+
     entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
     k = scenario.nuisances.object_scale
     if entry.box is not None:
