@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from cli.commands import run
+from cli.commands import called, run
 from cli.tracks import recorded, recorded_observations
 from handsight import se3
 from handsight.errors import InvalidInput

@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from cli.commands import called, run
+from cli.commands import INTERRUPTIBLE, called, run
 from cli.tracks import assert_results_agree, observations, recorded
 from handsight.cli.simulate import _believed, nuisances
 from handsight.errors import InvalidInput

@@ -177,7 +177,7 @@ class Cluster:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
         self._address, self._work = address, work
         self._client = _connected(address)
-        self._executor = self._client.get_executor(pure=False)
+        self._futures: set[Any] = set()
         self._room, self._asked = 0, -float("inf")
 
     def __enter__(self) -> "Cluster":
@@ -186,7 +186,7 @@ class Cluster:
     def __exit__(self, *_: object) -> None:
         """Drops what is not yet answered."""
         with contextlib.suppress(Exception):  # there may be nobody to tell
-            self._executor.shutdown(wait=False)
+            self._client.cancel(list(self._futures), force=True)
         with contextlib.suppress(Exception):
             self._client.close(timeout=CONNECT_SECONDS)
 
@@ -203,11 +203,22 @@ class Cluster:
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
         """The answers to come; raises WorkerFailure where the cluster was lost."""
+        # Not by Client.get_executor(), whose futures never end where the scheduler is lost.
+        answers: Future[Answers] = Future()
         try:
-            future: Future[Answers] = self._executor.submit(self._work, lines)
+            there = self._client.submit(self._work, lines, pure=False)
         except Exception as error:
             raise self._lost(error) from None
-        return future
+        self._futures.add(there)  # Dask forgets what nobody holds
+        there.add_done_callback(lambda there: self._ended(there, answers))
+        return answers
+
+    def _ended(self, there: Any, answers: Future[Answers]) -> None:
+        self._futures.discard(there)
+        try:
+            answers.set_result(Answers(*there.result()))
+        except BaseException as error:
+            answers.set_exception(error)
 
     def deaths(self, error: BaseException) -> int:
         """As many as Dask has tried; raises WorkerFailure where the cluster was lost."""
