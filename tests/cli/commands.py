@@ -60,3 +60,11 @@ def waited_for(condition, seconds=100):
     while not condition():
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+def read_some(terminal):
+    """What comes next from a terminal; empty at its end."""
+    try:
+        return os.read(terminal, 4096).decode(errors="replace")
+    except OSError:  # how Linux ends a terminal
+        return ""

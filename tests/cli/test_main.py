@@ -1,5 +1,7 @@
 """The command `handsight` and its small commands, and what importing the package loads."""
 
+import os
+import pty
 import re
 import subprocess
 import sys
@@ -8,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.commands import run
+from cli.commands import called, read_some, run
 
 
 def test_help_teaches():
@@ -125,3 +127,59 @@ def test_the_demo_takes_most_of_what_touch_can_see():
         assert row.vision.shift == pytest.approx(0.08, abs=1e-3)
         assert row.corrected.shift_observable < 0.05 * row.vision.shift_observable
         assert row.corrected.turn < np.deg2rad(4)
+
+
+KERNEL = """
+from handsight._kernels.compiled import entry
+from handsight.cli.terminal import announce_compiling
+
+@entry
+def twice(x):
+    return 2 * x
+
+announce_compiling()
+assert twice(1) == twice(1.0) == 2
+"""
+
+
+def test_compiling_is_said_once_on_a_terminal_and_only_where_something_is_compiled(tmp_path):
+    (tmp_path / "kernel.py").write_text(KERNEL)
+
+    def said(cache, *, terminal):
+        environment = {
+            **os.environ,
+            "NUMBA_CACHE_DIR": str(tmp_path / cache),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        }
+        ours, its = pty.openpty() if terminal else os.pipe()
+        done = subprocess.Popen([sys.executable, tmp_path / "kernel.py"], stderr=its, env=environment)
+        os.close(its)
+        text = "".join(iter(lambda: read_some(ours), ""))
+        os.close(ours)
+        assert done.wait() == 0
+        return text.splitlines()
+
+    assert said("piped", terminal=False) == []
+    (line,) = said("seen", terminal=True)
+    assert line.startswith("compiling handsight's kernels, once on this machine")
+    assert said("seen", terminal=True) == []
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "correct -",
+        "contact - --fingertip sphere:8mm",
+        "track none.mcap",
+        "demo",
+        "simulate none",
+        "calibrate camera none.mcap",
+    ],
+)
+def test_every_command_that_computes_announces_compiling(command, monkeypatch, tmp_path):
+    def announced():
+        raise SystemExit("announced")
+
+    for module in ("correct", "contact", "track", "calibrate", "demo", "simulate"):
+        monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
+    assert called(monkeypatch, tmp_path, *command.split()) == "announced"

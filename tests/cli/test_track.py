@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from cli.commands import INTERRUPTIBLE, called, run
+from cli.commands import INTERRUPTIBLE, called, read_some, run
 from cli.tracks import assert_results_agree, observations, recorded
 from handsight.cli.simulate import _believed, nuisances
 from handsight.errors import InvalidInput
@@ -108,14 +108,6 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
     assert "wrote out: track.mcap" in said
     summary = assert_results_agree(tmp_path / "out")
     assert 0 < summary["poses"] < many
-
-
-def read_some(terminal):
-    """What comes next from a terminal; empty at its end."""
-    try:
-        return os.read(terminal, 4096).decode(errors="replace")
-    except OSError:  # how Linux ends a terminal
-        return ""
 
 
 @pytest.mark.parametrize(
