@@ -4,7 +4,7 @@ import contextlib
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.terminal import announce_compiling, live_rows
-from handsight.errors import MissingExtra
+from handsight.errors import InvalidInput, MissingExtra
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from handsight.batch.problems import Problem
     from handsight.cli.track import Run
     from handsight.evaluation import CorrectionErrors
@@ -52,8 +54,8 @@ def demo(
     except MissingExtra as error:
         _plain(out, f"no picture: {error}")
     try:
-        with recordings() as paths:
-            runs = [_replayed(name, path, plot, out) for name, path in paths.items()]
+        with _data() as folder:
+            runs = [_replayed(name, folder / f"{name}.mcap", plot, out) for name in NAMES]
     except MissingExtra as error:
         _plain(out, f"no recordings replayed: {error}")
         return
@@ -74,65 +76,69 @@ class Comparison:
 
 def examples() -> Iterator[Comparison]:
     """Solves the problems of `data/demo.jsonl` and compares them with `data/demo_truth.jsonl`."""
-    from handsight.batch.problems import Reader, answer
-
-    reader = Reader(Path.cwd())
-    for name, line, truth in zip(NAMES, _lines("demo.jsonl"), _lines("demo_truth.jsonl"), strict=True):
-        problem = reader.read(line.encode())
-        yield _compared(name, problem, answer(problem), json.loads(truth))
-
-
-def _compared(name: str, problem: "Problem", answer: dict[str, Any], truth: dict[str, Any]) -> Comparison:
     import numpy as np
 
     from handsight import se3
+    from handsight.batch.problems import Reader, answer
     from handsight.evaluation import correction_errors
 
-    T_true, T_corrected = (
-        se3.from_position_quaternion(pose["position"], pose["quaternion_xyzw"]) for pose in (truth, answer)
-    )
-    T_vision = T_corrected if problem.vision is None else problem.vision.T_palm_object
-    unobservable = np.asarray(answer["unobservable"]).reshape(-1, 6)
-    vision, corrected = (
-        correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
-        for T in (T_vision, T_corrected)
-    )
-    return Comparison(name, problem, answer, vision, corrected)
+    with _data() as folder:
+        lines, truths = (
+            (folder / name).read_text(encoding="utf-8").splitlines()
+            for name in ("demo.jsonl", "demo_truth.jsonl")
+        )
+    reader = Reader(Path.cwd())
+    for name, line, truth in zip(NAMES, lines, truths, strict=True):
+        problem = reader.read(line.encode())
+        if problem.vision is None:
+            raise InvalidInput("vision: expected a pose to compare with, got none")
+        answered = answer(problem)
+        unobservable = np.asarray(answered["unobservable"]).reshape(-1, 6)
+        T_true, T_corrected = (
+            se3.from_position_quaternion(pose["position"], pose["quaternion_xyzw"])
+            for pose in (json.loads(truth), answered)
+        )
+        vision, corrected = (
+            correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
+            for T in (problem.vision.T_palm_object, T_corrected)
+        )
+        yield Comparison(name, problem, answered, vision, corrected)
 
 
 @contextlib.contextmanager
-def recordings() -> Iterator[dict[str, Path]]:
-    """By object, the built-in recordings, each with its rig beside it."""
+def _data() -> Iterator[Path]:
+    """The folder of the built-in problems and recordings, each with its rig beside it."""
     from importlib import resources
 
     with resources.as_file(resources.files("handsight").joinpath("data")) as folder:
-        yield {name: folder / f"{name}.mcap" for name in NAMES}
+        yield folder
 
 
-def _lines(name: str) -> list[str]:
-    from importlib import resources
-
-    return resources.files("handsight").joinpath("data", name).read_text(encoding="utf-8").splitlines()
-
-
-def _corrections(found: Sequence["Comparison"]) -> Any:
+def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> "Table":
     from rich.table import Table
 
-    table = Table(title="Error against the truth, vision → corrected (synthetic example)")
-    columns = ("object", "position", "of it, seen by touch", "rotation", "contacts off the surface", "open")
-    for column in columns:
-        table.add_column(column, justify="left" if column == "object" else "right")
-    for row in found:
-        before, after = row.vision, row.corrected
-        table.add_row(
+    table = Table(title=title)
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="right" if k else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _corrections(found: Sequence[Comparison]) -> "Table":
+    rows = [
+        (
             row.name,
-            f"{1e3 * before.shift:.1f} → {1e3 * after.shift:.1f} mm",
-            f"{1e3 * before.shift_observable:.1f} → {1e3 * after.shift_observable:.1f} mm",
-            f"{math.degrees(before.turn):.1f} → {math.degrees(after.turn):.1f}°",
-            f"{1e3 * before.gap:.1f} → {1e3 * after.gap:.2f} mm",
+            f"{1e3 * row.vision.shift:.1f} → {1e3 * row.corrected.shift:.1f} mm",
+            f"{1e3 * row.vision.shift_observable:.1f} → {1e3 * row.corrected.shift_observable:.1f} mm",
+            f"{math.degrees(row.vision.turn):.1f} → {math.degrees(row.corrected.turn):.1f}°",
+            f"{1e3 * row.vision.gap:.1f} → {1e3 * row.corrected.gap:.2f} mm",
             f"{len(row.answer['unobservable'])} of 6",
         )
-    return table
+        for row in found
+    ]
+    columns = ("object", "position", "of it, seen by touch", "rotation", "contacts off the surface", "open")
+    return _table("Error against the truth, vision → corrected (synthetic example)", columns, rows)
 
 
 def _replayed(name: str, path: Path, plot: Path, out: Any) -> "Run":
@@ -156,25 +162,22 @@ def _replayed(name: str, path: Path, plot: Path, out: Any) -> "Run":
     return ended
 
 
-def _tracks(runs: Sequence["Run"]) -> Any:
-    from rich.table import Table
-
-    table = Table(
-        title="Recordings replayed: error of the base's centre on the table, as the paper measures it"
-    )
-    for column in ("recording", "vision", "tracked", "at the end", "corrections", "real time"):
-        table.add_column(column, justify="left" if column == "recording" else "right")
+def _tracks(runs: Sequence["Run"]) -> "Table":
+    rows = []
     for ended in runs:
-        errors = ended.summary()["errors_mm_deg"]
-        table.add_row(
-            ended.name,
-            f"{errors['vision']['base_mean']:.1f} mm",
-            f"{errors['tracked']['base_mean']:.1f} mm",
-            f"{errors['tracked']['base_last']:.1f} mm",
-            str(ended.corrections),
-            f"{ended.tally.recorded / ended.tally.wall:.0f}x",
+        vision, tracked = (ended.errors[name].summary() for name in ("vision", "tracked"))
+        rows.append(
+            (
+                ended.name,
+                f"{vision['base_mean']:.1f} mm",
+                f"{tracked['base_mean']:.1f} mm",
+                f"{tracked['base_last']:.1f} mm",
+                str(ended.corrections),
+                f"{ended.tally.recorded / ended.tally.wall:.0f}x",
+            )
         )
-    return table
+    title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
+    return _table(title, ("recording", "vision", "tracked", "at the end", "corrections", "real time"), rows)
 
 
 def _plain(out: Any, text: str) -> None:
