@@ -154,9 +154,8 @@ class Run:
 
     def _begin(self, lines: list[bytes]) -> int:
         """How many of the lines were begun, once there was room."""
-        room = (
-            self._workers.room()
-        )  # not within the lock: Dask answers in the thread that tells of a chunk's end
+        # Not within the lock: a cluster's answer may wait for whoever tells of a chunk's end.
+        room = self._workers.room()
         with self._changed:
             self._changed.wait_for(
                 lambda: self._closing or (self._held < HELD_BYTES and self._running < room)
