@@ -25,7 +25,7 @@ def run(*arguments, stdin="", cwd=None, expect=0, columns=100):
         input=stdin.encode() if isinstance(stdin, str) else stdin,
         capture_output=True,
         cwd=cwd,
-        timeout=120,
+        timeout=300,  # a first run compiles
         env={**os.environ, "COLUMNS": str(columns)},
     )
     assert b"Traceback" not in done.stderr, done.stderr.decode()

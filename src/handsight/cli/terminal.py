@@ -45,7 +45,7 @@ def announce_compiling() -> None:
         return
     from handsight._kernels.compiled import on_compile
 
-    on_compile.append(lambda: say("compiling handsight's kernels, once on this machine: up to a minute ..."))
+    on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
 
 
 @contextlib.contextmanager
