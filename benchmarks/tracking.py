@@ -17,11 +17,11 @@ import numpy as np
 
 import handsight as hs
 import report
+from handsight.cli.simulate import record
+from handsight.cli.terminal import bar
+from handsight.cli.track import run
 from handsight.rig import Rig
-from handsight.simulate_job import record
 from handsight.simulation import Scenario, model_of, rig_of, simulate
-from handsight.terminal import bar
-from handsight.track_job import run
 from handsight.tracking import TrackerSettings
 
 STEP, SEEN_EVERY = 1e-3, 0.1
@@ -89,7 +89,7 @@ def replayed(images: bool, repeats: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "can.mcap"
         scenario = Scenario(object="can", seed=1, motion="grasp" if images else "manipulate", images=images)
-        record(scenario, path, lambda line: None)
+        record(scenario, path)
         rig = Rig.from_file(path.with_name("can.rig.yaml"))
         settings = TrackerSettings(rate=100)
         ended = [run(path, rig, model_of(scenario), settings, lambda *said: None) for _ in range(repeats)]

@@ -13,8 +13,8 @@ from grasp_errors import pose_errors
 from grasp_trials import OBJECTS, exact_model, seen_in_palm
 from handsight import se3
 from handsight.errors import MissingExtra
+from handsight.evaluation import base_center
 from handsight.objects.symmetry import nearest
-from handsight.replay import base_center
 from manipulations import WITH_MEAN, recorded, tracked
 
 WAYS = {"can": "maximum, table", "box": "mean, outside, table"}

@@ -5,8 +5,8 @@ from scipy.special import chdtri
 
 from figure_6 import centre_from_corners, corners
 from handsight import se3
+from handsight.evaluation import base_center
 from handsight.objects.symmetry import nearest
-from handsight.replay import base_center
 
 GRID = 0.001
 """To what the corners are read off the paper on the table [m]."""

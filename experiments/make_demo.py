@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
-from handsight.simulate_job import record
+from handsight.cli.simulate import record
 from handsight.simulation import Scenario
 from scenes import BOX, CAN, tilted
 
@@ -83,7 +83,7 @@ def record_both():
     """What `handsight simulate can` and `handsight simulate box` write."""
     for name in ("can", "box"):
         scenario = Scenario(object=name, seed=RECORDED_SEED, motion="manipulate")
-        record(scenario, FOLDER / f"{name}.mcap", print)
+        record(scenario, FOLDER / f"{name}.mcap")
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ from grasp_errors import pose_errors
 from grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
 from grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
 from handsight import se3
-from handsight.replay import Step, Tally, replay
 from handsight.simulation import Sample, Scenario, simulate
 from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking.replay import Step, Tally, replay
 
 RATE = 50.0
 """Observations a second; vision sees ten times a second."""

@@ -10,9 +10,9 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
+from handsight.evaluation import pose_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
-from handsight.replay import errors_of
 from handsight.tracking import Tracker, TrackerSettings
 from handsight.tracking.propagation import point_covariance
 
@@ -30,7 +30,7 @@ def later(observation, by, **changes):
 
 def base_error(grasp, T):
     given = (T, grasp.T_palm_object, grasp.observations[-1].T_world_palm)
-    return errors_of(grasp.model, *(np.array([each]) for each in given))[0, 0]
+    return pose_errors(grasp.model, *(np.array([each]) for each in given)).base[0]
 
 
 def test_a_can_is_where_touch_says_it_is(can):

@@ -25,6 +25,8 @@ FAST = {"contract", "nsz", "reassoc"}
 KEPT = 4
 """Folders of compiled kernels, of this version and earlier ones."""
 _warned: set[str] = set()
+on_compile: list[Callable[[], object]] = []
+"""Called, once each, when the first kernel is about to be compiled because it was not kept: that takes a while."""
 
 
 class KernelWarning(UserWarning):
@@ -94,12 +96,15 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Impl
 
     def load_overload(self, *args: Any) -> Any:
+        kept = None
         try:
-            return super().load_overload(*args)
+            kept = super().load_overload(*args)
         except Exception:  # a file cut short, or of another build: compiled again
             with contextlib.suppress(OSError):
                 self.flush()  # else what is damaged would be added to
-            return None
+        while kept is None and on_compile:
+            on_compile.pop()()
+        return kept
 
     def save_overload(self, *args: Any) -> None:
         try:

@@ -2,21 +2,30 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.correction import PosePrior
 from handsight.errors import HandsightError, MissingExtra
 from handsight.objects import ObjectModel
-
-if TYPE_CHECKING:
-    from handsight.problems import Problem
 
 BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
 CLOUD = 900
 CREASE = np.deg2rad(25)
+
+
+class Panel(NamedTuple):
+    """A problem and its answer."""
+
+    model: ObjectModel
+    contacts: Contacts
+    vision: PosePrior | None
+    answer: dict[str, Any]
+    """In the form of the command's answers."""
 
 
 def require_matplotlib() -> Any:
@@ -31,15 +40,14 @@ def require_matplotlib() -> Any:
     return plt
 
 
-def draw_corrections(pairs: Sequence[tuple["Problem", dict[str, Any]]], path: Path) -> None:
-    """Writes one panel per problem with its answer (as `problems.answer` gives it) to an image file."""
+def draw_corrections(panels: Sequence[Panel], path: Path) -> None:
+    """Writes the panels to an image file; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
-    columns = min(len(pairs), 3)
-    rows = -(-len(pairs) // columns)
+    columns = min(len(panels), 3)
+    rows = -(-len(panels) // columns)
     figure = plt.figure(figsize=(5.6 * columns, 5.4 * rows), layout="constrained")
-    for i, (problem, answered) in enumerate(pairs):
-        axes = figure.add_subplot(rows, columns, i + 1, projection="3d")
-        _panel(axes, problem, answered)
+    for i, panel in enumerate(panels):
+        _draw(figure.add_subplot(rows, columns, i + 1, projection="3d"), panel)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     for other in figure.axes[1:]:
         for handle, label in zip(*other.get_legend_handles_labels(), strict=True):
@@ -47,33 +55,38 @@ def draw_corrections(pairs: Sequence[tuple["Problem", dict[str, Any]]], path: Pa
                 handles.append(handle)
                 labels.append(label)
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    save(figure, path)
+
+
+def save(figure: Any, path: Path) -> None:
+    """Writes a figure to an image file of the kind that its name says, and closes it; raises HandsightError."""
     try:
         figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
         raise HandsightError(f"{path}: {error}") from None
     finally:
-        plt.close(figure)
+        require_matplotlib().close(figure)
 
 
-def _panel(axes: Any, problem: "Problem", answered: dict[str, Any]) -> None:
-    model = problem.model
-    T = se3.from_position_quaternion(answered["position"], answered["quaternion_xyzw"])
+def _draw(axes: Any, panel: Panel) -> None:
+    model, answer = panel.model, panel.answer
+    T = se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
     shown = [draw_object(axes, model, T, AFTER, "corrected")]
-    if problem.vision is not None:
-        shown.append(draw_object(axes, model, problem.vision.T_palm_object, BEFORE, "vision"))
-    points, normals = problem.contacts.points_palm, problem.contacts.normals_palm
+    if panel.vision is not None:
+        shown.append(draw_object(axes, model, panel.vision.T_palm_object, BEFORE, "vision"))
+    points, normals = panel.contacts.points_palm, panel.contacts.normals_palm
     arrow = 0.22 * model.diameter
-    outliers = np.isin(np.arange(len(points)), answered["outliers"])
+    outliers = np.isin(np.arange(len(points)), answer["outliers"])
     axes.scatter(*points[~outliers].T, color=TOUCH, s=28, depthshade=False, label="contact, its normal")
     if outliers.any():
         axes.scatter(*points[outliers].T, color="k", marker="x", s=50, depthshade=False, label="rejected")
     axes.quiver(*points.T, *(arrow * normals).T, color=TOUCH, linewidth=1.4)
     center = se3.apply(T, model.center_object[None])[0]
-    for k, direction in enumerate(answered["unobservable"]):
+    for k, direction in enumerate(answer["unobservable"]):
         _open_direction(axes, np.asarray(direction), center, model, label=None if k else "open to touch")
     shown.append(points)
     _frame(axes, np.vstack(shown))
-    fit = "fits" if answered["consistent"] else "does NOT fit"
+    fit = "fits" if answer["consistent"] else "does NOT fit"
     axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}", fontsize=11)
 
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.errors import HandsightError
+from handsight.evaluation import Truths, base_center
 from handsight.objects import ObjectModel
-from handsight.plot import require_matplotlib
-from handsight.replay import Step, Truths, base_center
 from handsight.tracking.propagation import point_covariance
+from handsight.tracking.replay import Step
+from handsight.viewer.corrections import require_matplotlib, save
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000
@@ -35,12 +35,7 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
     axes[0].set_title(f"{name}: centre of the base in the {'world' if world else 'palm'}'s frame")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        raise HandsightError(f"{path}: {error}") from None
-    finally:
-        plt.close(figure)
+    save(figure, path)
 
 
 def _curves(
@@ -48,14 +43,20 @@ def _curves(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Times (n,) [s], and (n, 3) [cm] each: base tracked, seen and true (NaN where not known), sigma of the tracked."""
     every = max(1, len(all_steps) // MOST_POINTS)
-    steps = [step for k, step in enumerate(all_steps) if k % every == 0 or step.T_palm_seen is not None]
+    steps = [
+        step for k, step in enumerate(all_steps) if k % every == 0 or step.T_palm_object_vision is not None
+    ]
     first = steps[0].stamp if steps else 0.0
     tracked, seen, true, sigma = (np.full((len(steps), 3), np.nan) for _ in range(4))
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
         truth = truths.at(step.stamp)
         base = base_center(model, T_world_palm @ (step.estimate.T_palm_object if truth is None else truth))
-        for row, T in ((tracked, step.estimate.T_palm_object), (seen, step.T_palm_seen), (true, truth)):
+        for row, T in (
+            (tracked, step.estimate.T_palm_object),
+            (seen, step.T_palm_object_vision),
+            (true, truth),
+        ):
             if T is not None:
                 row[i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
         sigma[i] = 100 * _sigma_of(step, model, T_world_palm[:3, :3], base)

@@ -1,4 +1,4 @@
-"""What a person at the terminal sees, and the files a command reads and writes."""
+"""What a person at the terminal sees."""
 
 import contextlib
 import os
@@ -6,13 +6,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import cache
-from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
-
-from handsight.errors import InvalidFile
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+INTERRUPTED, NOBODY_READS = 130, 141
+"""Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
 
 
 @cache
@@ -38,28 +39,13 @@ def one_line_warning(message: Any, *_: Any, **__: Any) -> None:
     warn(str(message))
 
 
-def opened_input(name: str) -> IO[bytes]:
-    """The problems; stdin as a file of its own, so that no thread holds the interpreter's when it ends."""
-    try:
-        return open(sys.stdin.fileno(), "rb", closefd=False) if name == "-" else open(name, "rb")
-    except OSError as error:
-        raise InvalidFile(f"{name}: {error.strerror}") from None
-
-
-@contextlib.contextmanager
-def opened_output(output: Path | None, source: str) -> Iterator[IO[str]]:
-    """Where answers go: a file, or stdout; never the file they answer."""
-    if output is None or str(output) == "-":
-        yield sys.stdout
+def announce_compiling() -> None:
+    """On a terminal, has it said when a kernel is about to be compiled, once: nothing else would be for long."""
+    if not sys.stderr.isatty():
         return
-    if source != "-" and output.exists() and output.samefile(source):
-        raise InvalidFile(f"{output}: the answers would overwrite the problems")
-    try:
-        handle = open(output, "w", encoding="utf-8")  # noqa: SIM115
-    except OSError as error:
-        raise InvalidFile(f"{output}: {error.strerror}") from None
-    with handle:
-        yield handle
+    from handsight._kernels.compiled import on_compile
+
+    on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
 
 
 @contextlib.contextmanager

@@ -1,7 +1,6 @@
 """`handsight correct --cluster` on a real scheduler and worker processes of its own, over the loopback."""
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -11,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handsight.problems import Reader, answer_text
+from batch.fragile_worker import obeyed
+from handsight.batch.problems import Reader, answer_text
 
 pytest.importorskip("distributed", reason="needs handsight[cluster]")
 
-DATA = Path(__file__).parent.parent / "src/handsight/data"
+DATA = Path(__file__).parents[2] / "src/handsight/data"
 PATIENCE = 300
 
 
@@ -135,11 +135,9 @@ def test_nobody_at_the_address_is_a_sentence(tmp_path):
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):
-    from queue import SimpleQueue
-
-    from handsight.cluster import Cluster
+    from handsight.batch.workers import Cluster
     from handsight.errors import MissingExtra
 
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtra, match=r"pip install 'handsight\[cluster\]'"):
-        Cluster("tcp://127.0.0.1:1", os.curdir, SimpleQueue())
+        Cluster("tcp://127.0.0.1:1", obeyed)

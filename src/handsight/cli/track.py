@@ -1,31 +1,83 @@
-"""A recording tracked from end to end: what is shown meanwhile, what is written, what is said at the end."""
+"""`handsight track`: what is shown of a recording meanwhile, what is written, what is said at the end."""
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
+import typer
 
+from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
+from handsight.cli.terminal import INTERRUPTED, announce_compiling, live_rows, say
 from handsight.errors import InvalidFile, MissingExtra
-from handsight.objects import ObjectModel
-from handsight.recording import (
-    TrackRow,
-    open_recording,
-    write_track_csv,
-    write_track_mcap,
-    write_track_tum,
-)
-from handsight.replay import Errors, Step, Tally, Truths, errors, replay
-from handsight.rig import Rig
-from handsight.tracking import Tracker, TrackerSettings
+
+if TYPE_CHECKING:
+    from handsight.evaluation import TrackErrors, Truths
+    from handsight.objects import ObjectModel
+    from handsight.recording import TrackRow
+    from handsight.rig import Rig
+    from handsight.tracking import Tracker, TrackerSettings
+    from handsight.tracking.replay import Step, Tally
+
+    Watch = Callable[[Tally, Step, Tracker], None]
 
 REFRESH = 0.2
-"""Seconds between two looks at a run."""
+"""Seconds between two updates of what is shown."""
 MOST_REFUSED = 5
 """Kinds of wrong observations that are told each."""
+
+
+def track(
+    recording: Recorded,
+    rig: RigFile = None,
+    object: ObjectName = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder for results; default: RECORDING-track, here."),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
+    ] = None,
+    samples: Annotated[
+        int, typer.Option(min=0, help="Answer with the posterior's mean of so many samples; 0: its maximum.")
+    ] = 0,
+    outside: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Use so many points of the hand's links, none of which can be inside the object; 500 serve well.",
+        ),
+    ] = 0,
+) -> None:
+    """Track an object in the hand through a recording.
+
+    Joint states, one wrench topic for each finger and, where there is one, a camera's pose of the object go in, under
+    the topics that the rig names; the object's pose in the palm comes out, for each joint state.
+
+    Written to the folder: `track.mcap` (PoseWithCovarianceStamped), `track.tum`, `track.csv`, `summary.json`, and
+    `track.png` where matplotlib is installed.
+
+    ```
+    handsight simulate can --output can.mcap
+    handsight track can.mcap
+    handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output results
+    ```
+    """
+    from handsight.tracking import TrackerSettings
+
+    announce_compiling()
+    found, model = rig_and_object(recording, rig, object)
+    folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
+    settings = TrackerSettings(rate=rate, samples=samples, outside=outside)
+    with live_rows(recording.name) as show:
+        ended = run(recording, found, model, settings, watching(show))
+    for sentence in [*ended.said, *ended.sentences(), *write(ended, found, model, folder)]:
+        say(sentence)
+    if ended.interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 @dataclass(slots=True)
@@ -33,21 +85,22 @@ class Run:
     """A recording's way through a tracker."""
 
     name: str
-    tally: Tally = field(default_factory=Tally)
-    steps: list[Step] = field(default_factory=list)
+    tally: "Tally"
+    truths: "Truths"
+    steps: "list[Step]" = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     """What the recording has to say of itself."""
     corrections: int = 0
     reason: str = ""
     """Why the tracker's last state was no better."""
-    vision: Errors | None = None
-    tracked: Errors | None = None
-    """Errors against the truth; None where the recording has none."""
-    truths: Truths = field(default_factory=lambda: Truths([]))
+    errors: "dict[str, TrackErrors]" = field(default_factory=dict)
+    """Of "vision" and "tracked" against the truth, where the recording has one."""
     interrupted: bool = False
 
-    def rows(self) -> Iterator[TrackRow]:
+    def rows(self) -> "Iterator[TrackRow]":
         """What was tracked, for files."""
+        from handsight.recording import TrackRow
+
         for step in self.steps:
             estimate = step.estimate
             yield TrackRow(step.stamp, estimate.T_palm_object, estimate.covariance, step.state, step.reason)
@@ -67,11 +120,7 @@ class Run:
             "last_reason": self.reason,
             "refused": dict(tally.refused),
             "recording_says": self.said,
-            "errors_mm_deg": {
-                name: _error_numbers(found)
-                for name, found in (("vision", self.vision), ("tracked", self.tracked))
-                if found is not None and len(found)
-            },
+            "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
 
     def sentences(self) -> list[str]:
@@ -91,32 +140,20 @@ class Run:
             f"{count} observations left out: {said}"
             for said, count in tally.refused.most_common(MOST_REFUSED)
         ]
-        for name, found in (("vision", self.vision), ("tracked", self.tracked)):
-            if found is not None and len(found):
-                n = _error_numbers(found)
-                lines.append(
-                    f"{name}: base centre off by {n['base_mean']:.1f} mm on average ({n['base_last']:.1f} at the end), "
-                    f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
-                )
+        for name, errors in self.errors.items():
+            n = errors.summary()
+            lines.append(
+                f"{name}: base centre off by {n['base_mean']:.1f} mm on average ({n['base_last']:.1f} at the end), "
+                f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
+            )
         return lines
 
 
-def _error_numbers(found: Errors) -> dict[str, float]:
-    return {
-        "base_mean": 1e3 * float(found.base.mean()),
-        "base_last": 1e3 * float(found.base[-1]),
-        "middle_mean": 1e3 * float(found.middle.mean()),
-        "middle_last": 1e3 * float(found.middle[-1]),
-        "rotation_mean": float(np.rad2deg(found.rotation.mean())),
-        "count": len(found),
-    }
-
-
-def watching(show: Callable[[list[tuple[str, str]]], None]) -> Callable[[Tally, Step, Tracker], None]:
+def watching(show: Callable[[list[tuple[str, str]]], None]) -> "Watch":
     """Shows the run a few times a second."""
-    last = -np.inf
+    last = -math.inf
 
-    def watch(tally: Tally, step: Step, tracker: Tracker) -> None:
+    def watch(tally: "Tally", step: "Step", tracker: "Tracker") -> None:
         """The run as it is now, unless it was shown a moment ago."""
         nonlocal last
         now = time.monotonic()
@@ -143,18 +180,22 @@ def watching(show: Callable[[list[tuple[str, str]]], None]) -> Callable[[Tally, 
 
 def run(
     path: Path,
-    rig: Rig,
-    model: ObjectModel,
-    settings: TrackerSettings,
-    watch: Callable[[Tally, Step, Tracker], None],
+    rig: "Rig",
+    model: "ObjectModel",
+    settings: "TrackerSettings",
+    watch: "Watch",
 ) -> Run:
     """Tracks a recording; Ctrl-C ends it early, and what was tracked by then is there."""
-    ended = Run(path.name)
+    from handsight.evaluation import Truths, track_errors
+    from handsight.recording import open_recording
+    from handsight.tracking import Tracker
+    from handsight.tracking.replay import Tally, replay
+
     tracker = Tracker(rig, model, settings=settings)
     with open_recording(path, rig) as recording:
+        ended = Run(path.name, Tally(), Truths([]))
         try:
-            observations = recording.observations()
-            for step in replay(observations, tracker, ended.tally):
+            for step in replay(recording.observations(), tracker, ended.tally):
                 ended.steps.append(step)
                 watch(ended.tally, step, tracker)
         except KeyboardInterrupt:
@@ -164,14 +205,17 @@ def run(
         ended.said = [*recording.report.sentences(), *recording.lacks()]
         ended.truths = Truths(recording.truth)
     ended.corrections, ended.reason = tracker.corrections, tracker.reason
-    if len(ended.truths):
-        ended.vision = errors(model, ended.steps, ended.truths, vision=True)
-        ended.tracked = errors(model, ended.steps, ended.truths, vision=False)
+    for name, vision in (("vision", True), ("tracked", False)):
+        found = track_errors(model, ended.steps, ended.truths, vision=vision)
+        if len(found):
+            ended.errors[name] = found
     return ended
 
 
-def write(ended: Run, rig: Rig, model: ObjectModel, folder: Path) -> Iterator[str]:
+def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterator[str]:
     """Writes the results into a folder, and says what was written, or why a figure was not."""
+    from handsight.recording import write_track_csv, write_track_mcap, write_track_tum
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -187,7 +231,7 @@ def write(ended: Run, rig: Rig, model: ObjectModel, folder: Path) -> Iterator[st
         yield "no picture: there is no pose"
         return
     try:
-        from handsight.plot_track import draw_track
+        from handsight.viewer.track import draw_track
 
         draw_track(ended.name, model, ended.steps, ended.truths, folder / "track.png")
         yield f"wrote {folder / 'track.png'}"

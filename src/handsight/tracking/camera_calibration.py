@@ -1,7 +1,7 @@
-"""The camera's constant error from a recording: what is left when the palm has turned and touch has spoken."""
+"""A camera's constant error: it stays in the world while the object turns with the palm, and touch says where it is."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.recording import open_recording
-from handsight.replay import Tally, replay
+from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking import Tracker
+from handsight.tracking.replay import Tally, replay
+from handsight.tracking.tracker import Tracker
 
 LITTLE_TURN = np.deg2rad(20)
 """A palm that turned less leaves error and pose mixed."""
@@ -34,27 +34,28 @@ class CameraCalibration:
     """How far the palm turned in the mount while the object was held [rad]."""
 
 
-def calibrate_camera(path: Path, rig: Rig, model: ObjectModel) -> CameraCalibration:
+def calibrate_camera(
+    observations: Iterable[Observation], rig: Rig, model: ObjectModel
+) -> CameraCalibration | None:
     """The constant error of the rig's camera, estimated with the object's pose while the palm turns.
 
-    Raises InvalidInput where the rig has no camera, or the recording no held object that was seen.
+    None where no object was ever touched and measured by vision; raises InvalidInput where the rig has no camera.
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, got none")
     tracker = Tracker(rig, model)
     turns: list[Array] = []
     error: tuple[Array, Array] | None = None
-    with open_recording(path, rig) as recording:
-        for step in replay(recording.observations(), tracker, Tally()):
-            if not step.fingers or not step.estimate.consistent or step.T_palm_seen is None:
-                continue
-            found = tracker.vision_bias()
-            if found is not None:
-                error = found
-                T = step.T_world_palm
-                turns.append(np.eye(3) if T is None or rig.camera.on == "palm" else T[:3, :3])
+    for step in replay(observations, tracker, Tally()):
+        if not step.fingers or not step.estimate.consistent or step.T_palm_object_vision is None:
+            continue
+        found = tracker.vision_bias()
+        if found is not None:
+            error = found
+            T = step.T_world_palm
+            turns.append(np.eye(3) if T is None or rig.camera.on == "palm" else T[:3, :3])
     if error is None or tracker.smoother is None:
-        raise InvalidInput(f"{path}: expected an object that is held and seen, got none")
+        return None
     return _calibration(rig.camera.T_mount_camera, error, tracker.smoother.pivot, turns)
 
 

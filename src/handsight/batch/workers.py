@@ -1,0 +1,256 @@
+"""Who answers chunks of lines: processes of this machine, or the workers of a Dask cluster."""
+
+import contextlib
+import functools
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from handsight.errors import HandsightError, MissingExtra
+
+if TYPE_CHECKING:
+    from handsight.batch.problems import Reader
+
+DEATHS = 3
+"""Workers that may die on the same lines before the lines are to blame."""
+CONNECT_SECONDS = 5
+ASK_SECONDS = 2
+"""How often a scheduler is asked how many workers there are."""
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ENVIRONMENT = {**dict.fromkeys(THREADS, "1"), "PYTHONSAFEPATH": "1"}
+"""A worker for each core leaves none over for threads; and a module of the current folder is none of ours."""
+
+
+class WorkerFailure(HandsightError):
+    """Processes that cannot work, or a cluster that cannot be reached."""
+
+
+class Answers(NamedTuple):
+    """What a worker made of a chunk of lines."""
+
+    texts: list[str]
+    """One line of JSON for each line, without its end."""
+    seconds: float
+    warnings: list[str]
+
+
+Work = Callable[[list[bytes]], Answers]
+
+
+@functools.cache
+def _reader(folder: str) -> "Reader":
+    from handsight.batch.problems import Reader
+
+    return Reader(Path(folder))
+
+
+_one_at_a_time = threading.Lock()  # the models kept are not made to be shared by a Dask worker's threads
+
+
+def answer_lines(folder: str, lines: list[bytes]) -> Answers:
+    """The answers to lines whose meshes are in `folder`, on one thread; models are built once in a process."""
+    from handsight._kernels.threads import alone
+    from handsight.batch.problems import answer_text
+
+    with _one_at_a_time, alone(), warnings.catch_warnings(record=True) as caught:
+        began = time.perf_counter()
+        texts = [answer_text(_reader(folder), line) for line in lines]
+        seconds = time.perf_counter() - began
+    return Answers(texts, seconds, [str(warning.message) for warning in caught])
+
+
+class Processes:
+    """Worker processes of this machine; use it in `with`. When one dies all are replaced, and their chunks fail."""
+
+    chunk_seconds = 0.1
+    """How long one of them should be busy with a chunk."""
+
+    def __init__(self, size: int, work: Work, first: Callable[[], object] = os.getpid) -> None:
+        """`first` is called in the first worker before it works."""
+        self._size, self._work, self._first = size, work, first
+        # New programs, not forks: a thread pool does not survive a fork.
+        self._context = multiprocessing.get_context("spawn")
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> "Processes":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def _end(self) -> None:
+        """Ends all workers, whatever they are doing."""
+        if self._pool is not None:
+            self._lifeline.close()
+            self._pool.shutdown(cancel_futures=True)
+            self._theirs.close()
+            self._pool = None
+
+    def room(self) -> int:
+        """How many chunks they take at the same time: one each."""
+        return self._size
+
+    def submit(self, lines: list[bytes]) -> Future[Answers]:
+        """The answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be had."""
+        while True:
+            pool = self._pool or self._started()
+            with contextlib.suppress(BrokenProcessPool), _spawning():
+                return pool.submit(self._work, lines)
+            self._end()
+
+    def deaths(self, error: BaseException) -> int:
+        """One, of whichever worker; raises WorkerFailure where it was no death."""
+        if isinstance(error, BrokenProcessPool):
+            return 1
+        raise WorkerFailure(f"worker: {type(error).__name__}: {error}")
+
+    def _started(self) -> ProcessPoolExecutor:
+        """A pool whose first worker is ready."""
+        codes: list[int | None] = []
+        for _ in range(DEATHS):
+            self._theirs, self._lifeline = self._context.Pipe(duplex=False)
+            self._pool = ProcessPoolExecutor(self._size, self._context, _begin, (self._theirs,))
+            with _spawning():
+                ready = self._pool.submit(self._first)
+            children = multiprocessing.active_children()
+            try:
+                ready.result()
+            except BrokenProcessPool:
+                self._end()
+                codes = [child.exitcode for child in children]
+            else:
+                return self._pool
+        said = ", ".join(str(code) for code in codes)
+        raise WorkerFailure(f"worker processes end as they start (exit code {said}); --workers 1 needs none")
+
+
+@contextlib.contextmanager
+def _spawning() -> Iterator[None]:
+    """Processes that begin within have the workers' environment, and never hear of Ctrl-C."""
+    before = {name: os.environ.get(name) for name in ENVIRONMENT}
+    masks = hasattr(signal, "pthread_sigmask")  # a mask is inherited, and nothing is lost meanwhile
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+    os.environ.update(ENVIRONMENT)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _begin(lifeline: Connection) -> None:
+    """What a worker does first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Whatever a library prints must not come between the answers.
+    os.dup2(2, 1)
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    """Ends this process as soon as the other end, which only its parent has, is closed."""
+    with contextlib.suppress(EOFError, OSError):
+        lifeline.recv_bytes()
+    os._exit(1)
+
+
+class Cluster:
+    """A Dask cluster's workers; use it in `with`. Dask runs a chunk again whose worker died; that changes no answer."""
+
+    chunk_seconds = 0.5
+
+    def __init__(self, address: str, work: Work) -> None:
+        """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
+        self._address, self._work = address, work
+        self._client = _connected(address)
+        self._futures: set[Any] = set()
+        self._room, self._asked = 0, -float("inf")
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Drops what is not yet answered."""
+        with contextlib.suppress(Exception):  # there may be nobody to tell
+            self._client.cancel(list(self._futures), force=True)
+        with contextlib.suppress(Exception):
+            self._client.close(timeout=CONNECT_SECONDS)
+
+    def room(self) -> int:
+        """Two chunks for each thread, so that none waits for us; workers may come and go."""
+        now = time.monotonic()
+        if now - self._asked > ASK_SECONDS:
+            try:
+                self._room = max(2, 2 * sum(self._client.nthreads().values()))
+            except Exception as error:
+                raise self._lost(error) from None
+            self._asked = now
+        return self._room
+
+    def submit(self, lines: list[bytes]) -> Future[Answers]:
+        """The answers to come; raises WorkerFailure where the cluster was lost."""
+        # Not by Client.get_executor(), whose futures never end where the scheduler is lost.
+        answers: Future[Answers] = Future()
+        try:
+            there = self._client.submit(self._work, lines, pure=False)
+        except Exception as error:
+            raise self._lost(error) from None
+        self._futures.add(there)  # Dask forgets what nobody holds
+        there.add_done_callback(lambda there: self._ended(there, answers))
+        return answers
+
+    def _ended(self, there: Any, answers: Future[Answers]) -> None:
+        self._futures.discard(there)
+        try:
+            answers.set_result(Answers(*there.result()))
+        except BaseException as error:
+            answers.set_exception(error)
+
+    def deaths(self, error: BaseException) -> int:
+        """As many as Dask has tried; raises WorkerFailure where the cluster was lost."""
+        from distributed.scheduler import KilledWorker
+
+        if isinstance(error, KilledWorker):
+            return DEATHS
+        raise self._lost(error)
+
+    def _lost(self, error: BaseException) -> WorkerFailure:
+        if isinstance(error, ModuleNotFoundError):
+            return WorkerFailure(
+                f"{self._address}: the workers have no module {error.name!r}; install handsight there"
+            )
+        return WorkerFailure(f"{self._address}: the cluster was lost ({type(error).__name__}: {error})")
+
+
+def _connected(address: str) -> Any:
+    try:
+        from distributed import Client
+        from distributed.comm.addressing import resolve_address
+    except ImportError:
+        raise MissingExtra("--cluster needs Dask: pip install 'handsight[cluster]'") from None
+    # Dask reports each lost connection with a traceback, by loggers of their own level; what matters is raised.
+    for name in ["distributed", *logging.root.manager.loggerDict]:
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        # A client that was given nonsense hangs when it is disposed of.
+        resolve_address(address)
+        connect: Any = Client
+        return connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        said = str(error).partition("\n")[0] or type(error).__name__
+        raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({said})") from None

@@ -1,0 +1,183 @@
+"""`handsight correct`: a file of problems, answered a line each."""
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated
+
+import typer
+
+from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, progress, say, warn
+from handsight.errors import InvalidFile, InvalidInput
+
+if TYPE_CHECKING:
+    from handsight.batch.run import Answered, Source
+
+MOST_PANELS = 6
+"""Problems that a picture has room for."""
+
+
+@dataclass(slots=True)
+class Written:
+    """What has been written."""
+
+    done: int = 0
+    failed: int = 0
+    first: list[tuple[bytes, str]] = field(default_factory=list)
+    """Lines and answers that a picture can show."""
+
+    def write(self, answered: "Answered", sink: IO[str]) -> None:
+        """Writes answers, and says what workers warned of."""
+        from handsight.batch.run import is_error
+
+        for warning in answered.warnings:
+            warn(warning)
+        sink.write("".join(f"{text}\n" for text in answered.texts))
+        # Before the flush: once in the buffer, answers are written whatever interrupts us.
+        self.done += len(answered.texts)
+        self.failed += sum(map(is_error, answered.texts))
+        sink.flush()
+        if len(self.first) < MOST_PANELS:
+            pairs = zip(answered.lines, answered.texts, strict=True)
+            self.first += [pair for pair in pairs if not is_error(pair[1])][: MOST_PANELS - len(self.first)]
+
+
+def correct(
+    problems: Annotated[str, typer.Argument(help="A .jsonl file, a single .json, or - for stdin.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Where the answers go, a line each; default: stdout."),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help=f"Draw the first {MOST_PANELS} problems: PNG, PDF or SVG by its name.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, show_default="1", help="Worker processes on this machine; 0: one for each core."),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They look for meshes in the "
+            "problem file's folder under its absolute path, so share it. One thread per worker is best.",
+        ),
+    ] = None,
+) -> None:
+    """Correct an object's pose by what the fingertips touch.
+
+    One problem a line (one line here; everything in metres and the palm's frame):
+
+    ```
+    {"object": {"box": [0.06, 0.09, 0.14]},
+     "contacts": [{"point": [0.031, 0.01, 0.1], "normal": [1, 0, 0], "sigma_point": 0.001, "sigma_normal_deg": 5}],
+     "vision": {"position": [0.02, 0, 0.1], "quaternion_xyzw": [0, 0, 0, 1],
+                "sigma_position": 0.03, "sigma_rotation_deg": 15}}
+    ```
+
+    * **object**: `{"box": [x, y, z]}`, `{"cylinder": {"radius": r, "height": h}}` or
+      `{"mesh": "file.ply", "scale": 0.001}`; the file is looked for beside the problem file.
+    * **contacts**: `normal` is the object's outward normal. Sigmas are one standard deviation per axis
+      (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
+    * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
+    * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
+    * **samples**: above 0, answer with the posterior's mean (say 4000).
+    * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.
+
+    Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves
+    open, wrong contacts, other hypotheses. A line that cannot be read is answered `{"error": ...}`; the exit
+    code is then 1. Any number of lines fits: they are read as they are answered.
+
+    ```
+    handsight correct grasps.jsonl --output answers.jsonl --plot first.png
+    handsight correct grasps.jsonl --output answers.jsonl --workers 0
+    handsight correct grasps.jsonl --output answers.jsonl --cluster tcp://10.0.0.5:8786
+    producer | handsight correct - | consumer
+    ```
+    """
+    if workers is not None and cluster is not None:
+        raise InvalidInput("--workers: expected without --cluster, whose workers are its own, got both")
+    workers = 1 if workers is None else workers
+    written = Written()
+    try:
+        if plot is not None:
+            from handsight.viewer.corrections import require_matplotlib
+
+            require_matplotlib()
+        if workers == 1 and cluster is None:
+            announce_compiling()
+        _answer(problems, output, workers, cluster, written)
+        if plot is not None and written.first:
+            _draw(written.first, _folder(problems), plot)
+    except KeyboardInterrupt:
+        say(f"handsight: stopped after {written.done} answers; they are written")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:
+        # Whoever read the answers has gone; there is nobody to tell, nor to flush to at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(NOBODY_READS) from None
+    if output is not None:
+        say(f"wrote {output}: {written.done} answers, {written.failed} of them errors")
+    if written.failed:
+        raise typer.Exit(1)
+
+
+def _answer(problems: str, output: Path | None, workers: int, cluster: str | None, written: Written) -> None:
+    """Answers and writes line by line; `written` tells how far it came."""
+    from handsight.batch.run import answering
+
+    source, whole = _opened_input(problems), problems.endswith(".json")
+    answers = answering(
+        source, _folder(problems), whole=whole, workers=workers, cluster=cluster, first=announce_compiling
+    )
+    with (
+        answers as all_answered,
+        _opened_output(output, problems) as sink,
+        progress(problems, show=output is not None) as advance,
+    ):
+        for answered in all_answered:
+            written.write(answered, sink)
+            advance(len(answered.texts), sum(len(line) + 1 for line in answered.lines))
+
+
+def _folder(problems: str) -> Path:
+    """Where meshes are looked for."""
+    return Path.cwd() if problems == "-" else Path(problems).parent.absolute()
+
+
+def _opened_input(name: str) -> "Source":
+    """The problems; stdin as a file of its own, so that no thread holds the interpreter's when it ends."""
+    try:
+        return open(sys.stdin.fileno(), "rb", closefd=False) if name == "-" else open(name, "rb")
+    except OSError as error:
+        raise InvalidFile(f"{name}: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def _opened_output(output: Path | None, source: str) -> Iterator[IO[str]]:
+    """Where answers go: a file, or stdout; never the file they answer."""
+    if output is None or str(output) == "-":
+        yield sys.stdout
+        return
+    if source != "-" and output.exists() and output.samefile(source):
+        raise InvalidFile(f"{output}: the answers would overwrite the problems")
+    try:
+        handle = open(output, "w", encoding="utf-8")  # noqa: SIM115
+    except OSError as error:
+        raise InvalidFile(f"{output}: {error.strerror}") from None
+    with handle:
+        yield handle
+
+
+def _draw(pairs: list[tuple[bytes, str]], folder: Path, plot: Path) -> None:
+    from handsight.batch.problems import Reader
+    from handsight.viewer.corrections import Panel, draw_corrections
+
+    reader = Reader(folder)
+    problems = [(reader.read(line), json.loads(text)) for line, text in pairs]
+    draw_corrections([Panel(p.model, p.contacts, p.vision, answer) for p, answer in problems], plot)
+    say(f"wrote {plot}")

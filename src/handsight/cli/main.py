@@ -1,0 +1,75 @@
+"""The command `handsight`: its commands put together, and what is said of wrong input."""
+
+import sys
+import time
+import warnings
+from typing import Annotated
+
+import typer
+
+# Help and version are to be there at once: what computes is imported by the command that needs it.
+from handsight.cli.calibrate import calibrate_app
+from handsight.cli.contact import WithColumns, contact
+from handsight.cli.correct import correct
+from handsight.cli.demo import demo
+from handsight.cli.rig import rig_app
+from handsight.cli.simulate import simulate
+from handsight.cli.terminal import one_line_warning, say
+from handsight.cli.track import track
+from handsight.errors import HandsightError
+
+app = typer.Typer(
+    help="Know where the object is in the robot's hand, by touch and sight.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+)
+
+
+def main() -> None:
+    """Runs the command; wrong input is one sentence on stderr and exit code 2, never a traceback."""
+    warnings.showwarning = one_line_warning
+    try:
+        app()
+    except HandsightError as error:
+        say(f"handsight: {error}")
+        sys.exit(2)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"handsight {version('handsight')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def warmup() -> None:
+    """Compile what computes, ahead of the first problem; done once for each version and machine.
+
+    Without it the first command that computes does so. `HANDSIGHT_CACHE` names another folder.
+    """
+    from handsight._kernels.compiled import folder
+    from handsight._kernels.warm import warm
+
+    began = time.monotonic()
+    warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))
+    print(f"compiled in {time.monotonic() - began:.1f} s; kept in {folder()}")
+
+
+for command in (demo, track, simulate, correct):
+    app.command()(command)
+app.command(cls=WithColumns)(contact)
+app.command()(warmup)
+app.add_typer(rig_app, name="rig")
+app.add_typer(calibrate_app, name="calibrate")

@@ -1,0 +1,127 @@
+"""`handsight simulate`: a scenario simulated into a recording, its rig beside it."""
+
+import dataclasses
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from handsight.cli.terminal import announce_compiling, bar, say
+from handsight.errors import InvalidFile, InvalidInput
+
+if TYPE_CHECKING:
+    from handsight.rig import ObjectEntry, Rig
+    from handsight.simulation import Nuisances, Scenario
+
+MODELS_OWN = ("object_dent", "object_scan")
+"""Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
+
+
+def simulate(
+    object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres, standing along z.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The recording, MCAP; default: OBJECT-SEED.mcap here."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    motion: Annotated[
+        str, typer.Option(help="grasp: close and hold; manipulate: then move, lift and turn the object.")
+    ] = "manipulate",
+    images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
+    nuisance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="Another size of a nuisance, in SI units; `none` switches all off."
+        ),
+    ] = None,
+) -> None:
+    """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
+
+    Beside the recording goes its rig, OUTPUT.rig.yaml. All of it is synthetic (MuJoCo); what spoils the readings, and
+    by how much, is a setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`.
+    """
+    from handsight.simulation import Scenario
+
+    announce_compiling()
+    chosen: Any = motion  # the scenario says which there are
+    scenario = Scenario(
+        object=object, seed=seed, motion=chosen, images=images, nuisances=nuisances(nuisance or [])
+    )
+    path = output or Path(f"{Path(object).stem}-{seed}.mcap")
+    samples, dropped = record(scenario, path)
+    size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
+    say(f"wrote {path}: {samples} observations, {size}, and {_rig_path(path).name}")
+    if dropped:
+        say("the object has slipped out of the grasp; another --seed may hold it")
+
+
+def nuisances(settings: Iterable[str]) -> "Nuisances":
+    """The usual nuisances with some of another size, from `name=value`; `none` begins with all of them off."""
+    from handsight import checks
+    from handsight.simulation import Nuisances
+
+    chosen = Nuisances()
+    names = [field.name for field in dataclasses.fields(Nuisances)]
+    for setting in settings:
+        if setting == "none":
+            chosen = Nuisances.none()
+            continue
+        name, equals, value = setting.partition("=")
+        if not equals or name not in names:
+            raise InvalidInput(
+                f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.among(name, names)}"
+            )
+        if name in MODELS_OWN:
+            raise InvalidInput(
+                f"--nuisance {name}: expected one of the recording, got one of the object's model"
+            )
+        try:
+            chosen = dataclasses.replace(chosen, **{name: float(value)})
+        except ValueError as error:
+            said = str(error) if isinstance(error, InvalidInput) else f"expected a number, got {value!r}"
+            raise InvalidInput(f"--nuisance {name}: {said.removeprefix(f'{name}: ')}") from None
+    return chosen
+
+
+def record(scenario: "Scenario", path: Path) -> tuple[int, bool]:
+    """How many observations were simulated into `path`, and whether the hand dropped the object in the end.
+
+    The rig is written beside it. Ctrl-C leaves what was simulated by then.
+    """
+    from handsight.recording import RecordingWriter
+    from handsight.rig.save import write as write_rig
+    from handsight.simulation import rig_of, simulate
+
+    if path.suffix.lower() != ".mcap":
+        raise InvalidFile(f"{path}: expected a name that ends in .mcap")
+    rig = rig_of(scenario)
+    # The one object there is need not be named to `track`.
+    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
+    samples, dropped = 0, False
+    with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
+        for sample in simulate(scenario, advance):
+            writer.write(sample.observation)
+            writer.write_truth(sample.observation.stamp, sample.T_palm_object)
+            samples, dropped = samples + 1, sample.dropped
+    write_rig(rig, _rig_path(path))
+    return samples, dropped
+
+
+def _rig_path(recording: Path) -> Path:
+    return recording.with_name(f"{recording.stem}.rig.yaml")
+
+
+def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":
+    """The object in the size that the robot takes it to have."""
+    from handsight.rig import ObjectEntry
+
+    entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
+    k = scenario.nuisances.object_scale
+    if entry.box is not None:
+        x, y, z = entry.box
+        return ObjectEntry(box=(k * x, k * y, k * z))
+    if entry.cylinder is not None:
+        radius, height = entry.cylinder
+        return ObjectEntry(cylinder=(k * radius, k * height))
+    return dataclasses.replace(entry, scale=k * entry.scale)

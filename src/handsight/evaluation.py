@@ -1,0 +1,127 @@
+"""Errors of poses against a known truth, modulo the object's symmetries."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.objects import ObjectModel
+from handsight.objects.symmetry import nearest
+from handsight.tracking.replay import Step
+
+TRUTH_APART = 0.05
+"""A truth farther from an observation than this is not its truth [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackErrors:
+    """How far poses in the palm were from the truth."""
+
+    base: Array
+    """(n,) of the centre of the base, in the table's plane, as the paper measures it [m]; in the palm's x and y where
+    the palm's pose in the world is not known."""
+    middle: Array
+    """(n,) of the object's middle, in space [m]."""
+    rotation: Array
+    """(n,) [rad]"""
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    def summary(self) -> dict[str, float]:
+        """Means and last values in millimetres and degrees, and how many there are; of no errors there is none."""
+        return {
+            "base_mean": 1e3 * float(self.base.mean()),
+            "base_last": 1e3 * float(self.base[-1]),
+            "middle_mean": 1e3 * float(self.middle.mean()),
+            "middle_last": 1e3 * float(self.middle[-1]),
+            "rotation_mean": float(np.rad2deg(self.rotation.mean())),
+            "count": len(self),
+        }
+
+
+def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Array) -> TrackErrors:
+    """Errors of poses in the palm, each of the three stacks (n, 4, 4)."""
+    true = nearest(model.symmetries, Ts_true, Ts, model.radius)
+    bases = base_center(model, Ts_world_palm @ Ts_true)[:, None]
+    base = (se3.apply(Ts_world_palm @ Ts, bases) - se3.apply(Ts_world_palm @ true, bases))[:, 0, :2]
+    middle = se3.apply(Ts, model.center_object[None]) - se3.apply(true, model.center_object[None])
+    turn = se3.rotation_log(Ts[:, :3, :3] @ true[:, :3, :3].swapaxes(1, 2))
+    return TrackErrors(*(np.linalg.norm(part, axis=1) for part in (base, middle[:, 0], turn)))
+
+
+def base_center(model: ObjectModel, T_world_object: Array) -> Array:
+    """(..., 3) in the object's frame [m]: the middle of the side of its bounding box that faces down in the world."""
+    low, high = model.bounds_object
+    down = -T_world_object[..., 2, :3]
+    axis = np.argmax(np.abs(down), axis=-1)[..., None]
+    lowest = np.where(down > 0, high, low)
+    center = np.broadcast_to((low + high) / 2, down.shape).copy()
+    np.put_along_axis(center, axis, np.take_along_axis(lowest, axis, axis=-1), axis=-1)
+    return center
+
+
+class Truths:
+    """True poses in the palm by stamp."""
+
+    def __init__(self, stamped: Iterable[tuple[float, Array]]) -> None:
+        """`stamped`: (stamp [s], T_palm_object (4, 4)), in any order."""
+        rows = sorted(stamped, key=lambda row: row[0])
+        self._stamps = np.array([stamp for stamp, _ in rows])
+        self._poses = [T for _, T in rows]
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def at(self, stamp: float) -> Array | None:
+        """The truth nearest in time; None where there is none near enough."""
+        if not self._poses:
+            return None
+        after = int(np.searchsorted(self._stamps, stamp))
+        near = max(0, after - 1) + int(np.abs(self._stamps[max(0, after - 1) : after + 1] - stamp).argmin())
+        return self._poses[near] if abs(self._stamps[near] - stamp) <= TRUTH_APART else None
+
+
+def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, vision: bool) -> TrackErrors:
+    """Errors of the estimates, or of what vision measured, at the steps whose truth is known."""
+    rows = []
+    for step in steps:
+        T = step.T_palm_object_vision if vision else step.estimate.T_palm_object
+        true = None if T is None else truths.at(step.stamp)
+        if true is not None:
+            rows.append((T, true, np.eye(4) if step.T_world_palm is None else step.T_world_palm))
+    if not rows:
+        return TrackErrors(np.empty(0), np.empty(0), np.empty(0))
+    return pose_errors(model, *(np.array(column) for column in zip(*rows, strict=True)))
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionErrors:
+    """How far one pose is from the truth, and from the contacts."""
+
+    shift: float
+    """Of the object's origin [m]."""
+    shift_observable: float
+    """The part of it along directions that the contacts tell [m]."""
+    turn: float
+    """[rad]"""
+    gap: float
+    """Mean distance of the contacts to the object's surface [m]."""
+
+
+def correction_errors(
+    model: ObjectModel, T_palm_object: Array, T_true: Array, points_palm: Array, unobservable: Array
+) -> CorrectionErrors:
+    """Errors of a pose whose contacts (k, 3) [m] leave the directions (m, 6) of `PoseEstimate.unobservable` open."""
+    equivalent = nearest(model.symmetries, T_true, T_palm_object, model.radius)
+    delta = se3.difference(T_palm_object, equivalent) * np.array([1.0] * 3 + [model.radius] * 3)
+    observable = delta - unobservable.T @ (unobservable @ delta)
+    points_object = se3.apply(se3.inverse(T_palm_object), points_palm)
+    return CorrectionErrors(
+        shift=float(np.linalg.norm(delta[:3])),
+        shift_observable=float(np.linalg.norm(observable[:3])),
+        turn=float(np.linalg.norm(delta[3:]) / model.radius),
+        gap=float(np.abs(model.fine.evaluate(points_object).distance).mean()),
+    )

@@ -1,0 +1,144 @@
+"""Problems as lines of JSON: their answers, and what is said of a line that is wrong."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from batch.box_problem import BOX, KEYS, changed
+from handsight.batch import problems
+
+
+def corrected(*lines):
+    """The answers to problems, or to lines as they stand."""
+    reader = problems.Reader(Path())
+    texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
+    return [json.loads(problems.answer_text(reader, text.encode())) for text in texts]
+
+
+def test_the_box_with_five_contacts_is_put_right():
+    (answer,) = corrected(BOX)
+    assert list(answer) == KEYS
+    np.testing.assert_allclose(answer["position"], 0, atol=2e-3)
+    np.testing.assert_allclose(answer["quaternion_xyzw"][:3], 0, atol=0.03)
+    assert np.shape(answer["covariance"]) == np.shape(answer["information"]) == (6, 6)
+    np.testing.assert_allclose(np.array(answer["covariance"]) @ answer["information"], np.eye(6), atol=1e-6)
+    assert answer["converged"]
+    assert answer["consistent"]
+    assert answer["outliers"] == answer["unobservable"] == []
+    assert len(answer["residuals"]["distance"]) == len(answer["residuals"]["normal_deg"]) == 5
+    assert answer["hypotheses"][0]["position"] == answer["position"]
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("problem", "error"),
+    [
+        (
+            changed("contacts[0].point", [NAN, 0, 0]),
+            "contacts[0].point: expected 3 finite numbers, got [nan, 0, 0]",
+        ),
+        (changed("contacts[0].point", ["a", 0, 0]), "contacts[0].point: expected 3 finite numbers"),
+        (
+            changed("contacts[0].point", [True, 0, 0]),
+            "contacts[0].point: expected 3 finite numbers, got [True, 0, 0]",
+        ),
+        (changed("contacts[0].point", [10**400, 0, 0]), "contacts[0].point: expected 3 finite numbers"),
+        (changed("contacts[1].point", [1e300, 0, 0]), "contacts[1].point: "),
+        (
+            changed("contacts[1].normal", [0, 0, 0]),
+            "contacts[1].normal: expected a direction, got a zero vector",
+        ),
+        (changed("contacts[2].sigma_point", 0), "contacts[2].sigma_point: expected a number above 0, got 0"),
+        (
+            changed("contacts[2].sigma_normal_deg", -5),
+            "contacts[2].sigma_normal_deg: expected a number above 0, got -5",
+        ),
+        (changed("contacts[2].colour", "red"), "contacts[2].colour: unknown key; valid: covariance, normal, "),
+        (changed("contacts", []), "contacts: expected at least one contact, got none"),
+        (changed("contacts", {}), "contacts: expected a list, got {}"),
+        (
+            changed("contacts[0].covariance", np.eye(6).tolist()),
+            "contacts[0]: expected sigmas or a covariance, got both",
+        ),
+        (
+            changed("contacts[1].covariance", (-np.eye(6)).tolist()),
+            "contacts[1].covariance: expected a positive semidefinite",
+        ),
+        (
+            changed("vision.quaternion_xyzw", [0, 0, 0, 0]),
+            "vision.quaternion_xyzw: expected a direction, got a zero vector",
+        ),
+        (
+            changed("vision.sigma_position", ...),
+            "vision.sigma_position: expected a number above 0, got nothing",
+        ),
+        (
+            changed("vision.sigma_position", float("inf")),
+            "vision.sigma_position: expected a finite number, got inf",
+        ),
+        (
+            changed("vision.covariance", np.eye(6).tolist()),
+            "vision: expected sigma_position and sigma_rotation_deg or a covariance, got both",
+        ),
+        (changed("object", {}), "object: expected one of mesh, box, cylinder, got none"),
+        (
+            changed("object", {"box": [0.1, 0.1, -0.1]}),
+            "object.box: expected 3 numbers above 0, got [0.1, 0.1, -0.1]",
+        ),
+        (changed("object", {"mesh": "no-such-file.ply"}), "object.mesh: "),
+        (changed("object", {"box": [0.1, 0.1, 0.1], "scale": 2}), "object.scale: expected beside mesh only"),
+        (changed("method", "magic"), "method: expected one of handsight, paper-lm, paper-gd"),
+        (changed("samples", -1), "samples: expected a whole number from 0, got -1"),
+        (changed("samples", 1.5), "samples: expected a whole number from 0, got 1.5"),
+        (changed("outside", [[0, 0]]), "outside: expected finite numbers of shape (n, 3), got [[0, 0]]"),
+        (changed("object", ...), "object: expected, got nothing"),
+        ({**BOX, "extra": 1}, "extra: unknown key; "),
+        ("[1, 2]", "line: expected an object {...}, got [1, 2]"),
+        ('{"object": {"box": [1,1,1]}, "object": {"box": [2,2,2]}, "contacts": []}', "object: expected once"),
+        ("[" * 100_000, "line: "),
+    ],
+)
+def test_each_wrong_line_names_field_expectation_and_what_came(problem, error):
+    (answer,) = corrected(problem)
+    assert list(answer) == ["error"]
+    assert error in answer["error"]
+
+
+def test_a_contact_without_a_normal_has_no_angle():
+    (answer,) = corrected(changed("contacts[4].normal", ...))
+    assert answer["residuals"]["normal_deg"][4] is None
+    assert answer["residuals"]["normal_deg"][0] is not None
+
+
+def test_blind_is_a_problem_without_vision():
+    problem = changed("vision", ...)
+    (answer,) = corrected(problem)
+    assert answer["consistent"]
+    assert max(map(abs, answer["residuals"]["distance"])) < 0.003
+    assert sum(h["weight"] for h in answer["hypotheses"]) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("method", ["paper-lm", "paper-gd", "paper-lm-distance", "paper-gd-distance"])
+def test_the_papers_methods_answer_in_the_same_form(method):
+    (answer,) = corrected({**BOX, "method": method})
+    assert list(answer) == KEYS
+
+
+def test_the_papers_methods_ask_for_two_contacts_and_ours_for_one():
+    one = changed("contacts", BOX["contacts"][:1])
+    ours, papers = corrected(one, {**one, "method": "paper-lm"})
+    assert len(ours["unobservable"]) == 3
+    assert "at least 2 fingers" in papers["error"]
+
+
+def test_a_fault_of_ours_costs_its_line_only(monkeypatch):
+    def faulty(problem):
+        raise ZeroDivisionError("no")
+
+    monkeypatch.setattr(problems, "answer", faulty)
+    text = problems.answer_text(problems.Reader(Path()), json.dumps(BOX).encode())
+    assert "line: expected an answer, got ZeroDivisionError: no" in json.loads(text)["error"]

@@ -1,0 +1,315 @@
+"""Many lines through many workers: each is answered once, in its place, whatever happens to the workers."""
+
+import io
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pytest
+
+from batch.fragile_worker import ends_at_once, obeyed
+from handsight.batch import run as batch
+from handsight.batch.run import Run, blocks, is_error
+from handsight.batch.workers import Answers, Processes, WorkerFailure
+from handsight.errors import InvalidFile
+
+
+class Pretended:
+    """Workers in this process that finish their chunks in any order, and lose some."""
+
+    chunk_seconds = 0.1
+
+    def __init__(self, *, size=4, seconds=0.0, loses=lambda lines: False, seed=0):
+        self.size, self.seconds, self.loses = size, seconds, loses
+        self.random = random.Random(seed)
+        self.begun, self.running, self.most = [], 0, 0
+
+    def room(self):
+        return self.size
+
+    def deaths(self, error):
+        assert isinstance(error, BrokenProcessPool)
+        return 1
+
+    def submit(self, lines):
+        self.begun.append(len(lines))
+        self.running += 1
+        self.most = max(self.most, self.running)
+        future = Future()
+        self.go(lines, future)
+        return future
+
+    def go(self, lines, future):
+        threading.Timer(0.005 * self.random.random(), self.finish, [lines, future]).start()
+
+    def finish(self, lines, future):
+        self.running -= 1
+        if self.loses(lines):
+            future.set_exception(BrokenProcessPool())
+        else:
+            texts = [json.dumps({"line": line.decode()}) for line in lines]
+            future.set_result(Answers(texts, self.seconds, []))
+
+
+class Prompt(Pretended):
+    """Finishes at once."""
+
+    def go(self, lines, future):
+        self.finish(lines, future)
+
+
+def source(lines):
+    return io.BytesIO("".join(f"{line}\n" for line in lines).encode())
+
+
+def answered(run):
+    """Lines and answers in one list; both came in step."""
+    pairs = []
+    for lines, texts, _ in run:
+        pairs += zip([line.decode() for line in lines], map(json.loads, texts), strict=True)
+    return pairs
+
+
+@pytest.mark.parametrize("kind", [Prompt, Pretended])
+@pytest.mark.parametrize("n", [0, 1, 2, 7, 3000])
+def test_every_line_is_answered_once_and_in_order(kind, n):
+    rng, lost = random.Random(n), set()
+
+    def loses(lines):
+        """Some chunks, once."""
+        return rng.random() < 0.3 and not (lines[0] in lost or lost.add(lines[0]))
+
+    workers = kind(size=3 if n > 7 else 1, loses=loses)
+    pairs = answered(Run(source(range(n)), workers))
+    assert [line for line, _ in pairs] == [str(i) for i in range(n)]
+    assert all(answer["line"] == line for line, answer in pairs)
+    assert workers.most <= workers.size
+
+
+def test_blank_lines_are_none_and_the_last_needs_no_end():
+    assert [b.strip() for lines in blocks(io.BytesIO(b"\n1\n  \n2\r\n\n3")) for b in lines] == [
+        b"1",
+        b"2",
+        b"3",
+    ]
+
+
+def test_a_whole_file_is_one_line_even_an_empty_one():
+    assert list(blocks(io.BytesIO(b"{\n}\n"), whole=True)) == [[b"{\n}\n"]]
+    assert list(blocks(io.BytesIO(b""), whole=True)) == [[b""]]
+
+
+class InPieces(io.RawIOBase):
+    """Gives what it is asked for a few bytes at a time."""
+
+    def __init__(self, data):
+        self.rest = data
+
+    def readable(self):
+        return True
+
+    def readinto(self, buffer):
+        n = min(3, len(self.rest), len(buffer))
+        buffer[:n], self.rest = self.rest[:n], self.rest[n:]
+        return n
+
+
+@pytest.mark.parametrize("text", [b"", b"\n", b"1", b"12345678\n", b"1\n22\n\n333\n4444\n55555\n666666"])
+def test_lines_that_come_in_pieces_are_put_together(text):
+    came = [line for lines in blocks(io.BufferedReader(InPieces(text))) for line in lines]
+    assert came == [line for line in text.split(b"\n") if line]
+
+
+def test_chunks_are_small_at_first_and_grow_while_they_are_quick():
+    workers = Prompt(size=1)
+    answered(Run(source(range(5000)), workers))
+    assert workers.begun[:5] == [1, 2, 4, 8, 16]
+    assert max(workers.begun) == batch.CHUNK_LINES
+
+
+def test_slow_lines_go_one_by_one():
+    workers = Prompt(size=1, seconds=0.3)
+    answered(Run(source(range(20)), workers))
+    assert workers.begun == [1] * 20
+
+
+class Endless(io.BufferedIOBase):
+    """Lines without end, counted as they are read."""
+
+    name = "endless"
+    read_lines = 0
+
+    def read1(self, size=-1):
+        self.read_lines += 10
+        return 10 * (b"x" * 1000 + b"\n")
+
+
+def test_a_line_that_takes_forever_does_not_let_the_reader_run_ahead(monkeypatch):
+    monkeypatch.setattr(batch, "HELD_BYTES", 4_000_000)
+    lines = Endless()
+
+    class Stuck(Prompt):
+        def go(self, lines, future):
+            if len(self.begun) > 1:
+                super().go(lines, future)
+
+    run = Run(lines, Stuck())
+    threading.Thread(target=lambda: next(iter(run)), daemon=True).start()
+    before = -1
+    while lines.read_lines != before:
+        before = lines.read_lines
+        threading.Event().wait(0.3)
+    run.close()
+    assert 500 < before < 2000
+
+
+def test_an_answer_does_not_wait_for_the_next_line():
+    """A program that sends a line and waits for its answer before it sends the next gets it."""
+    read, write = os.pipe()
+    answers = iter(Run(os.fdopen(read, "rb"), Prompt()))
+    for i in range(5):
+        os.write(write, f"{i}\n".encode())
+        assert next(answers).lines == [f"{i}".encode()]
+    os.close(write)
+    assert list(answers) == []
+
+
+def test_a_file_that_cannot_be_read_on_is_an_error_after_what_could_be_read():
+    class Broken(Endless):
+        def read1(self, size=-1):
+            if self.read_lines:
+                raise OSError(5, "Input/output error")
+            return super().read1(size)
+
+    answers = iter(Run(Broken(), Prompt()))
+    for _ in range(4):  # 1, 2, 4 and 3 lines
+        next(answers)
+    with pytest.raises(InvalidFile, match="endless: Input/output error"):
+        next(answers)
+
+
+def test_a_fault_while_lines_are_begun_is_not_waited_for():
+    class Faulty(Prompt):
+        def submit(self, lines):
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        answered(Run(source([1]), Faulty()))
+
+
+def obey(orders, size=2):
+    """Runs orders through real worker processes; answers what came back."""
+    with Processes(size, obeyed) as workers:
+        return answered(Run(source(orders), workers))
+
+
+def test_a_worker_that_dies_costs_no_line(tmp_path):
+    orders = [f"say {i}" for i in range(200)]
+    orders[100] = f"die-once {tmp_path / 'a'}"
+    orders[199] = f"die-once {tmp_path / 'b'}"
+    pairs = obey(orders)
+    assert [line for line, _ in pairs] == orders
+    assert [answer["line"] for _, answer in pairs] == orders
+    assert len({answer["pid"] for _, answer in pairs}) >= 2
+
+
+def test_a_line_that_kills_every_worker_is_an_error_in_its_place():
+    orders = [f"say {i}" for i in range(60)]
+    orders[40] = "die"
+    pairs = obey(orders)
+    assert [line for line, _ in pairs] == orders
+    for i, (_, answer) in enumerate(pairs):
+        assert ("error" in answer) == (i == 40)
+    assert "line: expected a problem that a worker survives, got 3 that died" in pairs[40][1]["error"]
+    assert is_error(json.dumps(pairs[40][1]))
+
+
+def test_workers_killed_while_they_wait_are_replaced():
+    read, write = os.pipe()
+    with Processes(2, obeyed) as workers:
+        answers = iter(Run(os.fdopen(read, "rb"), workers))
+        pids = []
+        for i in range(4):
+            os.write(write, f"say {i}\n".encode())
+            pids.append(json.loads(next(answers).texts[0])["pid"])
+            os.kill(pids[-1], signal.SIGKILL)
+        os.close(write)
+        assert list(answers) == []
+    assert len(set(pids)) == 4
+
+
+def test_a_line_of_many_megabytes_passes():
+    long = "say " + "x" * 20_000_000
+    pairs = obey(["say 1", long, "say 2"])
+    assert [answer["line"] for _, answer in pairs] == ["say 1", long, "say 2"]
+
+
+def test_workers_that_cannot_start_are_an_error():
+    with (
+        Processes(2, obeyed, ends_at_once) as workers,
+        pytest.raises(WorkerFailure, match=r"end as they start \(exit code 7\); --workers 1 needs none"),
+    ):
+        answered(Run(source(["say 1"]), workers))
+
+
+def test_an_error_that_is_no_death_is_told():
+    with pytest.raises(WorkerFailure, match="worker: RuntimeError: no"):
+        obey(["say 1", "fail"])
+
+
+def test_a_worker_has_one_thread_hears_no_ctrl_c_and_leaves_stdout_alone(capfd, monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "8")
+    names = "OMP_NUM_THREADS MKL_NUM_THREADS"
+    _, (_, environment), (_, blocked) = obey(["print", f"environment {names}", "blocked"], size=1)
+    assert environment["values"] == ["1", "1"]
+    assert blocked["ignores"]
+    assert (os.environ.get("OMP_NUM_THREADS"), os.environ["MKL_NUM_THREADS"]) == (None, "8")
+    out, said = capfd.readouterr()
+    assert out == ""
+    assert "something a library says" in said
+
+
+def test_leaving_early_ends_the_workers():
+    psutil = pytest.importorskip("psutil")
+    with Processes(2, obeyed) as workers:
+        run = Run(source(["say 1", "sleep 60", "sleep 60"]), workers)
+        first = next(iter(run))
+        processes = [psutil.Process(json.loads(first.texts[0])["pid"])]
+        run.close()
+    assert not psutil.wait_procs(processes, timeout=10)[1]
+
+
+def test_workers_end_with_their_parent_however_it_ends(tmp_path):
+    psutil = pytest.importorskip("psutil")
+    (tmp_path / "parent.py").write_text(
+        "import io\n"
+        "from batch.fragile_worker import obeyed\n"
+        "from handsight.batch.run import Run\n"
+        "from handsight.batch.workers import Processes\n"
+        "if __name__ == '__main__':\n"
+        "    with Processes(2, obeyed) as workers:\n"
+        "        for answers in Run(io.BytesIO(b'say\\nsleep 60\\nsleep 60'), workers):\n"
+        "            print(answers.texts, flush=True)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
+    arguments = [sys.executable, "parent.py"]
+    with subprocess.Popen(arguments, cwd=tmp_path, env=environment, stdout=subprocess.PIPE) as parent:
+        assert b"say" in parent.stdout.readline()
+        children = psutil.Process(parent.pid).children(recursive=True)
+        assert len(children) >= 2
+        parent.kill()
+    assert not psutil.wait_procs(children, timeout=10)[1]
+
+
+def test_nothing_in_the_current_folder_passes_for_a_module_of_the_workers(tmp_path, monkeypatch):
+    (tmp_path / "random.py").write_text("raise SystemExit('taken')\n")
+    monkeypatch.chdir(tmp_path)
+    assert [line for line, _ in obey(["say 1"], size=1)] == ["say 1"]

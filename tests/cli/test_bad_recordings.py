@@ -1,0 +1,169 @@
+"""Bad recordings: each gives a sentence, and what could be tracked is written."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from cli.tracks import assert_tracked, observations, recorded, track
+from handsight.errors import InvalidFile
+from handsight.recording.write import McapFile
+
+
+def test_a_good_recording_has_nothing_to_say(grasp, tmp_path):
+    rig, samples = grasp
+    path = recorded(
+        tmp_path / "a.mcap",
+        observations(grasp),
+        rig,
+        [(s.observation.stamp, s.T_palm_object) for s in samples],
+    )
+    ended, _ = track(path, rig, tmp_path / "out")
+    assert ended.said == []
+    assert ended.errors["tracked"].base[-1] < 0.004 < 0.03 < ended.errors["vision"].base[-1]
+    assert len(ended.steps) == len(samples)
+
+
+def test_without_joint_states_nothing_can_be_tracked_and_that_is_said(grasp, tmp_path):
+    rig, _ = grasp
+    path = recorded(
+        tmp_path / "a.mcap", (dataclasses.replace(s, joint_positions=None) for s in observations(grasp)), rig
+    )
+    with pytest.raises(
+        InvalidFile,
+        match=r"a\.mcap: expected joint states on /joint_states, got none; topics there: /ff/wrench, ",
+    ):
+        track(path, rig)
+
+
+def test_an_unknown_finger_is_named(grasp, tmp_path):
+    rig, _ = grasp
+    names = {**rig.topics.wrenches, "th": "/thumb/wrench"}
+    strange = dataclasses.replace(rig, topics=dataclasses.replace(rig.topics, wrenches=names))
+    path = recorded(tmp_path / "a.mcap", observations(grasp), strange)
+    ended = assert_tracked(
+        path, rig, tmp_path / "out", r"^finger th: no wrench on /th/wrench; the nearest is '/thumb/wrench'$"
+    )
+    assert "/thumb/wrench: wrenches of no finger of the rig; not used" in ended.said
+    assert {finger for step in ended.steps for finger in step.fingers} == {"ff", "mf", "rf", "lf"}
+
+
+def test_depth_in_the_wrong_unit_is_told(grasp, tmp_path, monkeypatch):
+    rig, _ = grasp
+    topics = dataclasses.replace(rig.topics, depth="/camera/depth")
+    rig = dataclasses.replace(rig, topics=topics)
+    depth = np.full((6, 8), 9.0, dtype=np.float32)  # is written as 9 000 mm
+    with monkeypatch.context() as patch:
+        patch.setattr("handsight.recording.write._millimetres", lambda metres: metres.astype("<u2"))
+        path = recorded(
+            tmp_path / "a.mcap", (dataclasses.replace(s, depth=depth) for s in observations(grasp)), rig
+        )
+    said = r"^/camera/depth: 39 of 39 messages left out: expected depth in millimetres \(16UC1\), got a median of 9 \(another unit\?\)$"
+    ended = assert_tracked(path, rig, tmp_path / "out", said)
+    assert ended.tally.answered == 39
+
+
+def test_a_file_that_is_cut_in_a_chunk_is_tracked_as_far_as_it_goes(grasp, tmp_path):
+    rig, _ = grasp
+    seen = observations(grasp)
+    more = [dataclasses.replace(seen[-1], stamp=seen[-1].stamp + (k + 1) / 20) for k in range(800)]
+    path = recorded(tmp_path / "a.mcap", [*seen, *more], rig)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    ended = assert_tracked(
+        path, rig, tmp_path / "out", rf"a\.mcap: cut: the file ends at byte {len(data) // 2}"
+    )
+    assert len(ended.steps) < 839
+
+
+def test_a_file_of_zero_length_is_told(grasp, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"")
+    with pytest.raises(InvalidFile, match=r"a\.mcap: expected a recording .*, got an empty file"):
+        track(tmp_path / "a.mcap", grasp[0])
+
+
+def test_stamps_that_go_back_are_told_and_what_came_before_is_tracked(grasp, tmp_path, monkeypatch):
+    rig, _ = grasp
+    seen = observations(grasp)
+    shift = 10 - seen[0].stamp
+    looped = [dataclasses.replace(s, stamp=s.stamp + shift) for s in seen]
+    logged, original = itertools.count(1), McapFile.write
+
+    def write_in_turn(self, topic, kind, stamp, fields):
+        original(self, topic, kind, next(logged) / 200, fields)
+
+    with monkeypatch.context() as patch:  # when it was recorded goes on
+        patch.setattr(McapFile, "write", write_in_turn)
+        again = [dataclasses.replace(s, stamp=s.stamp - 5) for s in looped]
+        path = recorded(tmp_path / "a.mcap", [*looped, *again], rig)
+    ended = assert_tracked(
+        path,
+        rig,
+        tmp_path / "out",
+        r"^/joint_states: stamps go back by up to [\d.]+ s from [\d.]+ s on \(\d+ messages",
+    )
+    stamps = [step.stamp for step in ended.steps]
+    assert stamps == sorted(stamps)
+
+
+def test_a_wrench_that_is_stuck_at_full_scale_is_a_dead_sensor(grasp, tmp_path):
+    rig, _ = grasp
+    dead = np.array([0, 0, -50.0, 0, 0, 0])
+    path = recorded(
+        tmp_path / "a.mcap",
+        (dataclasses.replace(s, wrenches={**s.wrenches, "th": dead}) for s in observations(grasp)),
+        rig,
+    )
+    ended = assert_tracked(
+        path,
+        rig,
+        tmp_path / "out",
+        r"^finger th: reads full scale \(50 N, 0\.5 N m\) in 39 messages: a dead sensor\? left out$",
+    )
+    assert "th" not in {finger for step in ended.steps for finger in step.fingers}
+
+
+def test_a_joint_that_is_not_a_number_is_named(grasp, tmp_path):
+    rig, _ = grasp
+    seen = observations(grasp)
+    joint = rig.hand.moving[0]
+    for k in range(20, 25):
+        seen[k] = dataclasses.replace(
+            seen[k], joint_positions={**seen[k].joint_positions, joint: float("nan")}
+        )
+    path = recorded(tmp_path / "a.mcap", seen, rig)
+    ended = assert_tracked(
+        path,
+        rig,
+        tmp_path / "out",
+        rf"^/joint_states: 5 of 39 messages left out: joint {joint} is not a finite number$",
+    )
+    assert len(ended.steps) == 34
+
+
+def test_a_hand_whose_joint_is_not_in_the_recording_says_so(grasp, tmp_path):
+    rig, _ = grasp
+    joint = "robot0:THJ0"
+    less = (
+        {name: value for name, value in s.joint_positions.items() if name != joint}
+        for s in observations(grasp)
+    )
+    seen = [
+        dataclasses.replace(s, joint_positions=joints)
+        for s, joints in zip(observations(grasp), less, strict=True)
+    ]
+    ended, written = track(recorded(tmp_path / "a.mcap", seen, rig), rig, tmp_path / "out")
+    assert any(
+        said.startswith(f"joint {joint!r}: never on /joint_states; the nearest is 'robot0:THJ")
+        for said in ended.said
+    )
+    assert any(
+        sentence.startswith(
+            f"39 observations left out: joint_positions: expected a position for {joint}; got "
+        )
+        for sentence in ended.sentences()
+    )
+    assert written[0].startswith("wrote ")
+    assert written[1:] == ["no picture: there is no pose"]
+    assert (tmp_path / "out" / "track.tum").read_text() == ""

@@ -1,0 +1,185 @@
+"""The command `handsight` and its small commands, and what importing the package loads."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.commands import called, read_some, run
+
+
+def test_help_teaches():
+    out, _ = run("correct", "--help")
+    assert "quaternion_xyzw" in out
+    assert "outside" in out
+    assert "--workers 0" in out
+    assert "--cluster tcp://" in out
+    out, _ = run("contact", "--help")
+    assert "fx" in out
+    assert "ellipsoid:8,8,12mm" in out
+
+
+def test_version_is_the_packages():
+    from importlib.metadata import version
+
+    out, _ = run("--version")
+    assert out.strip() == f"handsight {version('handsight')}"
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["correct", "--help"], ["warmup", "--help"]]
+)
+def test_help_and_version_load_nothing_heavy(arguments):
+    program = (
+        "import sys\n"
+        f"sys.argv = ['handsight', *{arguments}]\n"
+        "from handsight.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'trimesh', 'dask', 'distributed', 'matplotlib', 'msgspec', 'rich.progress'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+
+
+def test_every_public_name_is_there_when_asked_for():
+    import pickle
+    import typing
+
+    import handsight as hs
+
+    assert set(hs.__all__) <= set(dir(hs))
+    for name in hs.__all__:
+        value = getattr(hs, name)
+        assert pickle.loads(pickle.dumps(value)) is value or typing.get_args(value)
+    everything = {}
+    exec("from handsight import *", everything)
+    assert set(hs.__all__) <= set(everything)
+    assert hs.se3.compose
+    with pytest.raises(AttributeError, match="'handsight' has no attribute 'nothing'"):
+        _ = hs.nothing
+
+
+def test_editors_and_users_see_the_same_names():
+    """What type checkers read in `__init__` is what is loaded."""
+    import ast
+
+    import handsight as hs
+
+    tree = ast.parse(Path(hs.__file__).read_text())
+    promised = {
+        alias.name: node.module
+        for block in tree.body if isinstance(block, ast.If)
+        for node in block.body if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }  # fmt: skip
+    assert sorted(promised) == sorted(hs.__all__)
+    for name, module in promised.items():
+        assert getattr(hs, name) is getattr(sys.modules[module], name)
+
+
+def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
+    import types
+
+    from handsight._kernels import compiled
+    from handsight.cli.main import warmup
+
+    warm = types.ModuleType("handsight._kernels.warm")
+    warm.warm = lambda report: (report("fields", 1.25), report("solver", 20.0))
+    monkeypatch.setitem(sys.modules, "handsight._kernels.warm", warm)
+    warmup()
+    out, said = capsys.readouterr()
+    assert said.splitlines() == ["   1.2 s  fields", "  20.0 s  solver"]
+    assert re.match(r"compiled in \d\.\d s; kept in ", out)
+    assert str(compiled.folder()) in out
+
+
+def test_contact_converts_wrenches(tmp_path):
+    (tmp_path / "w.csv").write_text("fx,fy,fz,tx,ty,tz\n0,0,-1,0,0,0\n0,0,0.01,0,0,0\n")
+    out, said = run("contact", tmp_path / "w.csv", "--fingertip", "ellipsoid:8,8,12mm,cap=-2mm")
+    header, touched, free = out.splitlines()
+    row = dict(zip(header.split(","), touched.split(","), strict=True))
+    assert row["reason"] == "contact"
+    assert float(row["z"]) == pytest.approx(0.012)
+    assert float(row["nz"]) == pytest.approx(-1)
+    assert "free" in free
+    assert "1 contact" in said
+
+
+def test_the_demo_corrects_can_and_box_and_draws_them(tmp_path):
+    out, _ = run("demo", "--plot", tmp_path / "demo.png", cwd=tmp_path)
+    assert "can" in out
+    assert "box" in out
+    assert str(tmp_path / "demo.png") in out.replace("\n", "")
+    assert (tmp_path / "demo.png").stat().st_size > 20_000
+
+
+def test_the_demo_takes_most_of_what_touch_can_see():
+    from handsight.cli.demo import examples
+
+    for row in examples():
+        assert row.vision.shift == pytest.approx(0.08, abs=1e-3)
+        assert row.corrected.shift_observable < 0.05 * row.vision.shift_observable
+        assert row.corrected.turn < np.deg2rad(4)
+
+
+KERNEL = """
+from handsight._kernels.compiled import entry
+from handsight.cli.terminal import announce_compiling
+
+@entry
+def twice(x):
+    return 2 * x
+
+announce_compiling()
+assert twice(1) == twice(1.0) == 2
+"""
+
+
+def test_compiling_is_said_once_on_a_terminal_and_only_where_something_is_compiled(tmp_path):
+    (tmp_path / "kernel.py").write_text(KERNEL)
+
+    def said(cache, *, terminal):
+        environment = {
+            **os.environ,
+            "NUMBA_CACHE_DIR": str(tmp_path / cache),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        }
+        ours, its = pty.openpty() if terminal else os.pipe()
+        done = subprocess.Popen([sys.executable, tmp_path / "kernel.py"], stderr=its, env=environment)
+        os.close(its)
+        text = "".join(iter(lambda: read_some(ours), ""))
+        os.close(ours)
+        assert done.wait() == 0
+        return text.splitlines()
+
+    assert said("piped", terminal=False) == []
+    (line,) = said("seen", terminal=True)
+    assert line.startswith("compiling handsight's kernels, once on this machine")
+    assert said("seen", terminal=True) == []
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "correct -",
+        "contact - --fingertip sphere:8mm",
+        "track none.mcap",
+        "demo",
+        "simulate none",
+        "calibrate camera none.mcap",
+    ],
+)
+def test_every_command_that_computes_announces_compiling(command, monkeypatch, tmp_path):
+    def announced():
+        raise SystemExit("announced")
+
+    for module in ("correct", "contact", "track", "calibrate", "demo", "simulate"):
+        monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
+    assert called(monkeypatch, tmp_path, *command.split()) == "announced"

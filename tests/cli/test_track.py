@@ -1,0 +1,152 @@
+"""Commands for robots, as a user runs them: simulate, rig check, track."""
+
+import dataclasses
+import os
+import pty
+import re
+import signal
+import subprocess
+
+import numpy as np
+import pytest
+
+from cli.commands import INTERRUPTIBLE, called, read_some, run
+from cli.tracks import assert_results_agree, observations, recorded
+from handsight.cli.simulate import _believed, nuisances
+from handsight.errors import InvalidInput
+from handsight.rig import Rig
+from handsight.rig.save import write as write_rig
+from handsight.simulation import Nuisances, Scenario, rig_of
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory):
+    """A folder in which `handsight simulate` was run."""
+    folder = tmp_path_factory.mktemp("simulated")
+    out = run(
+        "simulate", "can", "--motion", "grasp", "--seed", "1", "--output", "can.mcap", cwd=folder, columns=80
+    )
+    return folder, out
+
+
+def test_simulate_writes_a_recording_and_the_rig_that_reads_it(simulated):
+    folder, (_, said) = simulated
+    assert re.search(r"wrote can\.mcap: \d+ observations, [\d.]+ MB \(synthetic\), and can\.rig\.yaml", said)
+    assert sorted(path.name for path in folder.iterdir() if path.is_file()) == ["can.mcap", "can.rig.yaml"]
+    assert list(Rig.from_file(folder / "can.rig.yaml").objects) == ["can"]
+
+
+def test_rig_check_prints_the_rig_and_what_the_recording_lacks(simulated):
+    folder, _ = simulated
+    out, _ = run("rig", "check", "can.rig.yaml", "can.mcap", cwd=folder, columns=80)
+    assert out.startswith("can.rig.yaml: 5 fingers on robot0:palm, 24 joints\n")
+    assert max(map(len, out.splitlines())) <= 80
+    assert "th         robot0:thdistal  10.5 x 10.5 x 16" in out
+    assert out.endswith("can.mcap has everything that this rig listens to.\n")
+
+
+def test_what_a_recording_lacks_for_a_rig_is_listed(simulated, monkeypatch, capsys):
+    folder, _ = simulated
+    text = (folder / "can.rig.yaml").read_text()
+    (folder / "six.yaml").write_text(text.replace('"th": "/th/wrench"', '"th": "/[mm]/wrench"'))
+    assert called(monkeypatch, folder, "rig", "check", "six.yaml", "can.mcap") == 1
+    out = capsys.readouterr().out
+    assert "th      /[mm]/wrench" in out  # names are no markup
+    assert "- finger th: no wrench on /[mm]/wrench; the nearest is '/th/wrench'" in out.splitlines()
+
+
+def test_track_writes_results_that_agree_and_are_far_better_than_vision(simulated):
+    folder, _ = simulated
+    _, said = run("track", "can.mcap", cwd=folder, columns=80)
+    summary = assert_results_agree(folder / "can-track")
+    assert (folder / "can-track" / "track.png").read_bytes().startswith(b"\x89PNG")
+    errors = summary["errors_mm_deg"]
+    assert errors["vision"]["base_mean"] > 20
+    assert errors["tracked"]["base_last"] < 0.2 * errors["vision"]["base_last"]
+    assert errors["tracked"]["count"] == summary["observations"] == summary["poses"]
+    assert summary["refused"] == {}
+    assert "wrote can-track: track.mcap, track.tum, track.csv, summary.json" in said
+    assert f"{summary['poses']} poses of {summary['observations']} observations" in said
+
+
+def test_track_takes_the_rig_and_the_object_it_is_told(simulated):
+    folder, _ = simulated
+    (folder / "elsewhere").mkdir()
+    (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())
+    arguments = ("--rig", "r.yaml", "--object", "can", "--output", "out", "--rate", "20")
+    run("track", folder / "can.mcap", *arguments, cwd=folder / "elsewhere")
+    assert_results_agree(folder / "elsewhere" / "out")
+
+
+def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_path):
+    rig, _ = grasp
+    seen, many = observations(grasp), 3000
+    # Long enough to be interrupted: held for minutes.
+    held = [
+        dataclasses.replace(seen[-1], stamp=seen[-1].stamp + (k + 1) / 20, vision=None) for k in range(many)
+    ]
+    recorded(tmp_path / "can.mcap", [*seen, *held], rig)
+    write_rig(rig, tmp_path / "can.rig.yaml")
+    terminal, its_end = pty.openpty()
+    process = subprocess.Popen(
+        [*INTERRUPTIBLE, "track", "can.mcap", "--object", "can", "--rate", "20", "-o", "out"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=its_end,
+        env={**os.environ, "COLUMNS": "80"},
+    )
+    os.close(its_end)
+    said, interrupted = "", False
+    while part := read_some(terminal):
+        said += part
+        if "corrections" in said and not interrupted:  # the live table is there
+            process.send_signal(signal.SIGINT)
+            interrupted = True
+    os.close(terminal)
+    assert process.wait(timeout=60) == 130, said
+    assert "Traceback" not in said
+    assert "wrote out: track.mcap" in said
+    summary = assert_results_agree(tmp_path / "out")
+    assert 0 < summary["poses"] < many
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("track", "can.mcap", "--object", "cna"), "--object: expected a name of can.rig.yaml or a mesh file, got 'cna'; the nearest valid one is 'can'"),
+        (("track", "away.mcap"), "--rig: expected, got nothing, and there is neither away.rig.yaml nor rig.yaml beside away.mcap"),
+        (("simulate", "can", "--nuisance", "joint_ofset=1"), "--nuisance: expected none or NAME=VALUE, got 'joint_ofset=1'"),
+        (("simulate", "can", "--output", "can.bag"), "can.bag: expected a name that ends in .mcap"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_command_is_one_sentence(simulated, monkeypatch, capsys, arguments, said):
+    assert called(monkeypatch, simulated[0], *arguments) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"handsight: {said}")
+
+
+def test_nuisances_are_set_by_name():
+    assert nuisances([]) == Nuisances()
+    assert nuisances(["none", "joint_offset=0.01"]) == dataclasses.replace(
+        Nuisances.none(), joint_offset=0.01
+    )
+    for setting, said in (
+        ("joint_ofset=1", "--nuisance: expected none or NAME=VALUE, got 'joint_ofset=1'; the nearest valid one is 'joint_offset'"),
+        ("joint_offset", "--nuisance: expected none or NAME=VALUE, got 'joint_offset'"),
+        ("joint_offset=a", "--nuisance joint_offset: expected a number, got 'a'"),
+        ("joint_offset=-1", "--nuisance joint_offset: expected a number of at least 0, got -1"),
+    ):  # fmt: skip
+        with pytest.raises(InvalidInput, match=re.escape(said)):
+            nuisances([setting])
+
+
+def test_a_wrong_size_of_the_object_is_in_the_rig_beside_the_recording():
+    for name, size in (("can", "cylinder"), ("box", "box")):
+        scenario = Scenario(object=name, nuisances=nuisances(["object_scale=1.03"]))
+        rig = rig_of(scenario)
+        expected = 1.03 * np.array(getattr(rig.objects[name], size))
+        np.testing.assert_allclose(getattr(_believed(scenario, rig), size), expected)
+    with pytest.raises(
+        InvalidInput, match="object_dent: expected one of the recording, got one of the object's model"
+    ):
+        nuisances(["object_dent=0.002"])
