@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 import handsight as hs
-import report
 from handsight.rig import Rig
 from handsight.simulate_job import record
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.terminal import bar
 from handsight.track_job import run
 from handsight.tracking import TrackerSettings
+from shared import report
 
 STEP, SEEN_EVERY = 1e-3, 0.1
 KINDS = {

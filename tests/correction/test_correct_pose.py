@@ -6,21 +6,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import handsight as hs
-from grasps import (
-    BOX_NORMALS,
-    BOX_POINTS,
-    SIGMA_NORMAL,
-    SIGMA_POINT,
-    box,
-    can,
-    can_contacts,
-    grasp,
-    off,
-)
 from handsight import se3
 from handsight.correction import follow_pose
 from handsight.correction.correct import METHODS
 from handsight.objects.symmetry import nearest
+from scenes import BOX_NORMALS, BOX_POINTS, NOISE, box, can, can_contacts, grasp, off
+
+SIGMA_POINT, SIGMA_NORMAL = NOISE
 
 few = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 seeds = st.integers(0, 10_000)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 from handsight import se3
 from handsight.correction import sight, two_phase
 from handsight.correction.two_phase import Problem
+from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 STEP = 1e-6
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
-import grasps
 import handsight as hs
+import scenes
 from handsight import se3
 from handsight._kernels import field, layout
 from handsight._kernels.threads import alone, in_parts
@@ -44,7 +44,7 @@ def model(name):
         egg = u * (0.04 + 0.004 * np.sin(3 * u[:, :1]) + 0.01 * u[:, 2:] ** 2 + 0.006 * u[:, :1] * u[:, 1:2])
         rng = np.random.default_rng(5)
         return hs.ObjectModel.from_mesh(egg + 2e-4 * rng.normal(size=egg.shape), ball.faces)
-    return {"box": grasps.box, "can": grasps.can}[name]()
+    return {"box": scenes.box, "can": scenes.can}[name]()
 
 
 def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False):
