@@ -84,9 +84,9 @@ def _fewer(trial: Trial, n: int, rng: np.random.Generator) -> Trial | None:
     return replace(trial, touch=replace(trial.touch, fingers=chosen, contacts=trial.contacts.select(kept)))
 
 
-def run(options: report.Options) -> tuple[Rows, Counter[str]]:
+def run(options: report.Options, chosen: Settings) -> tuple[Rows, Counter[str]]:
     """A row per object, nuisance, value and grasp."""
-    rows, left_out, chosen = Rows(), Counter[str](), settings()
+    rows, left_out = Rows(), Counter[str]()
     for name in OBJECTS:
         trials = list(grasps(name, options.trials, options.first_seed, left_out))
         for k, trial in enumerate(report.progress(trials, f"{name}, each nuisance")):
@@ -101,10 +101,10 @@ def run(options: report.Options) -> tuple[Rows, Counter[str]]:
     return rows, left_out
 
 
-def print_table(rows: Rows, trials: int) -> None:
+def print_table(rows: Rows, chosen: Settings, trials: int) -> None:
     """Mean errors by nuisance and value."""
     cells = []
-    for nuisance, (unit, values) in settings().items():
+    for nuisance, (unit, values) in chosen.items():
         for value in values:
             line = [nuisance if value == next(iter(values)) else "", f"{value:g} {unit}".strip()]
             for name in OBJECTS:
@@ -128,9 +128,8 @@ def print_table(rows: Rows, trials: int) -> None:
     )
 
 
-def draw(rows: Rows, path: Path) -> None:
+def draw(rows: Rows, chosen: Settings, path: Path) -> None:
     """A panel a nuisance: mean error against its size."""
-    chosen = settings()
     lines = -(-(len(chosen) + 1) // PANELS)  # one is the legend's
     shape = {"figsize": (3 * PANELS, 2.5 * lines), "squeeze": False}
     figure, panels = figures.pyplot().subplots(lines, PANELS, **shape, sharey=True, layout="constrained")
@@ -158,13 +157,19 @@ def draw(rows: Rows, path: Path) -> None:
 @report.or_skip
 def main() -> None:
     """Runs the experiment."""
-    options = report.options(__doc__, trials=20, quick_trials=2)
-    rows, left_out = run(options)
-    print_table(rows, options.trials)
+    arguments = report.parser(__doc__)
+    every = settings()
+    arguments.add_argument(
+        "--only", action="append", choices=every, help="a nuisance; repeatable (default: all)"
+    )
+    options, given = report.parsed(arguments, trials=20, quick_trials=2)
+    chosen = {name: every[name] for name in given.only or every}
+    rows, left_out = run(options, chosen)
+    print_table(rows, chosen, options.trials)
     if left_out:
         report.say("Left out: " + "; ".join(f"{why} ({n})" for why, n in left_out.items()))
     report.write_csv(options.output / "sensitivity.csv", rows)
-    draw(rows, options.output / "sensitivity.png")
+    draw(rows, chosen, options.output / "sensitivity.png")
 
 
 if __name__ == "__main__":

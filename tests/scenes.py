@@ -184,7 +184,9 @@ class Scene:
 
 def tilted(normals: Array, sigma: float, rng: Rng) -> Array:
     """Unit vectors turned by N(0, sigma) [rad] about each of two tangent axes."""
-    R = se3.rotation_exp(np.cross(normals, sigma * rng.normal(size=normals.shape)))
+    tangent = rng.normal(size=normals.shape) * sigma
+    tangent -= (tangent * normals).sum(axis=1, keepdims=True) * normals
+    R = se3.rotation_exp(np.cross(normals, tangent))
     turned: Array = (R @ normals[..., None])[..., 0]
     return turned
 

@@ -9,7 +9,7 @@ of it.
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import count
 from typing import Any
 
@@ -71,6 +71,7 @@ def surface() -> Any:
     return rig().hand.surface(OUTSIDE, without=skin().frames)
 
 
+@lru_cache(maxsize=64)  # several experiments ask for the same grasp, and some for the same twice
 def last_instant(scenario: Scenario) -> Sample:
     """The sample at the end of a grasp."""
     *_, last = simulate(scenario)
