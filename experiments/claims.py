@@ -41,10 +41,9 @@ CLOUDS = (500, 2000, 8000, 32000)
 POINTS = (1, 4, 64, 1024, 16384)
 IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])
 WEIGHED = {"rme_mm": 1, "mae_deg": 1, "distance_mm": 2, "normal_deg": 2}
-"""Columns of claim b, and their digits."""
+"""Columns of claim b, with digits."""
 QUARTILES = ("q25_us", "median_us", "q75_us")
 Ways = dict[str, Callable[[], Array]]
-"""By its name, a call to time."""
 CONTACTS, CLOUD = "contacts moved", "cloud moved"
 QUATERNION, MATRICES = "quaternion, q v q*", ("matrix of a quaternion", "matrix by sine and cosine")
 
@@ -76,8 +75,8 @@ def edges(options: report.Options) -> Rows:
             for label, (method, normals) in EDGE_METHODS.items():
                 contacts = scene.contacts if normals else bare
                 T = hs.correct_pose(model, contacts, vision=scene.vision, method=method).T_palm_object
-                key = {"near_edge": int(near), "method": label, "trial": k}
-                rows.append({**key, "wrong_face": wrong_faces(model, scene, T)})
+                share = wrong_faces(model, scene, T)
+                rows.append({"near_edge": int(near), "method": label, "trial": k, "wrong_face": share})
     return rows
 
 
@@ -86,8 +85,7 @@ def weights(options: report.Options) -> Rows:
     models, rows = scenes.table_1_models(), []
     for k in report.progress(range(options.trials), "b w_n"):
         for s, (shape, model) in enumerate(models.items()):
-            rng = options.rng(k, s)
-            scene = scene_of(scenes.on_four_sides(model, rng), rng)
+            scene = scene_of(scenes.on_four_sides(model, rng := options.rng(k, s)), rng)
             for w_n in W_N_CM:
                 method = hs.PaperMethod(w_n=w_n / 100)
                 estimate = hs.correct_pose(model, scene.contacts, vision=scene.vision, method=method)
@@ -100,11 +98,8 @@ def weights(options: report.Options) -> Rows:
 
 def residuals_left(estimate: hs.PoseEstimate) -> Row:
     """Mean distance [mm] and angle of the normals [°] that an answer leaves."""
-    distance, normal = estimate.residuals.distance, estimate.residuals.normal
-    return {
-        "distance_mm": 1000 * float(np.abs(distance).mean()),
-        "normal_deg": float(np.rad2deg(normal).mean()),
-    }
+    distance, normal = np.abs(estimate.residuals.distance).mean(), estimate.residuals.normal.mean()
+    return {"distance_mm": 1000 * float(distance), "normal_deg": float(np.rad2deg(normal))}
 
 
 def rest(model: hs.ObjectModel, scene: scenes.Scene, T: Array) -> tuple[Array, float]:
@@ -123,12 +118,10 @@ def rest(model: hs.ObjectModel, scene: scenes.Scene, T: Array) -> tuple[Array, f
 def minima(options: report.Options) -> Rows:
     """Claim c: a row per object and grasp."""
     models = {"box": scenes.box(), "can": scenes.can()}
-    count = 12 if options.quick else 24
-    rows = []
+    count, rows = 12 if options.quick else 24, []
     for k in report.progress(range(max(options.trials // 3, 6)), "c minima"):
         for s, (shape, model) in enumerate(models.items()):
-            rng = options.rng(k, s)
-            scene = scene_of(scenes.on_four_sides(model, rng), rng)
+            scene = scene_of(scenes.on_four_sides(model, rng := options.rng(k, s)), rng)
             axes = rng.normal(size=(count, 3))
             turns = axes / np.linalg.norm(axes, axis=1, keepdims=True) * rng.uniform(0, np.pi, (count, 1))
             starts = se3.compose(se3.rotation_exp(turns), 2 * START[0] * rng.normal(size=(count, 3)))
@@ -149,9 +142,8 @@ def compared(model: hs.ObjectModel, scene: scenes.Scene, found: Sequence[tuple[A
     ours = hs.correct_pose(model, scene.contacts, vision=scene.vision).T_palm_object
     row = {"cost_nearest_cm": nearest[1], "cost_cheapest_cm": cheapest[1]}
     for name, T in (("nearest", nearest[0]), ("cheapest", cheapest[0]), ("handsight", ours)):
-        row[f"{name}_mm"] = float(apart(T, scene.T_palm_object))
-        T_near = scenes.nearest_truth(model, scene.T_palm_object, T)
-        row[f"{name}_symmetric_mm"] = float(apart(T, T_near))
+        row[f"{name}_mm"] = apart(T, scene.T_palm_object)
+        row[f"{name}_symmetric_mm"] = apart(T, scenes.nearest_truth(model, scene.T_palm_object, T))
     return row
 
 

@@ -28,7 +28,6 @@ CAN: Any = {"radius": 0.033, "height": 0.115}
 BOX = (0.060, 0.090, 0.140)
 CUBE = (0.10, 0.10, 0.10)
 CYLINDER: Any = {"radius": 0.05, "height": 0.10}
-"""Table I's."""
 CLOUD = 2000
 """Points in the cloud of the paper's method; its contacts are selected among them, as the paper did."""
 NOISE: Pair = (5e-4, float(np.deg2rad(2)))
@@ -157,8 +156,7 @@ def anywhere_on(model: hs.ObjectModel) -> Callable[..., Surface]:
     """How contacts are drawn uniformly over a model's surface."""
 
     def draw(rng: Rng, n: int = 5) -> Surface:
-        points, normals = model.sample(n, seed=int(rng.integers(1 << 31)))
-        return points, normals
+        return model.sample(n, seed=int(rng.integers(1 << 31)))
 
     return draw
 
@@ -186,8 +184,7 @@ def tilted(normals: Array, sigma: float, rng: Rng) -> Array:
     """Unit vectors turned by N(0, sigma) [rad] about each of two tangent axes."""
     tangent = rng.normal(size=normals.shape) * sigma
     tangent -= (tangent * normals).sum(axis=1, keepdims=True) * normals
-    R = se3.rotation_exp(np.cross(normals, tangent))
-    turned: Array = (R @ normals[..., None])[..., 0]
+    turned: Array = (se3.rotation_exp(np.cross(normals, tangent)) @ normals[..., None])[..., 0]
     return turned
 
 
@@ -263,8 +260,7 @@ def nearest_truth(model: hs.ObjectModel, T_palm_object: Array, T_hat: Array) -> 
 
 def pose_errors(model: hs.ObjectModel, estimate: hs.PoseEstimate, T_palm_object: Array) -> list[float]:
     """Errors modulo symmetry of an estimate: shift [m] and turn [rad], of all and of what contacts observe."""
-    T_hat = estimate.T_palm_object
-    scale = np.repeat([1.0, model.radius], 3)
+    T_hat, scale = estimate.T_palm_object, np.repeat([1.0, model.radius], 3)
     delta = se3.difference(T_hat, nearest_truth(model, T_palm_object, T_hat)) * scale
     open_ = estimate.unobservable
     observed = delta - open_.T @ (open_ @ delta) if len(open_) else delta
