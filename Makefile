@@ -20,7 +20,7 @@ demo: $(STAMP)
 	@$(BIN)/handsight demo
 
 test: $(STAMP)
-	@$(BIN)/python -m pytest -n 2
+	@$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(STAMP)
 	@$(BIN)/ruff format --check .

@@ -9,6 +9,6 @@ for name, value in (("OMP_WAIT_POLICY", "PASSIVE"), ("GOMP_SPINCOUNT", "0"), ("K
     os.environ.setdefault(name, value)
 
 ROOT = Path(__file__).parents[1]
-# The problems, tables and figures are the experiments', so that both speak of the same thing.
+# Tables and figures are the experiments', and `shared` puts the problems, which are the tests', on the path.
 if str(ROOT / "experiments") not in sys.path:
     sys.path.append(str(ROOT / "experiments"))

@@ -7,33 +7,22 @@ import time
 from pathlib import Path
 from typing import Any
 
-import report
 from benchmarks import frontier, gate, plots, suite, tables
+from shared import report
 
 
 def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     """What was asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="handsight against its peers")
     add = parser.add_argument
-    add(
-        "--quick",
-        action="store_true",
-        help="two minutes instead of fifteen; peers' settings from frontier.json",
-    )
+    quick = "two minutes instead of fifteen; peers' settings from frontier.json"
+    only = f"one of {', '.join(suite.NAMES)}; repeatable"
+    update = "write this run's ratios to baseline.json (with --quick: the gate's own sizes)"
+    add("--quick", action="store_true", help=quick)
     add("--gate", action="store_true", help="exit 1 where a ratio is 25 %% worse than in baseline.json")
-    add(
-        "--only",
-        action="append",
-        choices=suite.NAMES,
-        metavar="NAME",
-        help=f"one of {', '.join(suite.NAMES)}; repeatable",
-    )
+    add("--only", action="append", choices=suite.NAMES, metavar="NAME", help=only)
     add("--output", type=Path, default=Path("results/benchmarks"), metavar="DIR", help="default: %(default)s")
-    add(
-        "--update-baseline",
-        action="store_true",
-        help="write this run's ratios to baseline.json (with --quick: the gate's own sizes)",
-    )
+    add("--update-baseline", action="store_true", help=update)
     return parser.parse_args(arguments)
 
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-import scenes
 from benchmarks import timing, workload
 from benchmarks.peers.scaling_series import ScalingSeries
 from benchmarks.shapes import bumpy
-from benchmarks.workload import NOISE, Problem
+from benchmarks.workload import Problem
+from shared import scenes
 
 Row = dict[str, Any]
 
@@ -28,8 +28,7 @@ def problems(name: str, count: int, seed: int = workload.REPORTED_ON) -> list[Pr
     touch = scenes.anywhere_on(model)
     for k in range(count):
         rng = np.random.default_rng([seed, 7, k])
-        scene = scenes.grasp(*touch(rng), rng, noise=NOISE)
-        found.append(Problem(name, model, scene))
+        found.append(Problem(name, model, scenes.random_scene(touch(rng), rng)))
     return found
 
 
@@ -58,13 +57,6 @@ def run(count: int, seconds: float) -> list[Row]:
                 found[key].append((took, right[0], any(right)))
         for key, results in found.items():
             took, first, among = zip(*results, strict=True)
-            rows.append(
-                {
-                    "object": name,
-                    "name": key,
-                    "success": float(np.mean(first)),
-                    "among_8": float(np.mean(among)),
-                }
-                | timing.summary(took)
-            )
+            success = {"success": float(np.mean(first)), "among_8": float(np.mean(among))}
+            rows.append({"object": name, "name": key, **success, **timing.summary(took)})
     return rows

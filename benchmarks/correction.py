@@ -120,7 +120,7 @@ def ratios(near: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
     """ours / peer, and kernel / peer; below 1 where ours is faster."""
     found: dict[str, Any] = {}
     for ours in ("ours", "ours_kernel"):
-        for peer in ("paper", "paper_pruned", "ours_numpy", "scipy", "open3d", "small_gicp"):
+        for peer in ("paper", "paper_pruned", "scipy", "open3d", "small_gicp"):
             each = [
                 timing.ratio(times[ours], times[peer])
                 for times in near.values()

@@ -10,16 +10,11 @@ import time
 import numba
 import numpy as np
 
-import report
 from benchmarks import workload
+from benchmarks.kernels import Evaluation
 from benchmarks.shapes import bumpy
 from handsight import ObjectModel
-from handsight._kernels import layout as at
-from handsight._kernels import solve
-from handsight._kernels.compiled import FAST
-from handsight._kernels.touch import WHITE
-from handsight.correction import compiled
-from handsight.correction.two_phase import Problem
+from shared import report
 
 CONTACTS = 5
 TRANSFORM = 9 + 9
@@ -33,8 +28,6 @@ ROWS = 6 + 4 * 9 + 6 + 4
 SUMS = 2 * (4 * 4 * 7 + 4 * 28)
 """Four weighted rows of seven, and their outer products."""
 VISION = 2 * (6 * 6 * 7 + 6 * 28) + 120
-BYTES = CONTACTS * 8 * (at.CONTACT - 36 + WHITE) + 8 * (at.SIGHT + at.EQUATIONS)
-"""Read in double precision: contacts, their weights, vision, the equations."""
 NODES = CONTACTS * 64 * 4
 """Read besides where the field is a grid, in single precision."""
 
@@ -42,16 +35,6 @@ NODES = CONTACTS * 64 * 4
 def flops(grid: bool) -> int:
     """Of one evaluation. An exact field's own few are not counted."""
     return CONTACTS * (TRANSFORM + TURN + ROWS + SUMS + (SPLINE if grid else 0)) + VISION
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-def evaluations(n, given):
-    """n evaluations, each at a pose a hair from the last."""
-    model, singles, contacts, weight, sight, hand, center, pose, equations, work = given
-    for _ in range(n):
-        pose[9] += 1e-9
-        solve.evaluate(model, singles, at.FINE, contacts, weight, sight, hand, center, pose, equations, work)
-    return equations[at.COST]
 
 
 @numba.njit(fastmath=True)
@@ -75,27 +58,18 @@ def best(call, n: int) -> float:
     return min(times) / n
 
 
-def evaluated(model: ObjectModel) -> float:
-    """Seconds of one evaluation."""
-    given = workload.draw("box", workload.NEAR, 1)
-    p = compiled._Packed(Problem(model, given.contacts, given.vision, np.empty((0, 3))))
-    weight = np.tile(np.eye(4).reshape(-1), CONTACTS)
-    pose = compiled.packed_poses(given.vision.T_palm_object[None])[0]
-    equations, work = np.empty(at.EQUATIONS), np.empty(solve.WORK)
-    given = p.model, p.singles, p.contacts, weight, p.sight, p.hand, p.center, pose, equations, work
-    return best(lambda n: evaluations(n, given), 2000)
-
-
 def main() -> None:
     """Prints the table."""
     peak = 2 * 64 / best(multiplied, 20_000)
     things = [("box (exact field)", workload.models()["box"], False)]
     things.append(("bumpy ball, 5 120 triangles (grid)", ObjectModel.from_mesh(*bumpy(4)), True))
     rows = []
+    given = workload.draw("box", workload.NEAR, 1)
     for name, model, grid in things:
-        seconds, count = evaluated(model), flops(grid)
+        evaluation, count = Evaluation(model, given.contacts, given.vision), flops(grid)
+        seconds = best(evaluation, 2000)
         rows.append(
-            [name, count, BYTES + grid * NODES, f"{1e9 * seconds:.0f}", f"{count / seconds / 1e9:.1f}",
+            [name, count, evaluation.bytes + grid * NODES, f"{1e9 * seconds:.0f}", f"{count / seconds / 1e9:.1f}",
              f"{100 * count / seconds / peak:.0f} %"]
         )  # fmt: skip
     report.print_table(

@@ -18,7 +18,6 @@ LEAST_SUCCESS = 0.05
 """How much less of the problems may be solved than in the baseline; a quick run draws about a hundred."""
 GATED = {
     "ours / paper, hot": "correction",
-    "ours / ours_numpy, hot": "correction",
     "ours / small_gicp, hot": "correction",
     "ours_kernel / paper, hot": "correction",
     "batch per hypothesis / single": "batch",

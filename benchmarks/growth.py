@@ -14,11 +14,12 @@ import trimesh
 
 import handsight as hs
 from benchmarks import frontier, timing, workload
+from benchmarks.kernels import alone
 from benchmarks.peers.ours import with_starts
 from benchmarks.shapes import bumpy, can
 from benchmarks.workload import Peer, Problem
-from handsight._kernels.threads import alone
 from handsight.errors import InvalidInput
+from shared import scenes
 
 CONTACTS = (2, 3, 5, 8, 12)
 OUTSIDE = (0, 10, 30, 100, 200, 500)
@@ -46,7 +47,7 @@ def outside(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
     rows, mine = [], {key: peer for key, peer in peers.items() if key == "ours"}
     for n in OUTSIDE:
         drawn = [workload.draw("box", workload.NEAR, k) for k in range(100)]
-        problems = [replace(p, outside=workload.hand_points(p, n)) if n else p for p in drawn]
+        problems = [replace(p, outside=scenes.behind_contacts(p.scene, n)) if n else p for p in drawn]
         rows += compared(mine, chosen, problems, seconds / len(OUTSIDE), {"outside": n})
     return rows
 
@@ -84,7 +85,7 @@ def hypotheses(seconds: float) -> list[Row]:
     """Seconds, and hypotheses per second, of a batch of both phases by its size, without and with a hand."""
     rows = []
     problem = workload.draw("box", workload.NEAR, 1)
-    held = replace(problem, outside=workload.hand_points(problem, HAND))
+    held = replace(problem, outside=scenes.behind_contacts(problem.scene, HAND))
     for outside_points, given in ((0, problem), (HAND, held)):
         end, slowest = time.perf_counter() + seconds / 2, 0.0
         for starts in STARTS:
@@ -180,9 +181,8 @@ def run(
     peers: dict[str, Peer], chosen: Row, seconds: float, say: Callable[[str], None]
 ) -> dict[str, list[Row]]:
     """All four, each with its share of the time."""
-    some = {key: peer for key, peer in peers.items() if key != "ours_numpy"}
     parts: dict[str, Callable[[], list[Row]]] = {
-        "contacts": lambda: contacts(some, chosen, 0.2 * seconds),
+        "contacts": lambda: contacts(peers, chosen, 0.2 * seconds),
         "outside": lambda: outside(peers, chosen, 0.1 * seconds),
         "hypotheses": lambda: hypotheses(0.4 * seconds),
         "meshes": lambda: meshes(0.3 * seconds),

@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-import report
 from benchmarks import frontier
+from shared import figures
 
 COLOURS = {
     "ours": "#2e9e4f",
     "ours_kernel": "#7fc97f",
-    "ours_numpy": "#14532d",
     "paper": "#e6b400",
     "paper_pruned": "#c26a00",
     "scipy": "#5b7fb5",
@@ -22,12 +21,12 @@ Row = dict[str, Any]
 def save(figure: Any, folder: Path, name: str) -> None:
     """Both formats."""
     figure.savefig(folder / f"{name}.svg")
-    report.save_figure(figure, folder / f"{name}.png")
+    figures.save(figure, folder / f"{name}.png")
 
 
 def time_and_success(rows: list[Row], chosen: Row, folder: Path) -> None:
     """A panel for each case: median time, its p99 as a whisker, success; the paper's frontier as a line."""
-    plt = report.pyplot()
+    plt = figures.pyplot()
     cases = list(dict.fromkeys((row["object"], row["error"]) for row in rows))
     columns = (len(cases) + 1) // 2 if len(cases) > 2 else len(cases)
     lines = -(-len(cases) // columns)
@@ -72,7 +71,7 @@ def _front(panel: Any, chosen: Row, case: tuple[str, str]) -> None:
 
 def growth(parts: dict[str, list[Row]], folder: Path) -> None:
     """Four log-log panels."""
-    plt = report.pyplot()
+    plt = figures.pyplot()
     figure, ((a, b), (c, d)) = plt.subplots(2, 2, figsize=(9.6, 7.2), layout="constrained")
     _by_peer(a, parts["contacts"], "contacts", "contacts")
     a.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.0, 0.93), ncols=2)

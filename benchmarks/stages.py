@@ -6,14 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 import handsight as hs
-import report
-from benchmarks import workload
-from handsight._kernels import layout as at
-from handsight._kernels import many
-from handsight.correction import compiled
-from handsight.correction.pack import packed, packed_contacts, packed_prior
-from handsight.correction.starts import WIDEST_OF_ONE
-from handsight.correction.two_phase import Problem
+from benchmarks import kernels, workload
+from shared import report
 
 PROBLEMS, REPEATS = 12, 1500
 OTHER = np.ones(2 << 17)
@@ -32,49 +26,34 @@ def microseconds(call: Callable[[], object], before: Callable[[], object] = lamb
     return 1e6 * float(np.median(times))
 
 
-def stages(problem: workload.Problem) -> list[float]:
-    """The whole after other data, and hot; its parts: inputs, kernel, of it the two phases, estimate."""
+def stages(problem: workload.Problem) -> dict[str, float]:
+    """The whole after other data, and hot; then its parts [µs]."""
     model, contacts, vision = problem.model, problem.contacts, problem.vision
-    numbers, singles = packed(model)
-    rows, prior = packed_contacts(contacts), packed_prior(vision)
-    begins, out = np.array((0, len(rows))), np.empty((1, at.RESIDUALS + 2 * len(contacts)))
-    nothing = compiled.NOWHERE, compiled.NO_HAND
-    given = numbers, singles, rows, begins, prior, *nothing, WIDEST_OF_ONE, out, 0, 1
-    return [
-        microseconds(lambda: hs.correct_pose(model, contacts, vision=vision), OTHER.sum),
-        microseconds(lambda: hs.correct_pose(model, contacts, vision=vision)),
-        microseconds(lambda: (packed_contacts(contacts), packed_prior(vision))),
-        microseconds(lambda: many.correct_all(*given)),
-        microseconds(compiled.kernel_call(model, contacts, vision)),
-        microseconds(lambda: compiled.answer_of_one(contacts, out[0])),
-    ]
 
+    def correct() -> object:
+        return hs.correct_pose(model, contacts, vision=vision)
 
-def asked(problem):
-    """It as the solver takes it."""
-    return Problem(problem.model, problem.contacts, problem.vision, np.empty((0, 3)))
+    whole = {
+        "after 2 MiB of other data": microseconds(correct, OTHER.sum),
+        "correct_pose": microseconds(correct),
+    }
+    parts = kernels.stages(model, contacts, vision)
+    return whole | {name: microseconds(call) for name, call in parts.items()}
 
 
 def main() -> None:
     """Prints the table."""
-    cells = []
+    cells, columns = [], []
     for name in workload.OBJECTS:
         drawn = [workload.draw(name, workload.NEAR, k) for k in range(PROBLEMS)]
         # Those that fit at once; the others are searched for a wrong contact.
-        usual = [p for p in drawn if compiled.near(p) is not None]
-        median = np.median([stages(problem) for problem in usual], axis=0)
-        cells.append([name, *(f"{value:.1f}" for value in median)])
-    columns = [
-        "object",
-        "after 2 MiB of other data",
-        "correct_pose",
-        "inputs laid out",
-        "kernel",
-        "of it the two phases",
-        "estimate made",
-    ]
+        usual = [p for p in drawn if kernels.fits_at_once(p.model, p.contacts, p.vision)]
+        found = [stages(problem) for problem in usual]
+        columns = list(found[0])
+        cells.append([name, *(f"{np.median([f[key] for f in found]):.1f}" for key in columns)])
     title = f"One correction in µs, hot: five contacts, vision off by {workload.NEAR}"
-    report.print_table(title, columns, cells, f"Medians over {PROBLEMS} problems. {report.machine()}")
+    note = f"Medians over {PROBLEMS} problems. {report.machine()}"
+    report.print_table(title, ["object", *columns], cells, note)
 
 
 if __name__ == "__main__":

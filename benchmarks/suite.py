@@ -18,6 +18,7 @@ from benchmarks import (
     startup,
     workload,
 )
+from shared import scenes
 
 Row = dict[str, Any]
 QUICK = {"correction": 30.0, "batch": 3.0, "blind": 6.0, "closest": 6.0, "sensing": 3.0, "growth": 20.0}
@@ -57,7 +58,7 @@ class Suite:
         begin = time.perf_counter()
         problem = workload.draw("box", workload.NEAR, 0)
         far = workload.draw("can", workload.FAR, 0)
-        points = workload.hand_points(problem, 10)
+        points = scenes.behind_contacts(problem.scene, 10)
         for given in (problem, far):
             hs.correct_pose(given.model, given.contacts, vision=given.vision)
         hs.correct_pose(problem.model, problem.contacts)

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import Any
 
-import report
 from benchmarks import gate, targets
+from shared import report
 
 Row = dict[str, Any]
 

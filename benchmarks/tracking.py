@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 import handsight as hs
-import report
 from handsight.cli.simulate import record
 from handsight.cli.terminal import bar
 from handsight.cli.track import run
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking import TrackerSettings
+from shared import report
 
 STEP, SEEN_EVERY = 1e-3, 0.1
 KINDS = {

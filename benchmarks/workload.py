@@ -1,6 +1,6 @@
 """What every peer is given and how every answer is judged.
 
-Problems are the experiments' (experiments/convergence.py): a can and a box, five contacts with 0.5 mm and 2 degrees of
+Problems are those of experiments/convergence.py: a can and a box, five contacts with 0.5 mm and 2 degrees of
 noise, vision off by a Gaussian draw. A peer may build what it likes from the object beforehand (`prepare`, not timed)
 and may turn a problem's contacts into its own data type (`ready`, not timed either: handsight's `Contacts` exist by
 then, too); timed is the call that `ready` answers.
@@ -8,19 +8,17 @@ then, too); timed is the call that `ready` answers.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 
 import handsight as hs
-from benchmarks import ROOT  # noqa: F401 - puts the experiments on the path
-from handsight.correction import modes
+from benchmarks import kernels
+from handsight import se3
+from shared import scenes
 
-import scenes  # isort: skip
-from convergence import ERRORS, NOISE, OBJECTS  # isort: skip
-
-NEAR, FAR = "20 mm / 15°", "85 mm / 30°"
+NEAR, FAR = scenes.VISION_ERRORS
+OBJECTS = tuple(scenes.OBJECTS)
 CHOSEN_ON, REPORTED_ON = 1, 0
 """Seeds: settings of the peers are chosen on one, numbers reported on the other."""
 SHIFT_LIMIT, TURN_LIMIT = 5e-3, np.deg2rad(8)
@@ -84,29 +82,18 @@ class Verdict:
         return bool(self.shift < SHIFT_LIMIT and self.turn < TURN_LIMIT)
 
 
-@lru_cache(maxsize=1)
 def models() -> dict[str, hs.ObjectModel]:
     """Can and box."""
-    return {name: make() for name, (make, _) in OBJECTS.items()}
+    return {name: make() for name, (make, _) in scenes.OBJECTS.items()}
 
 
 def draw(object_name: str, error: str, trial: int, seed: int = REPORTED_ON, contacts: int = 5) -> Problem:
     """Problem number `trial` of a seed; can and box at 20 and 85 mm are those of experiments/convergence.py."""
-    o, e = list(OBJECTS).index(object_name), list(ERRORS).index(error)
+    o, e = OBJECTS.index(object_name), list(scenes.VISION_ERRORS).index(error)
     rng = np.random.default_rng([seed, o, e, trial])
-    touched = OBJECTS[object_name][1](rng, contacts)
-    scene = scenes.grasp(*touched, rng, noise=NOISE, error=ERRORS[error])
-    return Problem(object_name, models()[object_name], scene)
-
-
-def hand_points(problem: Problem, count: int, seed: int = 0) -> np.ndarray:
-    """Points (count, 3) [m] a hand's surface could have: behind the contacts, outside the true object by 2-40 mm."""
-    rng = np.random.default_rng([seed, count])
-    contact = rng.integers(len(problem.contacts), size=count)
-    T, scene = problem.scene.T_palm_object, problem.scene
-    away = rng.uniform(0.002, 0.04, (count, 1))
-    points = scene.points_object[contact] + away * scene.normals_object[contact]
-    return points @ T[:3, :3].T + T[:3, 3]
+    make, touch = scenes.OBJECTS[object_name]
+    scene = scenes.random_scene(touch(rng, contacts), rng, error=scenes.VISION_ERRORS[error])
+    return Problem(object_name, make(), scene)
 
 
 def pose_of(answer: Any) -> np.ndarray | None:
@@ -124,8 +111,6 @@ def judged(problem: Problem, T_hat: np.ndarray) -> Verdict:
     As `scenes.pose_errors`, but what the contacts leave open is taken from the true contacts on the object and
     carried along with the answer, because a peer does not report it.
     """
-    from handsight import se3
-
     model = problem.model
     if not np.isfinite(T_hat).all():
         return Verdict(np.inf, np.inf)
@@ -148,8 +133,8 @@ def open_directions(problem: Problem) -> np.ndarray:
     sigma_point, sigma_normal = np.sqrt(variance[:, 0]), np.sqrt(variance[:, 3:].sum(axis=1) / 2)
     information = np.zeros((6, 6))
     for i, point in enumerate(points):
-        move = np.hstack([-np.eye(3), _skew(point)])  # of the contact, in the object, by (δp, δθ)
-        turn = np.hstack([np.zeros((3, 3)), -_skew(normals[i])])
+        move = np.hstack([-np.eye(3), se3.skew(point)])  # of the contact, in the object, by (δp, δθ)
+        turn = np.hstack([np.zeros((3, 3)), -se3.skew(normals[i])])
         rows = np.vstack(
             [
                 values.gradient[i] @ move / sigma_point[i],
@@ -157,11 +142,7 @@ def open_directions(problem: Problem) -> np.ndarray:
             ]
         )
         information += rows.T @ rows
-    return modes.unobservable(information, model.radius, model.center_object)
-
-
-def _skew(v: np.ndarray) -> np.ndarray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return kernels.unobservable(information, model.radius, model.center_object)
 
 
 def accuracy(verdicts: list[Verdict]) -> dict[str, Any]:

@@ -18,17 +18,18 @@ Rates and means have their standard error over grasps. "confirmed" asks for two 
 """
 
 import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-import claims_figure
 import handsight as hs
-import report
-import scenes
 from handsight import se3
 from handsight.correction import paper
+from shared import claims_figure, report, scenes
+from shared.report import Array, Row, Rows
 
-START, NOISE = (0.01, np.deg2rad(12)), (5e-4, np.deg2rad(2))
+START = (0.01, float(np.deg2rad(12)))
 EDGE_METHODS = {
     "LM (paper)": ("paper-lm-distance", False),
     "handsight": ("handsight", False),
@@ -40,13 +41,19 @@ CLOUDS = (500, 2000, 8000, 32000)
 POINTS = (1, 4, 64, 1024, 16384)
 IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])
 WEIGHED = {"rme_mm": 1, "mae_deg": 1, "distance_mm": 2, "normal_deg": 2}
-"""Columns of claim b, and their digits."""
+"""Columns of claim b, with digits."""
 QUARTILES = ("q25_us", "median_us", "q75_us")
+Ways = dict[str, Callable[[], Array]]
 CONTACTS, CLOUD = "contacts moved", "cloud moved"
 QUATERNION, MATRICES = "quaternion, q v q*", ("matrix of a quaternion", "matrix by sine and cosine")
 
 
-def wrong_faces(model, scene, T_hat):
+def scene_of(surface: scenes.Surface, rng: np.random.Generator) -> scenes.Scene:
+    """These contacts, noisy, and vision 1 cm per axis and 12° off."""
+    return scenes.paper_scene(surface, rng, start=START, noise=scenes.NOISE)
+
+
+def wrong_faces(model: hs.ObjectModel, scene: scenes.Scene, T_hat: Array) -> float:
     """Share of the contacts that lie on another face than their own at that pose, modulo symmetry."""
     half = np.array(scenes.BOX) / 2
     T_near = scenes.nearest_truth(model, scene.T_palm_object, T_hat)
@@ -57,42 +64,45 @@ def wrong_faces(model, scene, T_hat):
     return float((along < 0.5).mean())
 
 
-def edges(options):
+def edges(options: report.Options) -> Rows:
     """Claim a: a row per distance from the edge, method and grasp."""
-    model, rows = hs.ObjectModel.box(scenes.BOX), []
+    model, rows = scenes.box(), []
     for k in report.progress(range(options.trials), "a edges"):
         for near in (True, False):
             rng = options.rng(k, near)
-            scene = scenes.displaced(*scenes.on_box_edges(rng, near), rng, start=START, noise=NOISE)
-            bare = scenes.without_normals(scene.contacts, NOISE[0])
+            scene = scene_of(scenes.on_box_edges(rng, near), rng)
+            bare = hs.Contacts(scene.contacts.points_palm, sigma_point=scenes.NOISE[0])
             for label, (method, normals) in EDGE_METHODS.items():
                 contacts = scene.contacts if normals else bare
                 T = hs.correct_pose(model, contacts, vision=scene.vision, method=method).T_palm_object
-                key = {"near_edge": int(near), "method": label, "trial": k}
-                rows.append({**key, "wrong_face": wrong_faces(model, scene, T)})
+                share = wrong_faces(model, scene, T)
+                rows.append({"near_edge": int(near), "method": label, "trial": k, "wrong_face": share})
     return rows
 
 
-def weights(options):
+def weights(options: report.Options) -> Rows:
     """Claim b: a row per shape, w_n and grasp."""
     models, rows = scenes.table_1_models(), []
     for k in report.progress(range(options.trials), "b w_n"):
         for s, (shape, model) in enumerate(models.items()):
-            rng = options.rng(k, s)
-            scene = scenes.displaced(*scenes.on_four_sides(model, rng), rng, start=START, noise=NOISE)
+            scene = scene_of(scenes.on_four_sides(model, rng := options.rng(k, s)), rng)
             for w_n in W_N_CM:
                 method = hs.PaperMethod(w_n=w_n / 100)
                 estimate = hs.correct_pose(model, scene.contacts, vision=scene.vision, method=method)
                 rme, turn = scenes.contact_errors(model, scene, estimate.T_palm_object)
                 row = {"shape": shape, "w_n_cm": w_n, "trial": k, "rme_mm": 1000 * rme}
-                row["mae_deg"] = float(np.rad2deg(turn))
-                row["distance_mm"] = 1000 * float(np.abs(estimate.residuals.distance).mean())
-                row["normal_deg"] = float(np.rad2deg(estimate.residuals.normal).mean())
+                row |= {"mae_deg": float(np.rad2deg(turn)), **residuals_left(estimate)}
                 rows.append(row)
     return rows
 
 
-def rest(model, scene, T):
+def residuals_left(estimate: hs.PoseEstimate) -> Row:
+    """Mean distance [mm] and angle of the normals [°] that an answer leaves."""
+    distance, normal = np.abs(estimate.residuals.distance).mean(), estimate.residuals.normal.mean()
+    return {"distance_mm": 1000 * float(distance), "normal_deg": float(np.rad2deg(normal))}
+
+
+def rest(model: hs.ObjectModel, scene: scenes.Scene, T: Array) -> tuple[Array, float]:
     """Where two corrections by the paper's method end that begin at `T`, and the cost there [cm]."""
     cloud, normals = model.sample(scenes.CLOUD)
     points, felt = scene.contacts.points_palm, scene.contacts.normals_palm
@@ -105,15 +115,13 @@ def rest(model, scene, T):
     return T, float(np.linalg.norm(paper.residuals(IDENTITY, G)))
 
 
-def minima(options):
+def minima(options: report.Options) -> Rows:
     """Claim c: a row per object and grasp."""
-    models = {"box": hs.ObjectModel.box(scenes.BOX), "can": hs.ObjectModel.cylinder(**scenes.CAN)}
-    count = 12 if options.quick else 24
-    rows = []
+    models = {"box": scenes.box(), "can": scenes.can()}
+    count, rows = 12 if options.quick else 24, []
     for k in report.progress(range(max(options.trials // 3, 6)), "c minima"):
         for s, (shape, model) in enumerate(models.items()):
-            rng = options.rng(k, s)
-            scene = scenes.displaced(*scenes.on_four_sides(model, rng), rng, start=START, noise=NOISE)
+            scene = scene_of(scenes.on_four_sides(model, rng := options.rng(k, s)), rng)
             axes = rng.normal(size=(count, 3))
             turns = axes / np.linalg.norm(axes, axis=1, keepdims=True) * rng.uniform(0, np.pi, (count, 1))
             starts = se3.compose(se3.rotation_exp(turns), 2 * START[0] * rng.normal(size=(count, 3)))
@@ -123,34 +131,33 @@ def minima(options):
     return rows
 
 
-def compared(model, scene, found):
+def compared(model: hs.ObjectModel, scene: scenes.Scene, found: Sequence[tuple[Array, float]]) -> Row:
     """Errors [mm], as they are and modulo symmetry, of the nearest rest, the cheapest, and handsight."""
 
-    def apart(T, T_other):
-        return 1000 * np.linalg.norm(se3.difference(T, T_other) * np.repeat([1, model.radius], 3))
+    def apart(T: Array, T_other: Array) -> float:
+        return 1000 * float(np.linalg.norm(se3.difference(T, T_other) * np.repeat([1, model.radius], 3)))
 
     nearest = min(found, key=lambda pair: apart(pair[0], scene.vision.T_palm_object))
     cheapest = min(found, key=lambda pair: pair[1])
     ours = hs.correct_pose(model, scene.contacts, vision=scene.vision).T_palm_object
     row = {"cost_nearest_cm": nearest[1], "cost_cheapest_cm": cheapest[1]}
     for name, T in (("nearest", nearest[0]), ("cheapest", cheapest[0]), ("handsight", ours)):
-        row[f"{name}_mm"] = float(apart(T, scene.T_palm_object))
-        T_near = scenes.nearest_truth(model, scene.T_palm_object, T)
-        row[f"{name}_symmetric_mm"] = float(apart(T, T_near))
+        row[f"{name}_mm"] = apart(T, scene.T_palm_object)
+        row[f"{name}_symmetric_mm"] = apart(T, scenes.nearest_truth(model, scene.T_palm_object, T))
     return row
 
 
-def evaluations(m):
+def evaluations(m: int) -> Ways:
     """Two ways to evaluate eq. 3 for a cloud of m points, each contact in its 200 nearest."""
-    model, rng = hs.ObjectModel.box(scenes.BOX), np.random.default_rng(m)
-    scene = scenes.displaced(*scenes.on_four_sides(model, rng), rng, start=START, noise=NOISE)
+    model, rng = scenes.box(), np.random.default_rng(m)
+    scene = scene_of(scenes.on_four_sides(model, rng), rng)
     cloud, normals = model.sample(m)
     points, felt = scene.contacts.points_palm, scene.contacts.normals_palm
     near = np.array(paper.regions(points, cloud, 1e-9, 200))
     x = paper.normalised(np.array([1, 0.1, -0.05, 0.02, 0.01, -0.02, 0.005]))
     G = paper.Matching(points, cloud[near], felt, normals[near], 0.1)
 
-    def cloud_moved():
+    def cloud_moved() -> Array:
         M = paper.rotation(x[:4])
         moved, turned = (cloud - x[4:]) @ M, normals @ M
         return paper.residuals(IDENTITY, paper.Matching(points, moved[near], felt, turned[near], 0.1))
@@ -158,19 +165,19 @@ def evaluations(m):
     return {CONTACTS: lambda: paper.residuals(x, G), CLOUD: cloud_moved}
 
 
-def rotations(m):
+def rotations(m: int) -> Ways:
     """Three ways to rotate m points."""
     v = np.random.default_rng(m).normal(size=(m, 3))
     w = np.array([0.3, -0.5, 0.2])
     half = np.linalg.norm(w) / 2
     q = np.array([np.cos(half), *(np.sin(half) / (2 * half) * w)])
 
-    def cross(a, b):
+    def cross(a: Any, b: Any) -> Array:
         return np.stack([a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3] for i in range(3)])
 
-    def sandwich():
+    def sandwich() -> Array:
         t = 2 * cross(q[1:], v.T)
-        return (v.T + q[0] * t + cross(q[1:], t)).T
+        return np.transpose(v.T + q[0] * t + cross(q[1:], t))
 
     return {
         QUATERNION: sandwich,
@@ -179,7 +186,7 @@ def rotations(m):
     }
 
 
-def speed(options):
+def speed(options: report.Options) -> Rows:
     """Claim d: a row per task, number of points and way, their repeats interleaved."""
     tasks = [("evaluate", m, evaluations(m)) for m in CLOUDS] + [("rotate", m, rotations(m)) for m in POINTS]
     rows = []
@@ -194,7 +201,7 @@ def speed(options):
     return rows
 
 
-def edges_judged(rows):
+def edges_judged(rows: Rows) -> Rows:
     """Claim a, for the paper's method and for handsight."""
     found = []
     for bare, felt in (("LM (paper)", "LM with normals (paper)"), ("handsight", "handsight with normals")):
@@ -209,7 +216,7 @@ def edges_judged(rows):
     return found
 
 
-def weights_judged(rows):
+def weights_judged(rows: Rows) -> Rows:
     """Claim b, for each shape: from the smallest to the largest w_n."""
     found = []
     for shape in ("cube", "cylinder"):
@@ -229,7 +236,7 @@ def weights_judged(rows):
     return found
 
 
-def minima_judged(rows):
+def minima_judged(rows: Rows) -> Rows:
     """Claim c, for each object, as it is and modulo symmetry."""
     found = []
     for shape, part in itertools.product(("box", "can"), ("", "_symmetric")):
@@ -246,7 +253,7 @@ def minima_judged(rows):
     return found
 
 
-def speed_judged(rows):
+def speed_judged(rows: Rows) -> Rows:
     """Claim d: confirmed where one way's median is below every other's at every size."""
     found = []
     for sizes, way, others, claim in (
@@ -263,7 +270,7 @@ def speed_judged(rows):
     return found
 
 
-def print_tables(a, b, c, d):
+def print_tables(a: Rows, b: Rows, c: Rows, d: Rows) -> None:
     """One table a claim."""
     share = "Mean±standard error over grasps."
     report.print_grouped("a  Contacts on a wrong face", a, ("near_edge", "method"), {"wrong_face": 3}, share)
@@ -276,8 +283,9 @@ def print_tables(a, b, c, d):
     report.print_table("d  Times", columns, cells, report.machine())
 
 
-def main():
-    options, _ = report.parsed(report.parser(__doc__), trials=150, quick_trials=20)
+def main() -> None:
+    """Measures every claim, then judges each."""
+    options = report.options(__doc__, trials=150, quick_trials=20)
     measured = {"edges": edges(options), "w_n": weights(options)}
     measured |= {"minima": minima(options), "speed": speed(options)}
     print_tables(*measured.values())

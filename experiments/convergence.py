@@ -8,27 +8,31 @@ the optimum reached from the truth itself, else a failure of the solver. Default
 contact is moved by 20 to 60 mm in a random direction, or its normal turned by 90 degrees.
 """
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 
 import handsight as hs
-import report
-import scenes
+from handsight import se3
+from shared import figures, report, scenes
+from shared.report import Array, Row, Rows
 
-OBJECTS = {
-    "can": (lambda: hs.ObjectModel.cylinder(**scenes.CAN), scenes.on_can_side),
-    "box": (lambda: hs.ObjectModel.box(scenes.BOX), scenes.on_box_faces),
+COLUMNS = (
+    "object", "vision off by", "clean", "limit", "solver", "right one rejected", "one moved", "named",
+    "normal turned", "named", "steps", "ms med", "ms p99",
+)  # fmt: skip
+BARS = {
+    "clean": ("clean", "#2e9e4f"),
+    "moved": ("one contact moved", "#e6b400"),
+    "turned": ("one normal turned", "#c26a00"),
+    "moved named": ("the moved one named", "0.55"),
+    "turned named": ("the turned one named", "0.75"),
 }
-ERRORS = {"20 mm / 15°": (0.020, np.deg2rad(15)), "85 mm / 30°": (0.085, np.deg2rad(30))}
-NOISE = (5e-4, np.deg2rad(2))
+"""Column, its label and colour in the figure."""
 
 
-def found(model, estimate, T_true):
-    """Whether the estimate is the right pose in what the contacts observe."""
-    _, _, shift, turn = scenes.pose_errors(model, estimate, T_true)
-    return bool(shift < 5e-3 and turn < np.deg2rad(8))
-
-
-def spoiled(contacts, kind, rng):
+def spoiled(contacts: hs.Contacts, kind: str, rng: np.random.Generator) -> tuple[hs.Contacts, int]:
     """The contacts with one moved or its normal turned, and which."""
     i = int(rng.integers(len(contacts)))
     points, normals = contacts.points_palm.copy(), contacts.normals_palm.copy()
@@ -38,61 +42,73 @@ def spoiled(contacts, kind, rng):
     else:
         across = np.cross(normals[i], direction)
         normals[i] = across / np.linalg.norm(across)
-    return hs.Contacts(points, normals, sigma_point=NOISE[0], sigma_normal=NOISE[1]), i
+    sigma_point, sigma_normal = scenes.NOISE
+    return hs.Contacts(points, normals, sigma_point=sigma_point, sigma_normal=sigma_normal), i
 
 
-def trial(model, draw, error, rng):
+def trial(
+    model: hs.ObjectModel, draw: Callable[..., scenes.Surface], error: scenes.Pair, rng: np.random.Generator
+) -> Row:
     """One problem, clean and spoiled in both ways, as a row."""
-    scene = scenes.grasp(*draw(rng), rng, noise=NOISE, error=error)
+    scene = scenes.random_scene(draw(rng), rng, error=error)
     estimate, seconds = report.timed(lambda: hs.correct_pose(model, scene.contacts, vision=scene.vision))
     row = {
-        "clean": found(model, estimate, scene.T_palm_object),
+        "clean": scenes.found(model, estimate, scene.T_palm_object),
         "called wrong": bool(estimate.outliers),
         "iterations": estimate.iterations,
         "ms": 1e3 * seconds,
         "limit": False,
     }
     if not row["clean"]:
-        row["limit"] = scenes.at_least_as_probable(model, scene, estimate)
+        row["limit"] = at_least_as_probable(model, scene, estimate)
     for kind in ("moved", "turned"):
         contacts, wrong = spoiled(scene.contacts, kind, rng)
         estimate = hs.correct_pose(model, contacts, vision=scene.vision)
-        row[kind] = found(model, estimate, scene.T_palm_object)
+        row[kind] = scenes.found(model, estimate, scene.T_palm_object)
         row[f"{kind} named"] = estimate.outliers == (wrong,)
     return row
 
 
-def main():
+def at_least_as_probable(model: hs.ObjectModel, scene: scenes.Scene, estimate: hs.PoseEstimate) -> bool:
+    """Whether the answer is at least as probable as the optimum reached from the truth itself.
+
+    If so a miss is an information limit; if not, the solver failed.
+    """
+    sure = hs.PosePrior(scene.T_palm_object, scene.vision.covariance)
+    from_truth = hs.correct_pose(model, scene.contacts, vision=sure, method=hs.TwoPhase(starts=1))
+    ours, theirs = (cost_at(model, scene, e.T_palm_object) for e in (estimate, from_truth))
+    return ours <= theirs + 1.0
+
+
+def cost_at(model: hs.ObjectModel, scene: scenes.Scene, T_palm_object: Array) -> float:
+    """Squared residuals of contacts and vision at a pose, whitened by their sigmas."""
+    points = se3.apply(se3.inverse(T_palm_object), scene.contacts.points_palm)
+    values = model.fine.evaluate(points)
+    normals = values.gradient / np.linalg.norm(values.gradient, axis=1, keepdims=True)
+    felt = scene.contacts.normals_palm @ T_palm_object[:3, :3]
+    variances = np.diagonal(scene.contacts.covariance, axis1=1, axis2=2)
+    cost = (values.distance**2 / variances[:, 0]).sum()
+    cost += (((normals - felt) ** 2).sum(axis=1) / (variances[:, 3:].sum(axis=1) / 2)).sum()
+    vision = scene.vision.T_palm_object
+    delta = se3.difference(scenes.nearest_truth(model, T_palm_object, vision), vision)
+    return float(cost + delta @ np.linalg.solve(scene.vision.covariance, delta))
+
+
+def main() -> None:
     """Runs the experiment."""
-    options, _ = report.parsed(report.parser(__doc__), trials=300, quick_trials=15)
+    options = report.options(__doc__, trials=300, quick_trials=15)
     rows, table = [], []
-    for o, (name, (make, draw)) in enumerate(OBJECTS.items()):
-        model = make()
-        for e, (label, error) in enumerate(ERRORS.items()):
-            trials = report.progress(range(options.trials), f"{name}, {label}")
+    for o, (name, (make, draw)) in enumerate(scenes.OBJECTS.items()):
+        for e, (label, error) in enumerate(scenes.VISION_ERRORS.items()):
             mine = [
-                {"object": name, "error": label, **trial(model, draw, error, options.rng(o, e, k))}
-                for k in trials
+                {"object": name, "error": label, **trial(make(), draw, error, options.rng(o, e, k))}
+                for k in report.progress(range(options.trials), f"{name}, {label}")
             ]
             rows += mine
             table.append(summarised(name, label, mine))
     report.print_table(
         f"Found, of {options.trials} (synthetic)",
-        [
-            "object",
-            "vision off by",
-            "clean",
-            "limit",
-            "solver",
-            "right one rejected",
-            "one moved",
-            "named",
-            "normal turned",
-            "named",
-            "steps",
-            "ms med",
-            "ms p99",
-        ],
+        COLUMNS,
         table,
         "limit / solver: misses that are information limits / failures of the solver. one moved, normal turned: "
         f"share found with one wrong contact. {report.machine()}",
@@ -101,43 +117,29 @@ def main():
     draw_figure(rows, options.output / "convergence.png")
 
 
-def summarised(name, label, rows):
+def summarised(name: str, label: str, rows: Rows) -> list[object]:
     """The cells of one row of the table."""
-
-    def share(key):
-        return f"{np.mean([row[key] for row in rows]):.3f}"
-
-    misses = [row for row in rows if not row["clean"]]
-    limits = sum(row["limit"] for row in misses)
-    ms = [row["ms"] for row in rows]
-    steps = f"{np.median([row['iterations'] for row in rows]):.0f}"
-    return [name, label, share("clean"), limits, len(misses) - limits, share("called wrong"), share("moved"),
-            share("moved named"), share("turned"), share("turned named"), steps,
-            f"{np.median(ms):.1f}", f"{np.quantile(ms, 0.99):.0f}"]  # fmt: skip
+    share = {key: f"{report.values(rows, key).mean():.3f}" for key in (*BARS, "called wrong")}
+    limits = report.values(rows, "limit", clean=False)
+    steps, ms = report.values(rows, "iterations"), report.values(rows, "ms")
+    return [
+        name, label, share["clean"], int(limits.sum()), int(len(limits) - limits.sum()), share["called wrong"],
+        share["moved"], share["moved named"], share["turned"], share["turned named"],
+        f"{np.median(steps):.0f}", f"{np.median(ms):.1f}", f"{np.quantile(ms, 0.99):.0f}",
+    ]  # fmt: skip
 
 
-def draw_figure(rows, path):
+def draw_figure(rows: Rows, path: Path) -> None:
     """Bars of the shares found and named."""
-    plt = report.pyplot()
-    figure, axes = plt.subplots(figsize=(8.4, 3.4), layout="constrained")
+    figure, axes = figures.pyplot().subplots(figsize=(8.4, 3.4), layout="constrained")
     cases = list(dict.fromkeys((row["object"], row["error"]) for row in rows))
-    keys = ["clean", "moved", "turned", "moved named", "turned named"]
-    labels = [
-        "clean",
-        "one contact moved",
-        "one normal turned",
-        "the moved one named",
-        "the turned one named",
-    ]
-    colours = ["#2e9e4f", "#e6b400", "#c26a00", "0.55", "0.75"]
-    for k, (key, label, colour) in enumerate(zip(keys, labels, colours, strict=True)):
-        shares = [np.mean([r[key] for r in rows if (r["object"], r["error"]) == case]) for case in cases]
+    for k, (key, (label, colour)) in enumerate(BARS.items()):
+        shares = [report.values(rows, key, object=name, error=error).mean() for name, error in cases]
         axes.bar(np.arange(len(cases)) + 0.16 * (k - 2), shares, 0.15, label=label, color=colour)
     axes.set_xticks(range(len(cases)), [f"{name}\n{label}" for name, label in cases])
-    axes.set_ylim(0.7, 1.005)
-    axes.set_ylabel("share of problems (from 0.7)")
+    axes.set(ylim=(0.7, 1.005), ylabel="share of problems (from 0.7)")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    report.save_figure(figure, path)
+    figures.save(figure, path)
 
 
 if __name__ == "__main__":

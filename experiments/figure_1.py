@@ -6,21 +6,20 @@ says so and ends.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-import report
-from figure_7 import CLOSE, GREEN, eye, typical
-from grasp_trials import last_instant, rig, surface
 from handsight import se3
-from handsight.errors import MissingExtra
-from handsight.simulation import render
+from shared import figures, report
+from shared.grasp_trials import last_instant, rig, surface, typical
+from shared.report import Array, Row
 
 MIDDLE = slice(130, 466), slice(200, 600)
 """The part of the camera's image that is shown."""
 
 
-def depths_mm(trial, T_palm_object):
+def depths_mm(trial: Any, T_palm_object: Array) -> Row:
     """How deep the hand is in the object, and how far the nearest and the farthest contact are off its surface."""
     points = surface().points_palm(trial.sample.observation.joint_positions)
     inside, touched = (
@@ -34,42 +33,24 @@ def depths_mm(trial, T_palm_object):
     }
 
 
-def main():
+@report.or_skip
+def main() -> None:
     """Chooses a grasp, draws it twice."""
-    options, _ = report.parsed(report.parser(__doc__), trials=11, quick_trials=3)
-    try:
-        trial = typical("can", options)
-        view = last_instant(replace(trial.scenario, images=True)).observation.color
-        seen = trial.vision.T_palm_object
-        posture = render(
-            trial.scenario,
-            trial.sample,
-            T_world_camera=eye(trial.sample),
-            ghost=seen,
-            color=GREEN,
-            show_object=False,
-        )
-    except MissingExtra as error:
-        report.say(f"skipped: {error}")
-        return
+    options = report.options(__doc__, trials=11, quick_trials=3)
+    trial = typical("can", options.trials, options.first_seed)
+    view: Any = last_instant(replace(trial.scenario, images=True)).observation.color
+    seen = trial.vision.T_palm_object
+    posture = figures.close_up(trial, seen)
     poses = {"vision": seen, "truth": trial.sample.T_palm_object}
     rows = [{"pose": name, **depths_mm(trial, T)} for name, T in poses.items()]
     cells = [[r["pose"], *(f"{value:.1f}" for key, value in r.items() if key != "pose")] for r in rows]
     columns = ["object at", "deepest in hand mm", "nearest contact off by", "farthest contact off by"]
     report.print_table(f"Hand of {len(rig().fingers)} fingers, object where it is said to be", columns, cells)
     report.write_csv(options.output / "figure_1.csv", rows)
-    plt = report.pyplot()
-    figure, panels = plt.subplots(1, 2, figsize=(10, 4.3), layout="constrained")
-    for axes, picture, title in zip(
-        panels,
-        (view[MIDDLE], posture[CLOSE]),
-        ("the camera's point of view", "posture, object as vision has it"),
-        strict=True,
-    ):
-        axes.imshow(picture)
-        axes.set_title(title)
-        axes.axis("off")
-    report.save_figure(figure, options.output / "figure_1.png")
+    figure, panels = figures.pyplot().subplots(1, 2, figsize=(10, 4.3), layout="constrained")
+    titles = "the camera's point of view", "posture, object as vision has it"
+    figures.show_pictures(panels, list(zip(titles, (view[MIDDLE], posture), strict=True)))
+    figures.save(figure, options.output / "figure_1.png")
 
 
 if __name__ == "__main__":

@@ -14,41 +14,27 @@ The table shows what a reading error per axis of each corner makes of the centre
 p₀ = R p₁ + (I - R) p₂ for the matrix R, and R Rᵀ + (I - R)(I - R)ᵀ = 3 I, whatever the side of the square.
 """
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
-import report
+from shared import figures, report
+from shared.grasp_errors import SIDE, centre_from_corners, corners
+from shared.report import Array, Row, Rows
 
-QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-SIDE = 0.06
-"""Of a square [m]; the paper says 'known dimensions' and no number."""
 SIGMAS_MM = (0.1, 0.3, 0.5, 1.0, 2.0)
 """Reading errors per axis [mm]: half a millimetre is what the paper's ground can give."""
 
 
-def centre_from_corners(p1, p2):
-    """The object's centre (..., 2) from two corners: `p1` across the square from it, `p2` next to it.
-
-    Eq. 8. Seen from above, x right and y up, the square is walked counterclockwise centre, `p2`, `p1`.
-    """
-    v = np.asarray(p1) - np.asarray(p2)
-    return np.asarray(p2) + v @ QUARTER_TURN.T
-
-
-def corners(centre, angle, side=SIDE):
-    """(4, 2, 2): p₁ and p₂ of each of the four squares around a centre, as eq. 8 wants them."""
-    turns = angle + np.arange(4) * np.pi / 2
-    along = side * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    p2 = centre + along
-    return np.stack([p2 + along @ QUARTER_TURN.T, p2], axis=1)
-
-
-def run(options):
+def run(options: report.Options) -> Rows:
     """A row per reading error and use of the corners: the centre's error over all trials."""
     rows = []
     for k, sigma_mm in enumerate(report.progress(SIGMAS_MM, "readings")):
         rng = options.rng(k)
         centre = rng.uniform(-0.2, 0.2, (options.trials, 2))
-        squares = [corners(c, angle) for c, angle in zip(centre, random_turns(rng, centre), strict=True)]
+        turns = rng.uniform(0, 2 * np.pi, len(centre))
+        squares = [corners(c, angle) for c, angle in zip(centre, turns, strict=True)]
         p1, p2 = np.swapaxes([s[rng.integers(4)] for s in squares], 0, 1)
         p1, p2 = (p + 1e-3 * sigma_mm * rng.normal(size=p.shape) for p in (p1, p2))
         rows.append(errors(sigma_mm, "as meant", centre_from_corners(p1, p2) - centre))
@@ -56,12 +42,7 @@ def run(options):
     return rows
 
 
-def random_turns(rng, centre):
-    """How the transparency is turned each time [rad]."""
-    return rng.uniform(0, 2 * np.pi, len(centre))
-
-
-def errors(sigma_mm, use, error):
+def errors(sigma_mm: float, use: str, error: Array) -> Row:
     """A row of the table from errors (n, 2) of the centre [m]."""
     distance = 1000 * np.linalg.norm(error, axis=1)
     return {
@@ -75,7 +56,7 @@ def errors(sigma_mm, use, error):
     }
 
 
-def print_table(rows, trials):
+def print_table(rows: Rows, trials: int) -> None:
     """The centre's error by reading error."""
     cells = []
     for row in rows:
@@ -92,11 +73,12 @@ def print_table(rows, trials):
     report.print_table("The centre from two corners (eq. 8)", columns, cells, note)
 
 
-def draw(path):
+def draw(path: Path) -> None:
     """The transparency as it is meant, and with the corners swapped."""
-    plt = report.pyplot()
     centre, angle = np.array([0.10, 0.08]), np.deg2rad(24)
-    figure, panels = plt.subplots(1, 2, figsize=(10.5, 5.6), sharex=True, sharey=True, layout="constrained")
+    figure, panels = figures.pyplot().subplots(
+        1, 2, figsize=(10.5, 5.6), sharex=True, sharey=True, layout="constrained"
+    )
     for axes, swapped in zip(panels, (False, True), strict=True):
         squares = corners(centre, angle)
         for p1, p2 in squares:
@@ -109,12 +91,11 @@ def draw(path):
         axes.grid(color="0.93")
         axes.set_axisbelow(True)
     panels[0].set_ylabel("table y [cm]")
-    handles, labels = panels[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    report.save_figure(figure, path)
+    figures.legend_below(figure, panels[1], 4)
+    figures.save(figure, path)
 
 
-def draw_construction(axes, p1, p2, centre):
+def draw_construction(axes: Any, p1: Array, p2: Array, centre: Array) -> None:
     """v from p₂ to p₁, its quarter turn from p₂, and where that puts the centre."""
     found = centre_from_corners(p1, p2)
     arrow = {"arrowstyle": "-|>", "linewidth": 2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 16}
@@ -123,8 +104,8 @@ def draw_construction(axes, p1, p2, centre):
     axes.plot([], [], color="#4878a8", linewidth=2, label="v = p₁ - p₂")
     axes.plot([], [], color="#c2185b", linewidth=2, label="v turned by 90°")
     dot = {"linestyle": "none", "markeredgecolor": "k", "zorder": 5}
-    axes.plot(*(100 * centre), "o", color=report.TRUTH, markersize=13, label="true centre", **dot)
-    axes.plot(*(100 * found), "o", color=report.RESULT, markersize=8, label="centre by eq. 8", **dot)
+    axes.plot(*(100 * centre), "o", color=figures.TRUTH, markersize=13, label="true centre", **dot)
+    axes.plot(*(100 * found), "o", color=figures.RESULT, markersize=8, label="centre by eq. 8", **dot)
     middle = (p1 + p2) / 2
     outward = (middle - found) / np.linalg.norm(middle - found)
     for name, point in (("p₁", p1), ("p₂", p2)):
@@ -135,8 +116,9 @@ def draw_construction(axes, p1, p2, centre):
         axes.annotate(name, 100 * point, offset, **centred)
 
 
-def main():
-    options, _ = report.parsed(report.parser(__doc__), trials=20000, quick_trials=2000)
+def main() -> None:
+    """Reads corners, with and without errors."""
+    options = report.options(__doc__, trials=20000, quick_trials=2000)
     rows = run(options)
     print_table(rows, options.trials)
     p1, p2 = corners(np.zeros(2), 0.3)[0]

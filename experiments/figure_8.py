@@ -6,16 +6,21 @@ posterior mean with outside evidence (with --quick the maximum, which takes a se
 as often as the paper could read it. x and y are the table's.
 """
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
-import report
-from grasp_errors import pose_errors
-from grasp_trials import OBJECTS, exact_model, seen_in_palm
+import handsight as hs
 from handsight import se3
-from handsight.errors import MissingExtra
 from handsight.evaluation import base_center
-from handsight.objects.symmetry import nearest
-from manipulations import WITH_MEAN, recorded, tracked
+from handsight.simulation import Sample
+from shared import figures, report, scenes
+from shared.grasp_errors import pose_errors
+from shared.grasp_trials import OBJECTS, exact_model, seen_in_palm
+from shared.manipulations import WITH_MEAN, recorded, tracked
+from shared.report import Array, Row
 
 WAYS = {"can": "maximum, table", "box": "mean, outside, table"}
 QUICK = "maximum, outside, table"
@@ -23,48 +28,39 @@ COLOURS = {"x": "#2b5fd0", "y": "#2e9e4f"}
 TRUTH = "#d02b2b"
 RINGS_APART, DOTS_APART = 0.3, 1.5
 """Seconds between those drawn."""
+Curves = dict[str, Array]
+"""By vision, corrected, truth: rows of time, x and y [s, cm, cm]."""
 
 
-def base_on_table(model, T_palm_object, sample):
+def base_on_table(model: hs.ObjectModel, T_palm_object: Array, sample: Sample) -> Array:
     """(2,) x, y of the centre of the base [cm], in the world, of the pose's equivalent nearest to the truth."""
-    T_world_palm = sample.observation.T_world_palm
-    T = nearest(model.symmetries, T_palm_object, sample.T_palm_object, model.radius)
+    T = scenes.nearest_truth(model, T_palm_object, sample.T_palm_object)
     base = base_center(model, sample.T_world_object)
-    return 100 * se3.apply(T_world_palm @ T, base[None])[0, :2]
+    return 100 * se3.apply(sample.observation.T_world_palm @ T, base[None])[0, :2]
 
 
-def curves(name, seed, way):
-    """Time, x and y [s, cm, cm] of vision, of the tracker and of the truth; and a row of mean errors."""
-    samples = recorded(name, seed)
-    model = exact_model(name)
+def curves(name: str, seed: int, way: str) -> tuple[Curves, Row]:
+    """What is drawn, and a row of mean errors."""
+    model, samples = exact_model(name), recorded(name, seed)
     by_stamp = {sample.observation.stamp: sample for sample in samples}
     steps = tracked(name, samples, WITH_MEAN[way])
-    seen = [sample for sample in samples if sample.observation.vision]
+    by = {
+        "vision": [(s, seen_in_palm(s.observation)) for s in samples if s.observation.vision],
+        "corrected": [(by_stamp[step.stamp], step.estimate.T_palm_object) for step in steps],
+        "truth": [(s, s.T_palm_object) for s in samples],
+    }
+    row: Row = {"object": name, "seed": seed, "method": way}
+    for key in ("vision", "corrected"):
+        held = [pose_errors(model, T, s)["read"] for s, T in by[key] if s.phase != "close"]
+        row[f"{key}_mm"] = float(np.mean(held))
     lines = {
-        "vision": [
-            (s.observation.stamp, *base_on_table(model, seen_in_palm(s.observation), s)) for s in seen
-        ],
-        "corrected": [
-            (step.stamp, *base_on_table(model, step.estimate.T_palm_object, by_stamp[step.stamp]))
-            for step in steps
-        ],
-        "truth": [(s.observation.stamp, *base_on_table(model, s.T_palm_object, s)) for s in samples],
+        key: np.array([(s.observation.stamp, *base_on_table(model, T, s)) for s, T in found])
+        for key, found in by.items()
     }
-    held = [step for step in steps if by_stamp[step.stamp].phase != "close"]
-    ours = [pose_errors(model, s.estimate.T_palm_object, by_stamp[s.stamp])["read"] for s in held]
-    free = [s for s in seen if s.phase != "close"]
-    vision = [pose_errors(model, seen_in_palm(s.observation), s)["read"] for s in free]
-    row = {
-        "object": name,
-        "seed": seed,
-        "method": way,
-        "vision_mm": float(np.mean(vision)),
-        "corrected_mm": float(np.mean(ours)),
-    }
-    return {key: np.array(line) for key, line in lines.items()}, row
+    return lines, row
 
 
-def thinned(line, apart):
+def thinned(line: Array, apart: float) -> Array:
     """Rows at least so many seconds apart."""
     kept = [0]
     for i, stamp in enumerate(line[:, 0]):
@@ -73,47 +69,44 @@ def thinned(line, apart):
     return line[kept]
 
 
-def draw(found, path):
+def draw(found: dict[str, tuple[Curves, Row]], path: Path) -> None:
     """A panel an object."""
-    plt = report.pyplot()
-    figure, panels = plt.subplots(2, 1, figsize=(9, 7.5), sharex=True, layout="constrained")
+    figure, panels = figures.pyplot().subplots(2, 1, figsize=(9, 7.5), sharex=True, layout="constrained")
     for axes, (name, (lines, row)) in zip(panels, found.items(), strict=True):
-        rings, dots = thinned(lines["vision"], RINGS_APART), thinned(lines["truth"], DOTS_APART)
-        for k, (axis, colour) in enumerate(COLOURS.items(), start=1):
-            axes.plot(rings[:, 0], rings[:, k], "o", mfc="none", mec=colour, ms=5, label=f"{axis}, vision")
-            corrected = lines["corrected"]
-            axes.plot(corrected[:, 0], corrected[:, k], color=colour, lw=1.8, label=f"{axis}, corrected")
-            axes.plot(
-                dots[:, 0], dots[:, k], "o", color=TRUTH, ms=4, zorder=5, label="truth" if k == 2 else None
-            )
-        axes.set_title(
-            f"{name}: mean error {row['vision_mm']:.0f} mm by vision, {row['corrected_mm']:.1f} mm corrected"
-        )
+        draw_curves(axes.plot, lines)
+        vision, ours = row["vision_mm"], row["corrected_mm"]
+        axes.set_title(f"{name}: mean error {vision:.0f} mm by vision, {ours:.1f} mm corrected")
         axes.set_ylabel("centre of the base, table [cm]")
         axes.grid(color="0.93")
         axes.set_axisbelow(True)
     panels[-1].set_xlabel("time [s]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5)
-    report.save_figure(figure, path)
+    figures.legend_below(figure, panels[0], 5)
+    figures.save(figure, path)
 
 
-def main():
+def draw_curves(plot: Callable[..., Any], lines: Curves) -> None:
+    """Rings, line and dots of x and of y."""
+    rings, dots = thinned(lines["vision"], RINGS_APART), thinned(lines["truth"], DOTS_APART)
+    corrected = lines["corrected"]
+    for k, (axis, colour) in enumerate(COLOURS.items(), start=1):
+        plot(rings[:, 0], rings[:, k], "o", mfc="none", mec=colour, ms=5, label=f"{axis}, vision")
+        plot(corrected[:, 0], corrected[:, k], color=colour, lw=1.8, label=f"{axis}, corrected")
+        label = "truth" if k == 2 else None
+        plot(dots[:, 0], dots[:, k], "o", color=TRUTH, ms=4, zorder=5, label=label)
+
+
+@report.or_skip
+def main() -> None:
     """Runs both manipulations and draws them."""
-    options, _ = report.parsed(report.parser(__doc__), trials=2, quick_trials=2)
-    try:
-        found = {name: curves(name, options.seed, QUICK if options.quick else WAYS[name]) for name in OBJECTS}
-    except MissingExtra as error:
-        report.say(f"skipped: {error}")
-        return
+    options = report.options(__doc__, trials=2, quick_trials=2)
+    ways = dict.fromkeys(OBJECTS, QUICK) if options.quick else WAYS
+    found = {name: curves(name, options.seed, ways[name]) for name in OBJECTS}
     rows = [row for _, row in found.values()]
-    cells = [[r["object"], r["method"], f"{r['vision_mm']:.1f}", f"{r['corrected_mm']:.1f}"] for r in rows]
-    note = "x, y of the base's centre against the truth by eq. 8, from letting go on."
     report.print_table(
         "Mean error over one manipulation, mm (synthetic)",
         ["object", "tracker", "vision", "corrected"],
-        cells,
-        note,
+        [[r["object"], r["method"], f"{r['vision_mm']:.1f}", f"{r['corrected_mm']:.1f}"] for r in rows],
+        "x, y of the base's centre against the truth by eq. 8, from letting go on.",
     )
     report.write_csv(options.output / "figure_8.csv", rows)
     draw(found, options.output / "figure_8.png")

@@ -4,37 +4,30 @@ One process; the problems of can and box are taken in turn, each once (synthetic
 control loop sees; the slow tail are problems whose contacts do not fit at first and are searched for a wrong one.
 """
 
+from functools import partial
+
 import numpy as np
 
 import handsight as hs
-import report
-import scenes
-from convergence import ERRORS, NOISE, OBJECTS
+from shared import report, scenes
 
 
-def main():
+def main() -> None:
     """Runs the experiment."""
-    options, _ = report.parsed(report.parser(__doc__), trials=400, quick_trials=40)
+    options = report.options(__doc__, trials=400, quick_trials=40)
     rows = []
-    models = {name: (make(), draw) for name, (make, draw) in OBJECTS.items()}
     for k in report.progress(range(options.trials), "correcting"):
-        for o, (name, (model, draw)) in enumerate(models.items()):
+        for o, (name, (make, draw)) in enumerate(scenes.OBJECTS.items()):
             rng = options.rng(o, k)
-            scene = scenes.grasp(*draw(rng), rng, noise=NOISE, error=ERRORS["20 mm / 15°"])
-            _, seconds = report.timed(
-                lambda m=model, s=scene: hs.correct_pose(m, s.contacts, vision=s.vision)
-            )
+            scene = scenes.random_scene(draw(rng), rng)
+            _, seconds = report.timed(partial(hs.correct_pose, make(), scene.contacts, vision=scene.vision))
             rows.append({"object": name, "trial": k, "ms": 1e3 * seconds})
     table = []
-    for name in models:
-        ms = [row["ms"] for row in rows if row["object"] == name]
+    for name in scenes.OBJECTS:
+        ms = report.values(rows, "ms", object=name)
         table.append([name, *(f"{np.quantile(ms, q):.1f}" for q in (0.05, 0.5, 0.9, 0.99))])
-    report.print_table(
-        f"One correction in ms, {options.trials} each (synthetic)",
-        ["object", "5 %", "median", "90 %", "99 %"],
-        table,
-        report.machine(),
-    )
+    title = f"One correction in ms, {options.trials} each (synthetic)"
+    report.print_table(title, ["object", "5 %", "median", "90 %", "99 %"], table, report.machine())
     report.write_csv(options.output / "latency.csv", rows)
 
 

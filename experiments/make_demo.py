@@ -12,7 +12,8 @@ import numpy as np
 from handsight import se3
 from handsight.cli.simulate import record
 from handsight.simulation import Scenario
-from scenes import BOX, CAN, tilted
+from shared import scenes
+from shared.report import Array, Row
 
 FOLDER = Path(__file__).parent.parent / "src/handsight/data"
 NOISE_POINT, NOISE_NORMAL_DEG = 0.001, 4.0
@@ -20,66 +21,54 @@ SIGMA_POSITION, SIGMA_ROTATION_DEG = 0.05, 15.0
 RECORDED_SEED = 0
 
 
-def can_grasp():
+def can_grasp() -> scenes.Surface:
     """Four fingers around the can's side and the thumb opposite."""
     angle = np.deg2rad([20.0, 5.0, -8.0, -25.0, 183.0])
     height = np.array([0.030, 0.010, -0.010, -0.030, 0.002])
     normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(5)], axis=1)
-    return CAN["radius"] * normals + height[:, None] * [0, 0, 1], normals
+    return scenes.CAN["radius"] * normals + height[:, None] * [0, 0, 1], normals
 
 
-def box_grasp():
+def box_grasp() -> scenes.Surface:
     """Three fingers and the thumb on opposite faces, the little finger under the box."""
-    _, y, z = np.array(BOX) / 2
+    _, y, z = np.array(scenes.BOX) / 2
     points = [[-0.012, y, 0.02], [0.0, y, -0.01], [0.014, y, -0.035], [0.005, -y, -0.01], [0.01, 0.02, -z]]
     return np.array(points), np.array([[0, 1.0, 0], [0, 1, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]])
 
 
-def write():
+def write() -> None:
     """Both files."""
     rng = np.random.default_rng(20131106)
-    objects = ({"cylinder": CAN}, {"box": list(BOX)})
+    objects = ({"cylinder": scenes.CAN}, {"box": list(scenes.BOX)})
     problems, truths = [], []
-    for described, (points, normals) in zip(objects, (can_grasp(), box_grasp()), strict=True):
+    for described, surface in zip(objects, (can_grasp(), box_grasp()), strict=True):
         R = se3.rotation_exp(np.array([0.1, np.pi / 2, 0.2]))
         T = se3.compose(R, np.array([0.01, -0.085, 0.095]))
-        touched = se3.apply(T, points) + NOISE_POINT * rng.normal(size=points.shape)
-        felt = tilted(normals @ R.T, np.deg2rad(NOISE_NORMAL_DEG), rng)
+        noise = NOISE_POINT, float(np.deg2rad(NOISE_NORMAL_DEG))
+        contacts = scenes.touched(T, surface, noise, rng)
         off = rng.normal(size=6)
         off[:3] *= 0.08 / np.linalg.norm(off[:3])
         off[3:] *= np.deg2rad(20) / np.linalg.norm(off[3:])
         T_vision = se3.moved(T, off)
-        problems.append(
-            {
-                "object": described,
-                "contacts": [
-                    {
-                        "point": np.round(p, 5).tolist(),
-                        "normal": np.round(n, 5).tolist(),
-                        "sigma_point": NOISE_POINT,
-                        "sigma_normal_deg": NOISE_NORMAL_DEG,
-                    }
-                    for p, n in zip(touched, felt, strict=True)
-                ],
-                "vision": {
-                    **pose(T_vision),
-                    "sigma_position": SIGMA_POSITION,
-                    "sigma_rotation_deg": SIGMA_ROTATION_DEG,
-                },
-            }
-        )
+        sigmas = {"sigma_point": NOISE_POINT, "sigma_normal_deg": NOISE_NORMAL_DEG}
+        felt = [
+            {"point": np.round(point, 5).tolist(), "normal": np.round(normal, 5).tolist(), **sigmas}
+            for point, normal in zip(contacts.points_palm, contacts.normals_palm, strict=True)
+        ]
+        vision = pose(T_vision) | {"sigma_position": SIGMA_POSITION, "sigma_rotation_deg": SIGMA_ROTATION_DEG}
+        problems.append({"object": described, "contacts": felt, "vision": vision})
         truths.append(pose(T))
     for name, rows in (("demo.jsonl", problems), ("demo_truth.jsonl", truths)):
         (FOLDER / name).write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
-def pose(T):
+def pose(T: Array) -> Row:
     """The pose as the contract writes it."""
     quaternion = se3.quaternion_from_rotation(T[:3, :3])
     return {"position": np.round(T[:3, 3], 6).tolist(), "quaternion_xyzw": np.round(quaternion, 7).tolist()}
 
 
-def record_both():
+def record_both() -> None:
     """What `handsight simulate can` and `handsight simulate box` write."""
     for name in ("can", "box"):
         scenario = Scenario(object=name, seed=RECORDED_SEED, motion="manipulate")

@@ -20,21 +20,25 @@ fingers it asks for, vision's pose stays, and counts.
 
 import json
 from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-import report
-from grasp_errors import between, mean_interval, removed_interval
-from grasp_methods import OURS, PAPER, rows_of
-from grasp_trials import OBJECTS, SEEDS_APART, again, grasps, sensing_errors, silent
-from handsight.errors import MissingExtra
-from manipulations import TRACKED, WITH_MEAN, run_rows
-from section_3_targets import judged
+from shared import figures, report
+from shared.grasp_errors import between, mean_interval, removed_interval
+from shared.grasp_methods import OURS, PAPER, rows_of
+from shared.grasp_trials import OBJECTS, again, grasps, sensing_errors, silent
+from shared.manipulations import TRACKED, WITH_MEAN, run_rows
+from shared.report import Row, Rows
+from shared.section_3_targets import judged
 
 NOISE_DRAWS = 2
 RUNS = 8
 """Manipulations of each object; one with --quick, and none by the mean, which takes 20 s."""
-
+Sensing = dict[str, list[float]]
+"""By noise: errors of contacts [m]."""
 BY_CONTACTS = (
     ("instant", "can", "paper-lm, w_n 5 cm"),
     ("plane", "can", "paper-lm, w_n 5 cm"),
@@ -44,11 +48,10 @@ BY_CONTACTS = (
 )
 
 
-def one_instant(options, name):
+def one_instant(options: report.Options, name: str) -> tuple[Rows, Rows, Sensing, Row]:
     """Rows of all methods, the same grasps seen with no error in height by the paper's, and what was left out."""
-    left_out, fingers, rows, plane, sensing = Counter(), Counter(), [], [], {"clean": [], "noisy": []}
-    first = options.seed * SEEDS_APART
-    trials = grasps(name, options.trials, first, left_out)
+    left_out, fingers, sensing = Counter[str](), Counter[str](), Sensing({"clean": [], "noisy": []})
+    rows, plane, trials = Rows(), Rows(), grasps(name, options.trials, options.first_seed, left_out)
     for k in report.progress(range(options.trials), f"{name}, one instant"):
         trial = next(trials, None)
         if trial is None:
@@ -57,33 +60,34 @@ def one_instant(options, name):
         level = again(trial, camera_height=0.0)
         plane += rows_of(level, PAPER) if level else []
         fingers.update(silent(trial))
-        for key, found in zip(
-            sensing, sensing_errors(trial.scenario, NOISE_DRAWS, options.rng(k)), strict=True
-        ):
-            sensing[key] += found
+        found = sensing_errors(trial.scenario, NOISE_DRAWS, options.rng(k))
+        for key, errors in zip(sensing, found, strict=True):
+            sensing[key] += errors
     return rows, plane, sensing, {"grasps": dict(left_out), "fingers": dict(fingers)}
 
 
-def over_time(options, name, runs):
+def over_time(options: report.Options, name: str, runs: int) -> tuple[Rows, int]:
     """Rows of all runs, and how many were dropped."""
-    first, rows, dropped = options.seed * SEEDS_APART, [], 0
+    rows, dropped = Rows(), 0
     ways = WITH_MEAN if name == "box" and not options.quick else TRACKED  # the can gains nothing by the mean
     for k in report.progress(range(runs), f"{name}, over time"):
-        found = run_rows(name, first + k, ways)
+        found = run_rows(name, options.first_seed + k, ways)
         dropped += found is None
         rows += found or []
     return rows, dropped
 
 
-def summarised(rows):
+def numbers(rows: Rows, key: str) -> report.Array:
+    """A column, of the rows that have it."""
+    return np.array([row[key] for row in rows if key in row], dtype=np.float64)
+
+
+def summarised(rows: Rows) -> Rows:
     """A line a method, in order of appearance: what the tables and the file say of it."""
     lines = []
-    for method in dict.fromkeys(row["method"] for row in rows):
-        mine = [row for row in rows if row["method"] == method]
-
-        def of(key, mine=mine):
-            return np.array([row[key] for row in mine if key in row], dtype=np.float64)
-
+    for method in report.distinct(rows, "method"):
+        mine = report.chosen(rows, method=method)
+        of = partial(numbers, mine)
         line = {"method": method, "count": len(mine)}
         line |= {key: mean_interval(of(key)) for key in ("read", "base", "middle", "turn", "open")}
         line |= {"vision": mean_interval(of("vision read"))}
@@ -98,51 +102,41 @@ def summarised(rows):
     return lines
 
 
-def number(value, digits=0):
+def number(value: Any, digits: int = 0) -> str:
     """As text; nothing where there is none."""
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def print_methods(title, lines, note):
+def print_methods(title: str, lines: Rows, note: str) -> None:
     """A table of errors, a row a method."""
     cells = [["vision", between(lines[0]["vision"])] + [""] * 9]
     for line in lines:
         opened = number(line["open"][0]) + (f" (σ {line['open sigma']:.0f})" if "open sigma" in line else "")
-        cells.append(
-            [
-                line["method"],
-                between(line["read"]),
-                between(line["read removed"], 0),
-                number(line["base"][0], 1),
-                number(line["middle"][0], 1),
-                number(line["turn"][0], 1),
-                between(line["seen removed"], 0),
-                opened,
-                number(line.get("iterations")),
-                number(line.get("ms"), 1),
-                line["unanswered"] or "",
-            ]
-        )
+        cells.append([
+            line["method"], between(line["read"]), between(line["read removed"], 0),
+            *(number(line[key][0], 1) for key in ("base", "middle", "turn")),
+            between(line["seen removed"], 0), opened, number(line.get("iterations")),
+            number(line.get("ms"), 1), line["unanswered"] or "",
+        ])  # fmt: skip
     columns = ["method", "as read mm", "removed %", "exact", "3-D", "turn °", "seen removed %", "open mm"]
     report.print_table(title, [*columns, "its.", "ms", "< 2"], cells, note)
 
 
-def print_contacts(rows):
+def print_contacts(rows: Rows) -> None:
     """Where the contacts are few: the same errors by the number of contacts."""
     cells, height = [], {"instant": "", "plane": "; vision right in height"}
     for experiment, name, method in BY_CONTACTS:
-        key = (experiment, name, method)
-        mine = [row for row in rows if (row["experiment"], row["object"], row["method"]) == key]
-        for n in sorted({row["contacts"] for row in mine}, reverse=True):
-            few = [row for row in mine if row["contacts"] == n]
-            before, after = (np.array([row[key] for row in few]) for key in ("vision read", "read"))
+        mine = report.chosen(rows, experiment=experiment, object=name, method=method)
+        for n in sorted(report.distinct(mine, "contacts"), reverse=True):
+            few = report.chosen(mine, contacts=n)
+            before, after = (report.values(few, key) for key in ("vision read", "read"))
             cells.append([f"{name}: {method}{height[experiment]}", n, len(few), f"{before.mean():.1f}"])
             cells[-1] += [between(mean_interval(after)), between(removed_interval(before, after), 0)]
     columns = ["", "contacts", "grasps", "vision mm", "as read mm", "removed %"]
     report.print_table("One instant, by the number of contacts", columns, cells)
 
 
-def print_regions(by_object):
+def print_regions(by_object: dict[str, Rows]) -> None:
     """How often the truth lies in the stated regions."""
     cells = []
     for name, lines in by_object.items():
@@ -162,22 +156,14 @@ def print_regions(by_object):
     )
 
 
-def print_sensing(sensing):
+def print_sensing(sensing: dict[str, Sensing]) -> None:
     """Location errors of contacts."""
     cells = []
     for name, found in sensing.items():
         for key, label in (("clean", "no noise"), ("noisy", "10 mN, 0.05 mN m")):
             um = 1e6 * np.array(found[key])
-            cells.append(
-                [
-                    name,
-                    label,
-                    len(um),
-                    between(mean_interval(um), 0),
-                    number(np.median(um)),
-                    number(np.quantile(um, 0.95)),
-                ]
-            )
+            spread = number(np.median(um)), number(np.quantile(um, 0.95))
+            cells.append([name, label, len(um), between(mean_interval(um), 0), *spread])
     report.print_table(
         "Contact sensing from simulated wrenches, location error [µm]",
         ["object", "noise", "contacts", "mean", "median", "95 %"],
@@ -186,30 +172,25 @@ def print_sensing(sensing):
     )
 
 
-def draw(by_object, path):
+def draw(by_object: dict[str, Rows], path: Path) -> None:
     """Mean error as the paper measures it, a bar a method."""
-    plt = report.pyplot()
-    figure, panels = plt.subplots(1, 2, figsize=(10, 4.6), sharex=True, layout="constrained")
+    figure, panels = figures.pyplot().subplots(1, 2, figsize=(10, 4.6), sharex=True, layout="constrained")
     for axes, (name, lines) in zip(panels, by_object.items(), strict=True):
-        entries = [("vision", lines[0]["vision"], report.INITIAL)]
-        entries += [
-            (line["method"], line["read"], report.INITIAL if line["method"] in PAPER else report.RESULT)
-            for line in lines
-        ]
-        for k, (label, (value, low, high), colour) in enumerate(entries):
-            axes.barh(k, value, color=colour if label != "vision" else "0.35")
+        entries = {"vision": lines[0]["vision"]} | {line["method"]: line["read"] for line in lines}
+        colours = {"vision": "0.35", **dict.fromkeys(PAPER, figures.INITIAL)}
+        for k, (label, (value, low, high)) in enumerate(entries.items()):
+            axes.barh(k, value, color=colours.get(label, figures.RESULT))
             axes.plot([low, high], [k, k], color="k", linewidth=1.2)
-        axes.set_yticks(range(len(entries)), [label for label, *_ in entries])
+        axes.set_yticks(range(len(entries)), list(entries))
         axes.invert_yaxis()
-        axes.set_title(name)
-        axes.set_xlabel("error of the base's centre [mm]")
-    report.save_figure(figure, path)
+        axes.set(title=name, xlabel="error of the base's centre [mm]")
+    figures.save(figure, path)
 
 
-def measured(options, runs):
+def measured(options: report.Options, runs: int) -> tuple[Rows, Row]:
     """Everything: per object rows and summaries of the experiments."""
-    found = {key: {} for key in ("instant", "plane", "time", "sensing", "left out")}
-    rows = []
+    found: Row = {key: {} for key in ("instant", "plane", "time", "sensing", "left out")}
+    rows = Rows()
     for name in OBJECTS:
         instant, plane, found["sensing"][name], left = one_instant(options, name)
         moved, dropped = over_time(options, name, runs)
@@ -220,7 +201,7 @@ def measured(options, runs):
     return rows, found
 
 
-def printed(found, rows, runs):
+def printed(found: Row, rows: Rows, runs: int) -> Rows:
     """All tables."""
     for name in OBJECTS:
         left = found["left out"][name]
@@ -246,19 +227,16 @@ def printed(found, rows, runs):
     return targets
 
 
-def _counted(counts, what):
+def _counted(counts: dict[str, int], what: str) -> str:
     return ", ".join(f"{n} {what} {reason}" for reason, n in counts.items()) or "none"
 
 
-def main():
+@report.or_skip
+def main() -> None:
     """Runs the experiments."""
-    options, _ = report.parsed(report.parser(__doc__), trials=100, quick_trials=6)
+    options = report.options(__doc__, trials=100, quick_trials=6)
     runs = 1 if options.quick else RUNS
-    try:
-        rows, found = measured(options, runs)
-    except MissingExtra as error:
-        report.say(f"skipped: {error}")
-        return
+    rows, found = measured(options, runs)
     targets = printed(found, rows, runs)
     report.write_csv(options.output / "section_3.csv", rows)
     found["sensing"] = {

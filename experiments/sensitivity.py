@@ -7,15 +7,16 @@ that is changed. Measure: x, y of the base's centre as the paper has it. Synthet
 
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-import report
-from grasp_errors import between, mean_interval
-from grasp_methods import rows_of
-from grasp_trials import OBJECTS, SEEDS_APART, grasps, last_instant, trial_of
-from handsight.errors import MissingExtra
 from handsight.simulation import Nuisances, model_of
+from shared import figures, report
+from shared.grasp_errors import between, mean_interval
+from shared.grasp_methods import rows_of
+from shared.grasp_trials import OBJECTS, Trial, grasps, last_instant, trial_of
+from shared.report import Rows
 
 METHODS = {"can": "maximum", "box": "mean, outside, table"}
 ARM = 5e-3
@@ -24,10 +25,13 @@ HEIGHT = 0.8
 """Vision's error in height, in parts of the one in the plane."""
 PANELS = 5
 """Beside each other."""
+Setting = dict[str, float]
+"""Of the nuisances, by name."""
+Settings = dict[str, tuple[str, dict[float, Setting]]]
 COLOURS = {"can": "#3b6fb6", "box": "#c2571a"}
 
 
-def settings():
+def settings() -> Settings:
     """By nuisance: its unit, and value in that unit → the settings that make it."""
     return {
         "joint offset": ("°", {v: {"joint_offset": np.deg2rad(v)} for v in (0, 0.5, 1, 2, 3)}),
@@ -47,18 +51,18 @@ def settings():
     }
 
 
-def _load(kind, mN):
+def _load(kind: str, mN: float) -> Setting:
     return {f"force_{kind}": 1e-3 * mN, f"torque_{kind}": ARM * 1e-3 * mN}
 
 
-def _shift(metres):
+def _shift(metres: float) -> Setting:
     return {"camera_position": metres, "camera_height": HEIGHT * metres}
 
 
-def changed(trial, setting, rng):
+def changed(trial: Trial, setting: Setting, rng: np.random.Generator) -> Trial | None:
     """The grasp with that setting; None where it has not so many contacts, or no finger touches."""
     if "contacts" in setting:
-        return _fewer(trial, setting["contacts"], rng)
+        return _fewer(trial, int(setting["contacts"]), rng)
     usual = Nuisances()
     if all(np.isclose(getattr(usual, key), value, rtol=1e-9, atol=0) for key, value in setting.items()):
         return trial
@@ -69,27 +73,23 @@ def changed(trial, setting, rng):
     return trial_of(scenario, sample, model)
 
 
-def _fewer(trial, n, rng):
+def _fewer(trial: Trial, n: int, rng: np.random.Generator) -> Trial | None:
     """With n of its contacts, the thumb's among them."""
     fingers = trial.touch.fingers
     if len(fingers) < n or "th" not in fingers:
         return None
     others = [i for i, finger in enumerate(fingers) if finger != "th"]
     kept = sorted([fingers.index("th"), *rng.choice(others, n - 1, replace=False).tolist()])
-    contacts = trial.contacts.select(kept)
-    return replace(
-        trial, touch=replace(trial.touch, fingers=tuple(fingers[i] for i in kept), contacts=contacts)
-    )
+    chosen = tuple(fingers[i] for i in kept)
+    return replace(trial, touch=replace(trial.touch, fingers=chosen, contacts=trial.contacts.select(kept)))
 
 
-def run(options):
+def run(options: report.Options, chosen: Settings) -> tuple[Rows, Counter[str]]:
     """A row per object, nuisance, value and grasp."""
-    rows, left_out, chosen = [], Counter(), settings()
+    rows, left_out = Rows(), Counter[str]()
     for name in OBJECTS:
-        first = options.seed * SEEDS_APART
-        for k, trial in enumerate(
-            report.progress(list(grasps(name, options.trials, first, left_out)), f"{name}, each nuisance")
-        ):
+        trials = list(grasps(name, options.trials, options.first_seed, left_out))
+        for k, trial in enumerate(report.progress(trials, f"{name}, each nuisance")):
             for nuisance, (unit, values) in chosen.items():
                 for value, setting in values.items():
                     other = changed(trial, setting, options.rng(k))
@@ -101,22 +101,20 @@ def run(options):
     return rows, left_out
 
 
-def print_table(rows, trials):
+def print_table(rows: Rows, chosen: Settings, trials: int) -> None:
     """Mean errors by nuisance and value."""
     cells = []
-    for nuisance, (unit, values) in settings().items():
+    for nuisance, (unit, values) in chosen.items():
         for value in values:
             line = [nuisance if value == next(iter(values)) else "", f"{value:g} {unit}".strip()]
             for name in OBJECTS:
-                mine = [
-                    r for r in rows if (r["object"], r["nuisance"], r["value"]) == (name, nuisance, value)
-                ]
+                mine = report.chosen(rows, object=name, nuisance=nuisance, value=value)
                 if not mine:
                     line += ["", "", ""]
                     continue
-                inside = 100 * np.mean([r["in 95%"] for r in mine])
-                error = between(mean_interval([r["read"] for r in mine]))
-                line += [error, f"{np.mean([r['seen'] for r in mine]):.1f}", f"{inside:.0f}"]
+                seen, inside = (report.values(mine, key).mean() for key in ("seen", "in 95%"))
+                error = between(mean_interval(report.values(mine, "read")))
+                line += [error, f"{seen:.1f}", f"{100 * inside:.0f}"]
             cells.append(line)
     columns = ["nuisance", "value"]
     for name in OBJECTS:
@@ -130,24 +128,16 @@ def print_table(rows, trials):
     )
 
 
-def draw(rows, path):
+def draw(rows: Rows, chosen: Settings, path: Path) -> None:
     """A panel a nuisance: mean error against its size."""
-    plt = report.pyplot()
-    chosen = settings()
     lines = -(-(len(chosen) + 1) // PANELS)  # one is the legend's
-    size = (3 * PANELS, 2.5 * lines)
-    figure, panels = plt.subplots(
-        lines, PANELS, figsize=size, sharey=True, squeeze=False, layout="constrained"
-    )
+    shape = {"figsize": (3 * PANELS, 2.5 * lines), "squeeze": False}
+    figure, panels = figures.pyplot().subplots(lines, PANELS, **shape, sharey=True, layout="constrained")
     for axes, (nuisance, (unit, values)) in zip(panels.flat, chosen.items(), strict=False):
         for name in OBJECTS:
-            found = [
-                (v, mean_interval(errors))
-                for v in sorted(values)
-                if len(errors := report.values(rows, "read", object=name, nuisance=nuisance, value=v))
-            ]
-            x = [v for v, _ in found]
-            mean, low, high = np.array([interval for _, interval in found]).T
+            mine = report.chosen(rows, object=name, nuisance=nuisance)
+            x = sorted(report.distinct(mine, "value"))
+            mean, low, high = np.array([mean_interval(report.values(mine, "read", value=v)) for v in x]).T
             axes.fill_between(x, low, high, color=COLOURS[name], alpha=0.18, linewidth=0)
             axes.plot(x, mean, "o-", color=COLOURS[name], markersize=4, label=f"{name}: {METHODS[name]}")
         axes.set_xlabel(f"{nuisance} [{unit}]" if unit else nuisance)
@@ -161,22 +151,25 @@ def draw(rows, path):
     last = panels.flat[len(chosen)]
     handles, labels = panels[0, 0].get_legend_handles_labels()
     last.legend(handles, labels, loc="center", title="base's centre, mean and 95 % interval")
-    report.save_figure(figure, path)
+    figures.save(figure, path)
 
 
-def main():
+@report.or_skip
+def main() -> None:
     """Runs the experiment."""
-    options, _ = report.parsed(report.parser(__doc__), trials=20, quick_trials=2)
-    try:
-        rows, left_out = run(options)
-    except MissingExtra as error:
-        report.say(f"skipped: {error}")
-        return
-    print_table(rows, options.trials)
+    arguments = report.parser(__doc__)
+    every = settings()
+    arguments.add_argument(
+        "--only", action="append", choices=every, help="a nuisance; repeatable (default: all)"
+    )
+    options, given = report.parsed(arguments, trials=20, quick_trials=2)
+    chosen = {name: every[name] for name in given.only or every}
+    rows, left_out = run(options, chosen)
+    print_table(rows, chosen, options.trials)
     if left_out:
         report.say("Left out: " + "; ".join(f"{why} ({n})" for why, n in left_out.items()))
     report.write_csv(options.output / "sensitivity.csv", rows)
-    draw(rows, options.output / "sensitivity.png")
+    draw(rows, chosen, options.output / "sensitivity.png")
 
 
 if __name__ == "__main__":

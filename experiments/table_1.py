@@ -24,14 +24,18 @@ error (δp, radius δθ) less the directions that `correct_pose` calls unobserva
 same kind of contacts. The last is first order: of a turn by 20° along an open direction millimetres stay.
 """
 
+from itertools import product
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 import handsight as hs
-import report
-import scenes
 from handsight import se3
+from shared import figures, report, scenes
+from shared.report import Array, Row, Rows
 
-CUBE, CYLINDER = "cube", "cylinder"
+SHAPES = CUBE, CYLINDER = "cube", "cylinder"
 METHODS = (
     ("GD", "paper-gd-distance", False),
     ("LM", "paper-lm-distance", False),
@@ -52,10 +56,8 @@ PUBLISHED = {
     ("LM with normals", CUBE): (37, 0.033, 0.629, 4.81, 6.33),
     ("LM with normals", CYLINDER): (25, 0.087, 0.324, 4.03, 5.63),
 }
-SIGMAS = (1e-4, np.deg2rad(0.3))
+SIGMAS = (1e-4, float(np.deg2rad(0.3)))
 """What the exact contacts say of themselves: point [m], normal [rad], per axis."""
-
-
 LABELS = ("start", *(label for label, *_ in METHODS))
 PARTS = ("", "_symmetric", "_observable")
 DIGITS = {"its": 0, "mdts_cm": 3, "rme_cm": 3, "mae_deg": 2, "seconds": 2}
@@ -63,12 +65,11 @@ TARGET = {"mae_deg_observable": 0.5, "rme_cm_observable": 0.02, "its": 15}
 PAPER, LEAST = "#c2185b", 1e-4
 
 
-def trial(model, scene, method, normals):
+def trial(model: hs.ObjectModel, scene: scenes.Scene, method: str, normals: bool) -> Row:
     """One correction's numbers, by the names of the CSV file."""
-    contacts = scene.contacts if normals else scenes.without_normals(scene.contacts, SIGMAS[0])
-    estimate, seconds = report.timed(
-        lambda: hs.correct_pose(model, contacts, vision=scene.vision, method=method)
-    )
+    bare = hs.Contacts(scene.contacts.points_palm, sigma_point=SIGMAS[0])
+    contacts, vision = scene.contacts if normals else bare, scene.vision
+    estimate, seconds = report.timed(lambda: hs.correct_pose(model, contacts, vision=vision, method=method))
     at_truth = hs.PosePrior.from_sigmas(scene.T_palm_object, 1e-3, 1e-2)
     open_directions = hs.correct_pose(model, contacts, vision=at_truth).unobservable
     return {
@@ -82,35 +83,29 @@ def trial(model, scene, method, normals):
     }
 
 
-def errors(model, scene, T_hat, open_directions):
+def errors(model: hs.ObjectModel, scene: scenes.Scene, T_hat: Array, open_directions: Array) -> Row:
     """RME [cm] and MAE [°] of a pose: all, modulo symmetry, and the observable part of that."""
     T_near = scenes.nearest_truth(model, scene.T_palm_object, T_hat)
     metres = np.repeat([1.0, model.radius], 3)
     delta = se3.difference(T_hat, T_near) * metres
     seen = delta - open_directions.T @ (open_directions @ delta)
-    pairs = (
-        (T_hat, scene.T_palm_object),
-        (T_hat, T_near),
-        (se3.moved(T_near, seen / metres), T_near),
-    )
-    points = scene.contacts.points_palm
+    observed = se3.moved(T_near, seen / metres)
+    pairs = (T_hat, scene.T_palm_object), (T_hat, T_near), (observed, T_near)
     found = {}
     for suffix, pair in zip(PARTS, pairs, strict=True):
-        here, there = (se3.apply(se3.inverse(T), points) for T in pair)
-        found[f"rme_cm{suffix}"] = 100 * float(np.linalg.norm(here - there, axis=1).mean())
-        turn = se3.rotation_log(pair[0][:3, :3] @ pair[1][:3, :3].T)
-        found[f"mae_deg{suffix}"] = float(np.rad2deg(np.linalg.norm(turn)))
+        distance, turn = scenes.places_apart(scene, *pair)
+        found[f"rme_cm{suffix}"] = 100 * distance
+        found[f"mae_deg{suffix}"] = float(np.rad2deg(turn))
     return found
 
 
-def run(options, start):
+def run(options: report.Options, start: scenes.Pair) -> Rows:
     """A row per trial, shape and method, and one per trial and shape for the start itself."""
-    models = scenes.table_1_models()
     rows = []
     for k in report.progress(range(options.trials), "Table I"):
-        for s, (shape, model) in enumerate(models.items()):
+        for s, (shape, model) in enumerate(scenes.table_1_models().items()):
             rng = options.rng(k, s)
-            scene = scenes.displaced(*scenes.on_four_sides(model, rng), rng, start=start, sigmas=SIGMAS)
+            scene = scenes.paper_scene(scenes.on_four_sides(model, rng), rng, start=start, sigmas=SIGMAS)
             key = {"trial": k, "shape": shape}
             before = errors(model, scene, scene.vision.T_palm_object, np.zeros((0, 6)))
             rows.append({**key, "method": "start", "normals": 0, **before, "open_directions": 0})
@@ -120,35 +115,34 @@ def run(options, start):
     return rows
 
 
-def values(rows, shape, label, name):
+def values(rows: Rows, shape: str, label: str, name: str) -> Array:
     """(trials,) of one method on one shape."""
-    return np.array([row[name] for row in rows if row["shape"] == shape and row["method"] == label])
+    return report.values(rows, name, shape=shape, method=label)
 
 
-def summarised(rows):
+def published(label: str, shape: str) -> dict[str, Any]:
+    """What the paper printed, by column; nothing for handsight."""
+    return dict(zip(COLUMNS, PUBLISHED.get((label, shape), ("",) * len(COLUMNS)), strict=True))
+
+
+def summarised(rows: Rows) -> Rows:
     """A row per method and shape for the CSV file: published, mean, standard error, median."""
     names = [name for name in rows[1] if name not in ("trial", "shape", "method", "normals")]
     table = []
-    for label, _, normals in METHODS:
-        for shape in (CUBE, CYLINDER):
-            row = {"method": label, "shape": shape, "normals": int(normals)}
-            printed = PUBLISHED.get((label, shape), ("",) * len(COLUMNS))
-            row |= {f"{name}_published": value for name, value in zip(COLUMNS, printed, strict=True)}
-            for name in names:
-                found = values(rows, shape, label, name)
-                row[f"{name}_mean"], row[f"{name}_se"] = report.summary(found)
-                row[f"{name}_median"] = float(np.median(found))
-            table.append(row)
+    for (label, *_), shape in product(METHODS, SHAPES):
+        mine = report.chosen(rows, method=label, shape=shape)
+        printed = {f"{name}_published": value for name, value in published(label, shape).items()}
+        (found,) = report.grouped(mine, ("method", "shape", "normals"), names)
+        table.append(printed | found)
     return table
 
 
-def print_tables(rows, trials):
+def print_tables(rows: Rows, trials: int) -> None:
     """The paper's table with its own numbers beside ours, then the errors split."""
     beside = []
-    for label, shape in ((label, shape) for label, *_ in METHODS for shape in (CUBE, CYLINDER)):
-        printed = PUBLISHED.get((label, shape), ("",) * len(COLUMNS))
+    for (label, *_), shape in product(METHODS, SHAPES):
         cells = [label, shape]
-        for name, digits, number in zip(COLUMNS, (1, 3, 2, 2, 3), printed, strict=True):
+        for (name, number), digits in zip(published(label, shape).items(), (1, 3, 2, 2, 3), strict=True):
             cells += [report.plus_minus(values(rows, shape, label, name), digits)]
             cells += [number and f"{number:.{DIGITS[name]}f}"]
         beside.append(cells)
@@ -159,7 +153,7 @@ def print_tables(rows, trials):
     report.print_table("Table I", columns, beside, note)
 
     apart = []
-    for label, shape in ((label, shape) for label in LABELS for shape in (CUBE, CYLINDER)):
+    for label, shape in product(LABELS, SHAPES):
         cells = [label, shape, f"{values(rows, shape, label, 'open_directions').mean():.1f}"]
         for name in ("rme_cm", "mae_deg"):
             cells += [report.plus_minus(values(rows, shape, label, name + part)) for part in PARTS]
@@ -170,10 +164,10 @@ def print_tables(rows, trials):
     report.print_table("What the contacts can tell", columns, apart, note)
 
 
-def findings(rows):
+def findings(rows: Rows) -> Rows:
     """The paper's findings and handsight's target, as sentences and rows."""
     found = []
-    for shape in (CUBE, CYLINDER):
+    for shape in SHAPES:
         for kind in ("", " with normals"):
             gd, lm = (values(rows, shape, base + kind, "its") for base in ("GD", "LM"))
             claim = f"{shape}{kind}: Levenberg-Marquardt needs fewer iterations than gradient descent"
@@ -183,10 +177,8 @@ def findings(rows):
         ours = [values(rows, shape, "handsight with normals", name) for name in TARGET]
         holds = all(v.mean() <= most for v, most in zip(ours, TARGET.values(), strict=True))
         text = "{}°, {} cm, {} iterations.".format(*(report.plus_minus(v) for v in ours))
-        claim = (
-            f"{shape}: handsight with normals, of what contacts observe, MAE ≤ 0.5°, RME ≤ 0.02 cm, ≤ 15 its"
-        )
-        found.append(report.verdict(claim, holds, text))
+        target = "of what contacts observe, MAE ≤ 0.5°, RME ≤ 0.02 cm, ≤ 15 its"
+        found.append(report.verdict(f"{shape}: handsight with normals, {target}", holds, text))
         rejected = values(rows, shape, "handsight with normals", "rejected")
         text = f"{rejected.sum()} of {4 * len(rejected)} were."
         claim = f"{shape}, handsight with normals: no exact contact is rejected as an outlier"
@@ -194,7 +186,7 @@ def findings(rows):
     return found
 
 
-def closer_with_normals(rows, shape, base):
+def closer_with_normals(rows: Rows, shape: str, base: str) -> Row:
     """Whether the same trials end closer to the truth when normals are used."""
     holds, texts = [], []
     for name, unit in (("rme_cm_symmetric", " cm"), ("mae_deg_symmetric", "°")):
@@ -206,21 +198,15 @@ def closer_with_normals(rows, shape, base):
     return report.verdict(claim, report.all_of(holds), "; ".join(texts) + ", modulo symmetry.")
 
 
-def draw(rows, path):
+def draw(rows: Rows, path: Path) -> None:
     """Each trial's errors per method on logarithmic axes: all of it, and its observable part."""
-    plt = report.pyplot()
+    plt = figures.pyplot()
     figure, grid = plt.subplots(2, 2, figsize=(11, 8.6), sharey=True, sharex="col", layout="constrained")
-    for panels, shape in zip(grid, (CUBE, CYLINDER), strict=True):
+    for panels, shape in zip(grid, SHAPES, strict=True):
         for axes, name, title in zip(panels, ("rme_cm", "mae_deg"), ("RME [cm]", "MAE [°]"), strict=True):
             for y, label in enumerate(LABELS):
-                strip(axes, values(rows, shape, label, name), y - 0.2, colour(label), hollow=True)
-                strip(
-                    axes,
-                    values(rows, shape, label, f"{name}_observable"),
-                    y + 0.2,
-                    colour(label),
-                    hollow=False,
-                )
+                for part, side in (("", -0.2), ("_observable", 0.2)):
+                    strip(axes, values(rows, shape, label, name + part), y + side, label, hollow=not part)
                 if (label, shape) in PUBLISHED:
                     printed = PUBLISHED[label, shape][COLUMNS.index(name)]
                     axes.plot(printed, y, "D", color=PAPER, markeredgecolor="white", markersize=8, zorder=5)
@@ -232,37 +218,28 @@ def draw(rows, path):
             axes.set_xlabel(title if shape == CYLINDER else "")
     grid[0, 0].invert_yaxis()
     legend(figure, plt)
-    report.save_figure(figure, path)
+    figures.save(figure, path)
 
 
-def colour(label):
+def colour(label: str) -> str:
     """Grey for the start, yellow for handsight's results, blue for the paper's methods."""
     if label == "start":
-        return report.INITIAL
-    return report.RESULT if label.startswith("handsight") else "#4878a8"
+        return figures.INITIAL
+    return figures.RESULT if label.startswith("handsight") else "#4878a8"
 
 
-def strip(axes, errors_, y, color, *, hollow):
+def strip(axes: Any, errors_: Array, y: float, label: str, *, hollow: bool) -> None:
     """A box of quartiles with whiskers to 5 and 95 %, and every trial as a dot."""
-    errors_ = np.maximum(errors_, LEAST)
+    errors_, color = np.maximum(errors_, LEAST), colour(label)
     jitter = np.random.default_rng(0).uniform(-0.14, 0.14, len(errors_))
     axes.scatter(errors_, y + jitter, s=5, color=color, alpha=0.35, linewidths=0)
-    axes.boxplot(
-        errors_,
-        positions=[y],
-        widths=0.3,
-        orientation="horizontal",
-        whis=(5, 95),
-        showfliers=False,
-        patch_artist=True,
-        manage_ticks=False,
-        boxprops={"facecolor": "none" if hollow else color, "edgecolor": "0.25", "alpha": 0.85},
-        medianprops={"color": "0.1", "linewidth": 1.6},
-        zorder=3,
-    )
+    filled = {"facecolor": "none" if hollow else color, "edgecolor": "0.25", "alpha": 0.85}
+    plain = {"showfliers": False, "patch_artist": True, "manage_ticks": False, "zorder": 3}
+    place = {"positions": [y], "widths": 0.3, "orientation": "horizontal", "whis": (5, 95)}
+    axes.boxplot(errors_, **place, boxprops=filled, medianprops={"color": "0.1", "linewidth": 1.6}, **plain)
 
 
-def legend(figure, plt):
+def legend(figure: Any, plt: Any) -> None:
     """What box, fill and diamond mean, below the panels."""
     patch = plt.matplotlib.patches.Patch
     handles = [
@@ -273,12 +250,12 @@ def legend(figure, plt):
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
 
-def main():
+def main() -> None:
+    """Runs the experiment."""
     arguments = report.parser(__doc__)
-    arguments.add_argument(
-        "--shift-mm", type=float, default=20.0, help="start, per axis (default: %(default)s)"
-    )
-    arguments.add_argument("--turn-deg", type=float, default=20.0, help="start (default: %(default)s)")
+    start: Any = {"type": float, "default": 20.0}
+    arguments.add_argument("--shift-mm", **start, help="start, per axis (default: %(default)s)")
+    arguments.add_argument("--turn-deg", **start, help="start (default: %(default)s)")
     options, given = report.parsed(arguments, trials=100, quick_trials=12)
     rows = run(options, (given.shift_mm / 1000, np.deg2rad(given.turn_deg)))
     print_tables(rows, options.trials)

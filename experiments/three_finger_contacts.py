@@ -19,14 +19,16 @@ Each is given for the mode with the most weight and for the closest of the first
 contacts often fit several places of an object equally well, and the answer says which.
 """
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from scipy.special import chdtri
 
 import handsight as hs
-import report
-import scenes
-import ycb
 from handsight import se3
+from shared import figures, report, scenes, ycb
+from shared.report import Array, Row, Rows
 
 POINT_QUANTILES, NORMAL_QUANTILES = (0.29e-3, 1.0e-3), np.deg2rad([4.9, 30.7])
 """What the data's description says of the contacts: distance to the true surface [m] and angle to its normal
@@ -41,7 +43,7 @@ LEVELS = {
 MODES, AUC_LIMIT = 5, 0.02
 
 
-def contact_sigmas():
+def contact_sigmas() -> scenes.Pair:
     """Standard deviations per axis of point [m] and normal [rad]: for both what the 90 % quantile asks for.
 
     A distance along the normal is one Gaussian, an angle the length of two (Rayleigh). The errors are far
@@ -50,23 +52,20 @@ def contact_sigmas():
     return POINT_QUANTILES[1] / 1.645, float(NORMAL_QUANTILES[1]) / np.sqrt(-2 * np.log(0.1))
 
 
-def vision_prior(T_palm_object, level, rng):
+def vision_prior(T_palm_object: Array, level: Any, rng: np.random.Generator) -> hs.PosePrior:
     """The true pose, wrong by exactly that shift and turn, with sigmas per axis that say so."""
     shift, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     T = se3.moved(T_palm_object, np.concatenate([level[0] * shift, level[1] * turn]))
     return hs.PosePrior.from_sigmas(T, level[0] / np.sqrt(3), level[1] / np.sqrt(3))
 
 
-def covered(model, mode, T_palm_object):
+def covered(model: hs.ObjectModel, mode: Any, T_palm_object: Array) -> bool:
     """Whether a mode's 95 % region holds the truth, modulo symmetry."""
-    truth = scenes.nearest_truth(model, T_palm_object, mode.T_palm_object)
-    delta = se3.difference(truth, mode.T_palm_object)
-    metres = np.repeat([1.0, 1 / model.radius], 3)
-    rank = np.linalg.matrix_rank(mode.information * metres[:, None] * metres, hermitian=True)
-    return bool(delta @ mode.information @ delta <= chdtri(rank, 0.05))
+    squared, freedom = scenes.chi2(model, mode.T_palm_object, mode.information, T_palm_object)
+    return bool(squared <= chdtri(freedom, 0.05))
 
 
-def solve(folder, seed, problem, draws):
+def solve(folder: Path, seed: int, problem: Any, draws: int) -> Rows:
     """A row per draw and level (blind: once) of one problem."""
     rows = []
     for draw in range(draws):
@@ -78,11 +77,12 @@ def solve(folder, seed, problem, draws):
     return rows
 
 
-def trial(thing, problem, level, rng):
+def trial(thing: ycb.YcbObject, problem: Any, level: Any, rng: np.random.Generator) -> Row:
     """One correction's numbers: of vision itself, the best-weighted mode, the closest of the first five."""
     T_palm_world = se3.random(rng, spread=0.1)
     T_true = T_palm_world @ ycb.TRIPLET_TRUTH
-    contacts = hs.Contacts(*problem[2:], *contact_sigmas()).moved(T_palm_world)
+    (points, normals), (sigma_point, sigma_normal) = problem[2:], contact_sigmas()
+    contacts = hs.Contacts(points, normals, sigma_point, sigma_normal).moved(T_palm_world)
     vision = None if level is None else vision_prior(T_true, level, rng)
     estimate, seconds = report.timed(lambda: hs.correct_pose(thing.model, contacts, vision=vision))
     modes = [mode.T_palm_object for mode in estimate.hypotheses[:MODES]]
@@ -99,7 +99,7 @@ def trial(thing, problem, level, rng):
     }
 
 
-def errors(thing, Ts, T_true, whose):
+def errors(thing: ycb.YcbObject, Ts: list[Array], T_true: Array, whose: str) -> Row:
     """The least position error [cm] and the least ADI [mm] of some poses."""
     position = min(float(np.linalg.norm(T[:3, 3] - T_true[:3, 3])) for T in Ts)
     adi = min(thing.closest_point_error(T, T_true) for T in Ts)
@@ -109,25 +109,19 @@ def errors(thing, Ts, T_true, whose):
 WHOSE = {"vision": "vision", "best": "best mode", "five": "closest of five"}
 
 
-def print_scores(rows):
+def print_scores(rows: Rows) -> None:
     """The main table: a line per level and answer."""
     lines = []
     for label in LEVELS:
-        mine = [row for row in rows if row["vision"] == label]
+        mine = report.chosen(rows, vision=label)
         for whose, text in WHOSE.items():
             if label == "blind" and whose == "vision":
                 continue
             adi = report.values(mine, f"{whose}_adi_mm")
             of_modes = [f"{100 * report.values(mine, c).mean():.0f} %" for c in ("covered", "consistent")]
-            lines.append(
-                [
-                    f"{label}: {text}",
-                    *spread(mine, f"{whose}_position_cm", 2),
-                    *spread(mine, f"{whose}_adi_mm", 1),
-                    f"{ycb.area_under_curve(adi / 1000, AUC_LIMIT):.0f} %",
-                    *(of_modes if whose == "best" else ("", "")),
-                ]
-            )
+            found = *spread(mine, f"{whose}_position_cm", 2), *spread(mine, f"{whose}_adi_mm", 1)
+            area = f"{ycb.area_under_curve(adi / 1000, AUC_LIMIT):.0f} %"
+            lines.append([f"{label}: {text}", *found, area, *(of_modes if whose == "best" else ("", ""))])
     columns = ["position, cm: median (quartiles)", "mean±se", "ADI, mm: median (quartiles)", "mean±se"]
     report.print_table(
         f"Position of the object's origin and ADI, {len(by_problem(rows, 'draw'))} problems",
@@ -138,24 +132,24 @@ def print_scores(rows):
     )
 
 
-def by_problem(rows, name):
+def by_problem(rows: Rows, name: str) -> list[float]:
     """The mean of a column over the draws of each problem."""
     problems = dict.fromkeys((row["object"], row["triplet"]) for row in rows)
     return [report.values(rows, name, object=o, triplet=k).mean() for o, k in problems]
 
 
-def spread(rows, name, digits):
+def spread(rows: Rows, name: str, digits: int) -> tuple[str, str]:
     """Median (quartiles) over all rows, and mean ± standard error over the problems, as text."""
     low, middle, high = np.quantile(report.values(rows, name), [0.25, 0.5, 0.75])
     quartiles = f"{middle:.{digits}f} ({low:.{digits}f}-{high:.{digits}f})"
     return quartiles, report.plus_minus(by_problem(rows, name), digits)
 
 
-def print_objects(rows):
+def print_objects(rows: Rows) -> None:
     """The blind answers by object."""
     lines = []
-    for name in dict.fromkeys(row["object"] for row in rows):
-        mine = [row for row in rows if row["object"] == name and row["vision"] == "blind"]
+    for name in report.distinct(rows, "object"):
+        mine = report.chosen(rows, object=name, vision="blind")
         cells = [f"{np.median(report.values(mine, f'{w}_position_cm')):.2f}" for w in ("best", "five")]
         cells += [f"{np.median(report.values(mine, f'{w}_adi_mm')):.1f}" for w in ("best", "five")]
         cells += [f"{report.values(mine, c).mean():.1f}" for c in ("modes", "weight", "seconds")]
@@ -164,37 +158,34 @@ def print_objects(rows):
     report.print_table("Blind, by object: medians of 4 problems", ["object", *columns], lines)
 
 
-def draw_figure(rows, path):
+def draw_figure(rows: Rows, path: Path) -> None:
     """Left: shares of problems below a position error. Right: each blind problem, by object."""
-    plt = report.pyplot()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.4), layout="constrained")
-    for color, label in zip(("#c2185b", "#1565c0", report.RESULT, report.TRUTH), LEVELS, strict=True):
+    figure, (left, right) = figures.pyplot().subplots(1, 2, figsize=(10.5, 4.4), layout="constrained")
+    for color, label in zip(("#c2185b", "#1565c0", figures.RESULT, figures.TRUTH), LEVELS, strict=True):
         for whose, style in (("best", "-"), ("five", "--")):
-            found = np.sort(report.values(rows, f"{whose}_position_cm", vision=label))
-            shares = np.arange(1, len(found) + 1) / len(found)
-            left.step(found, shares, style, where="post", color=color, label=label if style == "-" else None)
+            found = figures.shares(report.values(rows, f"{whose}_position_cm", vision=label))
+            left.step(*found, style, where="post", color=color, label=label if style == "-" else None)
     left.plot([], [], "k--", label="closest of five modes")
     left.axvline(2, color="0.6", linewidth=1, label="the authors', with images: about 2 cm")
     left.set(xlabel="position error [cm]", ylabel="share of problems below", xlim=(0, 8), ylim=(0, 1))
     left.legend(title="vision", loc="lower right", fontsize=8)
-    names = list(dict.fromkeys(row["object"] for row in rows))[::-1]
+    names = report.distinct(rows, "object")[::-1]
     for i, name in enumerate(names):
-        best, five = (
-            report.values(rows, f"{w}_position_cm", vision="blind", object=name) for w in ("best", "five")
-        )
+        mine = report.chosen(rows, vision="blind", object=name)
+        best, five = (report.values(mine, f"{w}_position_cm") for w in ("best", "five"))
         height = i + np.linspace(-0.24, 0.24, len(best))
         right.hlines(height, five, best, color="0.8", linewidth=1)
         right.plot(best, height, "o", color="#c2185b", label="best-weighted mode" if i == 0 else None)
-        right.plot(five, height, "o", color=report.RESULT, label="closest of five" if i == 0 else None)
+        right.plot(five, height, "o", color=figures.RESULT, label="closest of five" if i == 0 else None)
     right.set_yticks(range(len(names)), [name[4:].replace("_", " ") for name in names])
     right.set(xlabel="position error [cm], blind", xlim=(0, None))
     right.legend(loc="lower right", fontsize=8)
-    report.save_figure(figure, path)
+    figures.save(figure, path)
 
 
-def main():
+def main() -> None:
     """Runs the experiment."""
-    options, _ = report.parsed(report.parser(__doc__), trials=10, quick_trials=2)
+    options = report.options(__doc__, trials=10, quick_trials=2)
     folder = ycb.data_or_goodbye()
     problems = ycb.triplets(folder)
     if options.quick:

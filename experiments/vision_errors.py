@@ -17,25 +17,29 @@ same. Errors are taken modulo the symmetries of the object's shape.
   flips   poses turned by more than 90° from the truth, modulo symmetry, before and after
 """
 
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 
 import handsight as hs
-import report
-import scenes
-import ycb
 from handsight import se3
+from shared import figures, report, scenes, ycb
+from shared.report import Array, Row, Rows
 
 COUNTS = (3, 5)
-NOISE = (1e-3, np.deg2rad(5))
+NOISE = (1e-3, float(np.deg2rad(5)))
 """Of a contact, per axis: point [m] and normal [rad]; the contacts say the same."""
 ONE_SIGMA = 0.6827
 """Share of a Gaussian's draws within one standard deviation."""
 DIRECTIONS = {"across": [0, 1], "along": [2], "tilt": [3, 4], "roll": [5]}
 """Components of an error along the axes of the viewing ray: shift [m] and turn [rad] across and along it."""
+Sigmas = dict[str, float]
+"""By direction."""
 AUC_LIMIT, WORSE, FLIP = 0.10, 1.0, 90.0
 
 
-def ray_axes(Ts_camera_object):
+def ray_axes(Ts_camera_object: Array) -> Array:
     """Rotations (..., 3, 3) whose third column points from the camera to the object's origin."""
     z = Ts_camera_object[..., :3, 3] / np.linalg.norm(Ts_camera_object[..., :3, 3], axis=-1, keepdims=True)
     x = np.cross([0.0, 1.0, 0.0], z)
@@ -43,14 +47,14 @@ def ray_axes(Ts_camera_object):
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def errors_along_ray(model, Ts_vision, Ts_true):
+def errors_along_ray(model: hs.ObjectModel, Ts_vision: Array, Ts_true: Array) -> Array:
     """(n, 6) shift [m] and turn [rad] from vision to the truth, modulo symmetry, along the ray's axes."""
     delta = se3.difference(scenes.nearest_truth(model, Ts_true, Ts_vision), Ts_vision)
     R = ray_axes(Ts_vision)
     return np.concatenate([np.einsum("nji,nj->ni", R, part) for part in np.split(delta, 2, axis=1)], axis=1)
 
 
-def sigmas_of(errors_by_object):
+def sigmas_of(errors_by_object: list[Array]) -> Sigmas:
     """The four sigmas, by direction: ONE_SIGMA quantiles of |error|, every object with the same weight."""
     sigmas = {}
     for name, columns in DIRECTIONS.items():
@@ -62,21 +66,20 @@ def sigmas_of(errors_by_object):
     return sigmas
 
 
-def prior(T_vision, sigmas):
+def prior(T_vision: Array, sigmas: Sigmas) -> hs.PosePrior:
     """Vision's pose with the covariance that the sigmas make, along the camera's axes."""
     variance = np.array([sigmas[name] ** 2 for name, columns in DIRECTIONS.items() for _ in columns])
     return hs.PosePrior(T_vision, se3.rotate_covariance(ray_axes(T_vision), np.diag(variance)))
 
 
-def touched(samples, T_true, rng):
+def touched(samples: scenes.Surface, T_true: Array, rng: np.random.Generator) -> hs.Contacts:
     """Five synthetic contacts at the true pose."""
     points, normals = samples
     chosen = rng.choice(len(points), max(COUNTS), replace=False)
-    noisy = se3.apply(T_true, points[chosen]) + NOISE[0] * rng.normal(size=(max(COUNTS), 3))
-    return hs.Contacts(noisy, scenes.tilted(normals[chosen] @ T_true[:3, :3].T, NOISE[1], rng), *NOISE)
+    return scenes.touched(T_true, (points[chosen], normals[chosen]), NOISE, rng)
 
 
-def correct_file(folder, seed, file, frames, sigmas):
+def correct_file(folder: Path, seed: int, file: str, frames: list[int], sigmas: dict[str, Sigmas]) -> Rows:
     """Rows of one sequence and object: one per estimator, detected frame and number of contacts."""
     sequence, name = file.split("_", 1)
     thing, samples = ycb.load(folder, name), ycb.surface_samples(folder, name)
@@ -95,31 +98,31 @@ def correct_file(folder, seed, file, frames, sigmas):
     return rows
 
 
-def corrections(thing, contacts, vision, T_true):
+def corrections(thing: ycb.YcbObject, contacts: hs.Contacts, vision: hs.PosePrior, T_true: Array) -> Rows:
     """A row per number of contacts: errors before and after."""
     rows = []
     before = judged(thing, vision.T_palm_object, T_true, "before")
     for n in COUNTS:
         some = contacts.select(range(n))
-        estimate, seconds = report.timed(lambda c=some: hs.correct_pose(thing.model, c, vision=vision))
+        estimate, seconds = report.timed(partial(hs.correct_pose, thing.model, some, vision=vision))
         after = judged(thing, estimate.T_palm_object, T_true, "after")
         flags = {"converged": int(estimate.converged), "consistent": int(estimate.consistent)}
         rows.append({"contacts": n, **before, **after, **flags, "seconds": seconds})
     return rows
 
 
-def judged(thing, T_hat, T_true, when):
+def judged(thing: ycb.YcbObject, T_hat: Array, T_true: Array, when: str) -> Row:
     """ADD-S [mm] and turn [°] of a pose."""
     turn = np.rad2deg(thing.turn(T_hat, T_true))
     return {f"{when}_mm": 1000 * thing.closest_point_error(T_hat, T_true), f"{when}_deg": float(turn)}
 
 
-def learnt_sigmas(folder, files):
+def learnt_sigmas(folder: Path, files: list[str]) -> dict[str, dict[str, Sigmas]]:
     """Sigmas by object and estimator, each from the errors on all the other objects."""
     names = sorted({file.split("_", 1)[1] for file in files})
-    found = {}
+    found: dict[str, dict[str, Sigmas]] = {}
     for label, method in ycb.ESTIMATORS.items():
-        errors = {name: [] for name in names}
+        errors: dict[str, list[Array]] = {name: [] for name in names}
         for file in files:
             name = file.split("_", 1)[1]
             Ts, detected = ycb.read_poses(folder / "ycbv_vision_poses" / method / f"{file}.txt")
@@ -132,7 +135,7 @@ def learnt_sigmas(folder, files):
     return found
 
 
-def print_sigmas(sigmas):
+def print_sigmas(sigmas: dict[str, dict[str, Sigmas]]) -> None:
     """The priors: the range of each sigma over the objects left out."""
     lines = []
     for label in ycb.ESTIMATORS:
@@ -149,23 +152,18 @@ def print_sigmas(sigmas):
     )
 
 
-def print_estimators(rows):
+def print_estimators(rows: Rows) -> None:
     """The main table: a line per estimator and moment."""
     lines = []
     for label in ycb.ESTIMATORS:
-        mine = [row for row in rows if row["estimator"] == label]
-        seen = [row for row in mine if row["contacts"] == COUNTS[0]]
-        missed = sum(row["contacts"] == 0 for row in mine)
-        flips = f"{(report.values(seen, 'before_deg') > FLIP).sum()}"
-        before = [
-            *scores(report.values(seen, "before_mm")),
-            "",
-            flips,
-            f"{len(seen)} ({missed} not detected)",
-        ]
-        lines.append([f"{label}: vision alone", *before])
+        mine = report.chosen(rows, estimator=label)
+        seen, missed = (report.chosen(mine, contacts=n) for n in (COUNTS[0], 0))
+        flips = (report.values(seen, "before_deg") > FLIP).sum()
+        before = scores(report.values(seen, "before_mm"))
+        poses = f"{len(seen)} ({len(missed)} not detected)"
+        lines.append([f"{label}: vision alone", *before, "", flips, poses])
         for n in COUNTS:
-            some = [row for row in mine if row["contacts"] == n]
+            some = report.chosen(mine, contacts=n)
             flips = (report.values(some, "after_deg") > FLIP).sum()
             worse = f"{100 * worsened(some).mean():.1f} %"
             lines.append([f"  and {n} touches", *scores(report.values(some, "after_mm")), worse, flips, ""])
@@ -176,30 +174,26 @@ def print_estimators(rows):
     )
 
 
-def scores(add_s):
+def scores(add_s: Array) -> tuple[str, ...]:
     """Median (quartiles), mean, 90 % quantile and AUC, as text."""
     low, middle, high, most = np.quantile(add_s, [0.25, 0.5, 0.75, 0.9])
     area = ycb.area_under_curve(add_s / 1000, AUC_LIMIT)
     return f"{middle:.2f} ({low:.2f}-{high:.2f})", f"{add_s.mean():.2f}", f"{most:.1f}", f"{area:.1f} %"
 
 
-def worsened(rows):
+def worsened(rows: Rows) -> Array:
     """(n,) bool: touch made ADD-S larger by more than WORSE."""
     return report.values(rows, "after_mm") > report.values(rows, "before_mm") + WORSE
 
 
-def print_objects(rows):
+def print_objects(rows: Rows) -> None:
     """Where touch helps and where not: medians before and after, by object, and the share that got worse."""
     lines, names, helpless = [], sorted({row["object"] for row in rows}), []
     for name in names:
         for n in COUNTS:
             cells = []
             for label in ycb.ESTIMATORS:
-                some = [
-                    row
-                    for row in rows
-                    if (row["object"], row["estimator"], row["contacts"]) == (name, label, n)
-                ]
+                some = report.chosen(rows, object=name, estimator=label, contacts=n)
                 if not some:
                     cells.append("-")
                     continue
@@ -217,22 +211,21 @@ def print_objects(rows):
     report.say(f"Where {max(COUNTS)} touches of 1 mm do not lower the median: {listed}.")
 
 
-COLORS = {0: report.INITIAL, 3: "#c2185b", 5: report.RESULT}
+COLORS = {0: figures.INITIAL, 3: "#c2185b", 5: figures.RESULT}
 
 
-def draw_figure(rows, path):
+def draw_figure(rows: Rows, path: Path) -> None:
     """Above: shares of poses below an ADD-S. Below: medians and 90 % quantiles by object."""
-    plt = report.pyplot()
-    figure, axes = plt.subplots(2, 4, figsize=(13, 7), layout="constrained", sharex=True, sharey="row")
+    figure, axes = figures.pyplot().subplots(
+        2, 4, figsize=(13, 7), layout="constrained", sharex=True, sharey="row"
+    )
     names = sorted({row["object"] for row in rows})[::-1]
     for (above, below), label in zip(axes.T, ycb.ESTIMATORS, strict=True):
-        mine = [row for row in rows if row["estimator"] == label and row["contacts"]]
         for n, color in COLORS.items():
-            some = [row for row in mine if row["contacts"] == (n or COUNTS[0])]
+            some = report.chosen(rows, estimator=label, contacts=n or COUNTS[0])
             column = "after_mm" if n else "before_mm"
-            found = np.sort(report.values(some, column))
             text = f"and {n} touches" if n else "vision alone"
-            above.plot(found, np.arange(1, len(found) + 1) / len(found), color=color, label=text)
+            above.plot(*figures.shares(report.values(some, column)), color=color, label=text)
             for i, name in enumerate(names):
                 of_object = report.values(some, column, object=name)
                 if len(of_object):
@@ -244,13 +237,13 @@ def draw_figure(rows, path):
     axes[0, 0].legend(loc="lower right", fontsize=8)
     figure.supxlabel("ADD-S [mm]; below by object, dot: median, line: up to the 90 % quantile")
     axes[1, 0].set_yticks(range(len(names)), [name[4:].replace("_", " ") for name in names])
-    report.save_figure(figure, path)
+    figures.save(figure, path)
 
 
-def main():
+def main() -> None:
     """Runs the experiment."""
-    arguments = report.parser(__doc__ + "\nA trial is one frame of each file; there are 167 to 394.")
-    options, _ = report.parsed(arguments, trials=400, quick_trials=8)
+    about = f"{__doc__}\nA trial is one frame of each file; there are 167 to 394."
+    options = report.options(about, trials=400, quick_trials=8)
     folder = ycb.data_or_goodbye()
     true = sorted((folder / "ycbv_vision_poses" / "ground_truth").glob("*.txt"))
     sigmas = learnt_sigmas(folder, [path.stem for path in true])

@@ -16,7 +16,6 @@ def _of(module: str, name: str, **options: object) -> Callable[[], Peer]:
 MAKERS: dict[str, Callable[[], Peer]] = {
     "ours": _of("ours", "Ours"),
     "ours_kernel": _of("ours", "OursKernel"),
-    "ours_numpy": _of("ours_numpy", "OursNumPy"),
     "paper": _of("paper_numba", "PaperCompiled"),
     "paper_pruned": _of("paper_numba", "PaperCompiled", prune=True),
     "scipy": _of("scipy_lsq", "ScipyLeastSquares"),
@@ -24,10 +23,6 @@ MAKERS: dict[str, Callable[[], Peer]] = {
     "small_gicp": _of("small_gicp", "SmallGICP"),
 }
 """The peers that start from vision; Scaling Series starts from nothing and has its own section."""
-
-
-class Skipped(Exception):
-    """A peer that cannot be measured here; says why."""
 
 
 def made(names: list[str] | None = None) -> tuple[dict[str, Peer], dict[str, str]]:
@@ -39,6 +34,4 @@ def made(names: list[str] | None = None) -> tuple[dict[str, Peer], dict[str, str
             found[name] = MAKERS[name]()
         except ImportError as error:
             missing[name] = f"not installed ({error}); pip install 'handsight[bench]'"
-        except Skipped as error:
-            missing[name] = str(error)
     return found, missing

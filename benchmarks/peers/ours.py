@@ -1,10 +1,7 @@
 """handsight itself: the public call, and its compiled solve alone."""
 
-import importlib
-import inspect
-
 import handsight as hs
-from benchmarks.peers import Skipped
+from benchmarks.kernels import kernel_call
 from benchmarks.workload import Problem, Solve
 
 
@@ -32,21 +29,12 @@ class OursKernel:
     uses_normals = True
     uses_prior = True
 
-    def __init__(self) -> None:
-        """Raises Skipped where this handsight has no such kernel."""
-        # THE PLACE for the kernel: `kernel_call(model, contacts, vision)` answers a call that runs the compiled solve
-        # of that problem alone and answers its pose as `workload.pose_of` reads it (None: timed, but not judged).
-        try:
-            self._call = importlib.import_module("handsight.correction.compiled").kernel_call
-        except (ImportError, AttributeError):
-            raise Skipped("this handsight has no handsight.correction.compiled.kernel_call") from None
-
     def prepare(self, model: hs.ObjectModel) -> None:
         """The model is all."""
 
     def ready(self, problem: Problem) -> Solve:
         """The kernel with its inputs already laid out."""
-        return self._call(problem.model, problem.contacts, problem.vision)
+        return kernel_call(problem.model, problem.contacts, problem.vision)
 
 
 def with_starts(problem: Problem, starts: int) -> Solve:
@@ -56,8 +44,3 @@ def with_starts(problem: Problem, starts: int) -> Solve:
     return lambda: (
         hs.correct_pose(model, contacts, vision=vision, outside=outside, method=method).T_palm_object
     )
-
-
-def is_compiled() -> bool:
-    """Whether this handsight has compiled kernels, and so a NumPy twin to choose."""
-    return "compiled" in inspect.signature(hs.TwoPhase).parameters

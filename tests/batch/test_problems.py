@@ -57,7 +57,10 @@ NAN = float("nan")
             changed("contacts[2].sigma_normal_deg", -5),
             "contacts[2].sigma_normal_deg: expected a number above 0, got -5",
         ),
-        (changed("contacts[2].colour", "red"), "contacts[2].colour: unknown key; valid: covariance, normal, "),
+        (
+            changed("contacts[2].colour", "red"),
+            "contacts[2].colour: unknown key; valid: covariance, normal, ",
+        ),
         (changed("contacts", []), "contacts: expected at least one contact, got none"),
         (changed("contacts", {}), "contacts: expected a list, got {}"),
         (

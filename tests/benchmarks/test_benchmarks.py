@@ -11,8 +11,9 @@ from benchmarks import frontier, gate, peers, sensing, shapes, timing, workload
 from benchmarks.peers.paper_numba import PaperCompiled
 from benchmarks.workload import FAR, NEAR
 from handsight import se3
+from shared import scenes
 
-OBJECTS = list(workload.OBJECTS)
+OBJECTS = workload.OBJECTS
 BASELINE = {
     "machine": {"description": "any"},
     "ratios": {"ours / paper, hot": 0.1, "sensing / iterative": 0.01},
@@ -153,13 +154,11 @@ def test_the_compiled_paper_finds_as_much_as_the_paper():
 
 
 def test_the_judge_agrees_with_the_experiments():
-    import convergence
-
     same = 0
     for trial in range(20):
         problem = workload.draw(OBJECTS[trial % 2], FAR if trial % 4 < 2 else NEAR, trial)
         estimate = hs.correct_pose(problem.model, problem.contacts, vision=problem.vision)
-        theirs = convergence.found(problem.model, estimate, problem.scene.T_palm_object)
+        theirs = scenes.found(problem.model, estimate, problem.scene.T_palm_object)
         same += workload.judged(problem, estimate.T_palm_object).found == theirs
     assert same >= 19
 

@@ -6,21 +6,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import handsight as hs
-from grasps import (
-    BOX_NORMALS,
-    BOX_POINTS,
-    SIGMA_NORMAL,
-    SIGMA_POINT,
-    box,
-    can,
-    can_contacts,
-    grasp,
-    off,
-)
 from handsight import se3
-from handsight.correction import follow_pose
+from handsight.correction import refine_pose
 from handsight.correction.correct import METHODS
 from handsight.objects.symmetry import nearest
+from scenes import BOX_NORMALS, BOX_POINTS, NOISE, box, can, can_contacts, grasp, off
+
+SIGMA_POINT, SIGMA_NORMAL = NOISE
 
 few = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 seeds = st.integers(0, 10_000)
@@ -252,7 +244,7 @@ def test_a_pose_is_followed_to_where_a_search_would_lead(seed):
     contacts, vision, _ = grasp(BOX_POINTS, BOX_NORMALS, seed)
     found = hs.correct_pose(box(), contacts, vision=vision)
     near = se3.moved(found.T_palm_object, np.array([1e-3, -1e-3, 5e-4, 0.01, 0.01, -0.01]))
-    followed = follow_pose(box(), contacts, vision, near)
+    followed = refine_pose(box(), contacts, vision, near)
     shift, turn = off(followed.T_palm_object, found.T_palm_object)
     assert shift < 1e-6
     assert turn < 1e-5
@@ -262,7 +254,7 @@ def test_a_pose_is_followed_to_where_a_search_would_lead(seed):
 def test_a_pose_that_does_not_fit_is_not_followed():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=3)
     turned = se3.moved(T, np.array([0, 0, 0, 0, 0, np.pi / 2]))
-    assert follow_pose(box(), contacts, vision, turned) is None
+    assert refine_pose(box(), contacts, vision, turned) is None
 
 
 def test_one_contact_with_vision_is_a_problem_for_us_and_not_for_the_paper():

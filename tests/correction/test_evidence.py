@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from handsight.correction.two_phase import Problem
 
-from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 from handsight import se3
 from handsight.correction import sight, two_phase
-from handsight.correction.two_phase import Problem
+from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 STEP = 1e-6
 

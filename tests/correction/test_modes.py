@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from grasps import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 from handsight import se3
 from handsight.correction import modes
+from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 RADIUS = 0.09
 SCALE = np.array([1.0] * 3 + [1 / RADIUS] * 3)

@@ -1,35 +1,27 @@
 """The repetition of the paper's section III: its measures obey their laws, and it runs as a user would run it."""
 
-import csv
 import importlib
 import importlib.util
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import handsight as hs
+import scenes
+import sensitivity
+from experiments.experiment_runs import column, printed, rows_of, run
 from handsight import se3
 from handsight.evaluation import pose_errors
+from handsight.simulation import Nuisances
+from shared import grasp_errors, grasp_methods, grasp_trials, section_3_targets
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 needs_simulator = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("mujoco", "gymnasium_robotics")),
     reason="the simulator is not installed: pip install 'handsight[sim]'",
 )
-
-
-@pytest.fixture
-def room(monkeypatch):
-    """Imports modules of the experiments by name."""
-    monkeypatch.syspath_prepend(EXPERIMENTS)
-    return importlib.import_module
 
 
 def standing_sample(rng, model):
@@ -58,24 +50,22 @@ def model(request):
 # Measures
 
 
-def test_the_base_is_read_off_the_paper_to_about_a_millimetre(room):
-    errors = room("grasp_errors")
+def test_the_base_is_read_off_the_paper_to_about_a_millimetre():
     rng = np.random.default_rng(0)
     off = [
-        errors.read_centre(xy, angle) - xy
+        grasp_errors.read_centre(xy, angle) - xy
         for xy, angle in zip(rng.uniform(-0.3, 0.3, (300, 2)), rng.uniform(0, 6.3, 300), strict=True)
     ]
     # A corner rounded to 1 mm is off by 1/√12 mm per axis, and eq. 8 makes √3 of that: half a millimetre.
     assert np.sqrt(np.square(off).mean()) == pytest.approx(0.5e-3, rel=0.1)
 
 
-def test_errors_agree_with_those_of_a_replay_and_read_ones_differ_by_the_reading(room, model):
-    errors = room("grasp_errors")
+def test_errors_agree_with_those_of_a_replay_and_read_ones_differ_by_the_reading(model):
     rng = np.random.default_rng(1)
     for _ in range(5):
         sample = standing_sample(rng, model)
         T = se3.moved(sample.T_palm_object, 0.05 * rng.normal(size=6))
-        found = errors.pose_errors(model, T, sample)
+        found = grasp_errors.pose_errors(model, T, sample)
         given = (T, sample.T_palm_object, sample.observation.T_world_palm)
         true = pose_errors(model, *(np.array([each]) for each in given))
         assert found["base"] == pytest.approx(1e3 * true.base[0], abs=1e-6)
@@ -85,32 +75,33 @@ def test_errors_agree_with_those_of_a_replay_and_read_ones_differ_by_the_reading
         assert found["open"] == 0
 
 
-def test_what_contacts_see_and_what_they_leave_open_make_up_the_whole_error(room, model):
-    errors = room("grasp_errors")
+def test_what_contacts_see_and_what_they_leave_open_make_up_the_whole_error(model):
     rng = np.random.default_rng(2)
     sample = standing_sample(rng, model)
     T = se3.moved(sample.T_palm_object, 0.02 * rng.normal(size=6))
     directions = np.linalg.qr(rng.normal(size=(6, 2)))[0].T
-    whole, parts = errors.pose_errors(model, T, sample), errors.pose_errors(model, T, sample, directions)
+    whole, parts = (
+        grasp_errors.pose_errors(model, T, sample),
+        grasp_errors.pose_errors(model, T, sample, directions),
+    )
     assert parts["seen"] ** 2 + parts["open"] ** 2 == pytest.approx(whole["seen"] ** 2)
-    assert errors.pose_errors(model, T, sample, np.eye(6))["seen"] == pytest.approx(0, abs=1e-9)
+    assert grasp_errors.pose_errors(model, T, sample, np.eye(6))["seen"] == pytest.approx(0, abs=1e-9)
 
 
-def test_a_symmetric_pose_is_no_error(room, model):
-    errors = room("grasp_errors")
+def test_a_symmetric_pose_is_no_error(model):
     sample = standing_sample(np.random.default_rng(3), model)
     half_turn = se3.compose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-    found = errors.pose_errors(model, sample.T_palm_object @ half_turn, sample)
+    found = grasp_errors.pose_errors(model, sample.T_palm_object @ half_turn, sample)
     assert max(found[key] for key in ("base", "middle", "turn", "seen")) < 1e-4
 
 
-def test_regions_hold_the_truths_of_the_gaussian_they_state(room):
-    errors, box = room("grasp_errors"), hs.ObjectModel.box((0.06, 0.09, 0.14))
+def test_regions_hold_the_truths_of_the_gaussian_they_state():
+    box = hs.ObjectModel.box((0.06, 0.09, 0.14))
     rng = np.random.default_rng(4)
     factor = np.diag([0.004, 0.002, 0.001, 0.02, 0.05, 0.01])
     estimate = SimpleNamespace(T_palm_object=np.eye(4), information=np.linalg.inv(factor @ factor))
     rows = [
-        errors.region(box, estimate, se3.moved(np.eye(4), factor @ rng.normal(size=6))) for _ in range(2000)
+        scenes.region(box, estimate, se3.moved(np.eye(4), factor @ rng.normal(size=6))) for _ in range(2000)
     ]
     assert {row["freedom"] for row in rows} == {6}
     for level, key in ((0.50, "in 50%"), (0.95, "in 95%")):
@@ -118,49 +109,45 @@ def test_regions_hold_the_truths_of_the_gaussian_they_state(room):
         assert share == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 2000))
 
 
-def test_open_sigma_is_what_the_information_leaves_and_knows_nothing_of_the_symmetry_axis(room):
-    errors, can = room("grasp_errors"), hs.ObjectModel.cylinder(0.033, 0.122)
+def test_open_sigma_is_what_the_information_leaves_and_knows_nothing_of_the_symmetry_axis():
+    can = hs.ObjectModel.cylinder(0.033, 0.122)
     sigma = np.array([0.001, 0.001, 0.030, 0.01, 0.01, np.inf])
     slide, spin = np.eye(6)[[2, 5]]
     estimate = SimpleNamespace(information=np.diag(1 / sigma**2), unobservable=np.array([slide, spin]))
-    assert errors.open_sigma(can, estimate) == pytest.approx(30.0)
+    assert grasp_errors.open_sigma(can, estimate) == pytest.approx(30.0)
 
 
-def test_an_interval_holds_its_mean_and_a_constant_gain_has_no_spread(room):
-    errors = room("grasp_errors")
+def test_an_interval_holds_its_mean_and_a_constant_gain_has_no_spread():
     before = np.random.default_rng(5).exponential(0.08, 60)
-    value, low, high = errors.mean_interval(before)
+    value, low, high = grasp_errors.mean_interval(before)
     assert value == pytest.approx(before.mean())
     assert low < value < high
     # The bootstrap's interval of a mean is about two standard errors each way.
     assert high - low == pytest.approx(4 * before.std() / np.sqrt(60), rel=0.15)
-    np.testing.assert_allclose(errors.removed_interval(before, 0.1 * before), 90.0)
+    np.testing.assert_allclose(grasp_errors.removed_interval(before, 0.1 * before), 90.0)
 
 
-def test_a_target_is_met_at_its_bound_and_missed_beyond(room):
-    targets = room("section_3_targets")
-
+def test_a_target_is_met_at_its_bound_and_missed_beyond():
     def found(share, mm):
         line = {"method": "maximum", "read removed": (share, 0, 0), "read": (mm, 0, 0)}
         return {"instant": {"can": [line], "box": []}, "time": {"box": []}}
 
     for share, mm, met in ((95, 4.0, True), (94.9, 4.0, False), (99, 4.1, False)):
-        (line,) = targets._removed(found(share, mm))
+        (line,) = section_3_targets._removed(found(share, mm))
         assert line["met"] is met
 
 
 # Grasps
 
 
-@pytest.fixture
-def trial(room):
-    trials = room("grasp_trials")
-    (found,) = trials.grasps("can", 1, 0, {})
+@pytest.fixture(scope="module")
+def trial():
+    (found,) = grasp_trials.grasps("can", 1, 0, {})
     return found
 
 
 @needs_simulator
-def test_a_trial_is_what_the_robot_knows_and_the_table_tells_height_and_tilt(room, trial):
+def test_a_trial_is_what_the_robot_knows_and_the_table_tells_height_and_tilt(trial):
     assert len(trial.contacts) == 5
     T_world_palm = trial.sample.observation.T_world_palm
     R = T_world_palm[:3, :3]
@@ -177,39 +164,37 @@ def test_a_trial_is_what_the_robot_knows_and_the_table_tells_height_and_tilt(roo
 
 
 @needs_simulator
-def test_grasps_that_drop_the_object_are_counted_and_others_take_their_place(room, monkeypatch):
-    trials = room("grasp_trials")
-    true = trials.last_instant
+def test_grasps_that_drop_the_object_are_counted_and_others_take_their_place(monkeypatch):
+    true = grasp_trials.last_instant
 
     def last(scenario):
         return replace(true(scenario), dropped=scenario.seed == 7)
 
-    monkeypatch.setattr(trials, "last_instant", last)
+    monkeypatch.setattr(grasp_trials, "last_instant", last)
     left_out = {"dropped": 0}
-    found = list(trials.grasps("box", 2, 7, left_out))
+    found = list(grasp_trials.grasps("box", 2, 7, left_out))
     assert left_out == {"dropped": 1}
     assert [t.scenario.seed for t in found] == [8, 9]
 
 
 @needs_simulator
-def test_corrections_of_a_can_beat_vision_and_the_paper_and_one_finger_leaves_vision_to_the_paper(
-    room, trial
-):
-    methods = room("grasp_methods")
-    ours, paper = methods.rows_of(trial, ["maximum, table", "paper-lm, w_n 5 cm"])
+def test_corrections_of_a_can_beat_vision_and_the_paper_and_one_finger_leaves_vision_to_the_paper(trial):
+    ours, paper = grasp_methods.rows_of(trial, ["maximum, table", "paper-lm, w_n 5 cm"])
     assert ours["read"] < 4 < ours["vision read"] == pytest.approx(paper["vision read"])
     assert ours["read"] < paper["read"]
     assert ours["seen"] < 0.1 * ours["vision seen"]
     alone = replace(trial, touch=replace(trial.touch, contacts=trial.contacts.select([0])))
-    (row,) = methods.rows_of(alone, ["paper-lm, w_n 5 cm"])
+    (row,) = grasp_methods.rows_of(alone, ["paper-lm, w_n 5 cm"])
     assert not row["answered"]
     assert row["read"] == row["vision read"]
 
 
 @needs_simulator
-def test_a_nuisance_at_its_usual_size_is_the_same_grasp_and_fewer_contacts_keep_the_thumb(room, trial):
-    sensitivity = room("sensitivity")
+def test_a_nuisance_at_its_usual_size_is_the_same_grasp_and_fewer_contacts_keep_the_thumb(trial, monkeypatch):
     rng = np.random.default_rng(0)
+    # What another size makes is not asked for here, and takes a simulation each.
+    monkeypatch.setattr(sensitivity, "last_instant", lambda scenario: None)
+    monkeypatch.setattr(sensitivity, "trial_of", lambda scenario, sample, model: scenario)
     usual = sum(
         sensitivity.changed(trial, setting, rng) is trial
         for nuisance, (_, values) in sensitivity.settings().items()
@@ -223,9 +208,14 @@ def test_a_nuisance_at_its_usual_size_is_the_same_grasp_and_fewer_contacts_keep_
     assert sensitivity.changed(trial, {"contacts": 6}, rng) is None
 
 
+def test_every_setting_is_one_of_the_simulators_nuisances_or_a_number_of_contacts():
+    for _, values in sensitivity.settings().values():
+        assert all(replace(Nuisances(), **s) for s in values.values() if "contacts" not in s)
+
+
 @needs_simulator
-def test_contacts_are_sensed_to_a_tenth_of_a_millimetre_and_noise_adds_to_it(room, trial):
-    clean, noisy = room("grasp_trials").sensing_errors(trial.scenario, 20, np.random.default_rng(0))
+def test_contacts_are_sensed_to_a_tenth_of_a_millimetre_and_noise_adds_to_it(trial):
+    clean, noisy = grasp_trials.sensing_errors(trial.scenario, 20, np.random.default_rng(0))
     assert len(noisy) == 20 * len(clean) > 0
     assert np.mean(clean) < 100e-6
     assert np.mean(clean) < np.mean(noisy) < 300e-6
@@ -234,35 +224,12 @@ def test_contacts_are_sensed_to_a_tenth_of_a_millimetre_and_noise_adds_to_it(roo
 # As a user would
 
 
-def run(name, folder, *options):
-    """What an experiment printed, after checking every file that it says it wrote."""
-    done = subprocess.run(
-        [sys.executable, str(EXPERIMENTS / f"{name}.py"), "--output", str(folder), "--quick", *options],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        env={**os.environ, "PYTHONWARNINGS": "error::DeprecationWarning:__main__"},
-    )
-    assert done.returncode == 0, done.stderr
-    if done.stdout.startswith("skipped: "):
-        pytest.skip(done.stdout)
-    written = [Path(l.removeprefix("wrote ")) for l in done.stdout.splitlines() if l.startswith("wrote ")]
-    assert sorted(written) == sorted(folder.iterdir())
-    assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-    return done.stdout
-
-
-def rows_of(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.slow
 @needs_simulator
 def test_section_3_prints_its_tables_and_writes_what_they_say(tmp_path):
-    printed = run("section_3", tmp_path, "--trials", "2")
+    text = printed("section_3", tmp_path, "--quick", "--trials", 2)
     for title in ("one instant, 2 grasps", "over time", "Truths inside", "Contact sensing", "Targets"):
-        assert title in printed
+        assert title in text
     told = json.loads((tmp_path / "section_3.json").read_text(encoding="utf-8"))
     assert told["grasps"] == 2
     can = {line["method"]: line for line in told["instant"]["can"]}
@@ -272,11 +239,7 @@ def test_section_3_prints_its_tables_and_writes_what_they_say(tmp_path):
     assert told["sensing"]["can"]["clean"] < told["sensing"]["can"]["noisy"]
     assert {t["met"] for t in told["targets"]} <= {True, False}
     rows = rows_of(tmp_path / "section_3.csv")
-    seen = [
-        float(r["read"])
-        for r in rows
-        if (r["experiment"], r["object"], r["method"]) == ("instant", "can", "maximum")
-    ]
+    seen = column(rows, "read", experiment="instant", object="can", method="maximum")
     np.testing.assert_allclose(can["maximum"]["read"][0], np.mean(seen), rtol=1e-4)
 
 
@@ -284,42 +247,36 @@ def test_section_3_prints_its_tables_and_writes_what_they_say(tmp_path):
 @needs_simulator
 @pytest.mark.parametrize("name", ["figure_1", "figure_5", "figure_7"])
 def test_a_figure_is_drawn(name, tmp_path):
-    run(name, tmp_path, "--trials", "2")
-    assert rows_of(tmp_path / f"{name}.csv")
+    assert run(name, tmp_path, "--quick", "--trials", 2)[name]
 
 
 @pytest.mark.slow
 @needs_simulator
 def test_figure_8_corrects_over_time(tmp_path):
-    run("figure_8", tmp_path)
-    for row in rows_of(tmp_path / "figure_8.csv"):
+    for row in run("figure_8", tmp_path, "--quick")["figure_8"]:
         assert float(row["corrected_mm"]) < 0.5 * float(row["vision_mm"])
 
 
 @pytest.mark.slow
 @needs_simulator
 def test_joint_offsets_cost_the_can_more_than_anything_usual(tmp_path):
-    run("sensitivity", tmp_path)
-    rows = rows_of(tmp_path / "sensitivity.csv")
-    can = [r for r in rows if (r["object"], r["nuisance"]) == ("can", "joint offset")]
-    by_offset = {v: np.mean([float(r["read"]) for r in can if r["value"] == v]) for v in ("0", "3")}
-    assert by_offset["0"] < by_offset["3"]
+    # Of fourteen nuisances the one that is judged, one that needs another model and one that drops contacts.
+    only = (f"--only={name}" for name in ("joint offset", "object scale", "contacts"))
+    rows = run("sensitivity", tmp_path, "--quick", *only)["sensitivity"]
+    assert {row["nuisance"] for row in rows} == {"joint offset", "object scale", "contacts"}
+    can = {"object": "can", "nuisance": "joint offset"}
+    assert column(rows, "read", **can, value="0").mean() < column(rows, "read", **can, value="3").mean()
 
 
 @pytest.mark.parametrize("name", ["section_3", "sensitivity", "figure_5", "figure_8", "figure_7", "figure_1"])
-def test_without_the_simulator_an_experiment_says_so_and_ends_well(name, room, monkeypatch, capsys, tmp_path):
-    experiment = room(name)
-
+def test_without_the_simulator_an_experiment_says_so_and_ends_well(name, monkeypatch, tmp_path):
     def missing(*_):
         raise hs.errors.MissingExtra("simulation needs mujoco: pip install 'handsight[sim]'")
 
-    for module in ("grasp_trials", "manipulations", "figure_5"):
-        loaded = room(module)
+    for module in ("shared.grasp_trials", "shared.manipulations", "figure_5"):
+        loaded = importlib.import_module(module)
         for function in ("last_instant", "simulate"):
             if hasattr(loaded, function):
                 monkeypatch.setattr(loaded, function, missing)
-    monkeypatch.setattr(sys, "argv", [name, "--quick", "--output", str(tmp_path)])
-    experiment.main()
-    printed = capsys.readouterr().out
-    assert printed.startswith("skipped: simulation needs mujoco")
+    assert printed(name, tmp_path, "--quick").startswith("skipped: simulation needs mujoco")
     assert not list(tmp_path.iterdir())

@@ -5,20 +5,19 @@ import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from handsight.correction.two_phase import Problem
+from handsight.objects.pack import packed_field
 
-import grasps
 import handsight as hs
+import scenes
 from handsight import se3
 from handsight._kernels import field, layout
 from handsight._kernels.threads import alone, in_parts
 from handsight.correction import compiled, plain, starts
-from handsight.correction.two_phase import Problem
-from handsight.objects.pack import packed_field
 from handsight.objects.symmetry import nearest
 from oracles import fields as field_oracle
 
@@ -45,7 +44,7 @@ def model(name):
         egg = u * (0.04 + 0.004 * np.sin(3 * u[:, :1]) + 0.01 * u[:, 2:] ** 2 + 0.006 * u[:, :1] * u[:, 1:2])
         rng = np.random.default_rng(5)
         return hs.ObjectModel.from_mesh(egg + 2e-4 * rng.normal(size=egg.shape), ball.faces)
-    return {"box": grasps.box, "can": grasps.can}[name]()
+    return {"box": scenes.box, "can": scenes.can}[name]()
 
 
 def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False):
@@ -264,15 +263,6 @@ def solve():
 """
 
 
-def ran(program, **environment):
-    done = subprocess.run(
-        [sys.executable, "-W", "always", "-c", PROGRAM + program],
-        capture_output=True, timeout=500, env={**os.environ, **environment}, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_computes_on():
     program = """
@@ -283,52 +273,7 @@ if child == 0:
     os._exit(0 if np.array_equal(solve(), first) else 3)
 assert os.waitpid(child, 0)[1] == 0
 """
-    ran(program)
-
-
-@pytest.mark.slow
-def test_where_kernels_cannot_be_kept_one_warning_says_so(tmp_path):
-    (tmp_path / "file").write_text("")
-    done = ran("solve(); solve()", NUMBA_CACHE_DIR=str(tmp_path / "file" / "below"))
-    assert done.stderr.count("compiled kernels cannot be kept there") == 1
-    assert done.stderr.count("Warning") == 1
-
-
-@pytest.mark.slow
-def test_a_damaged_kernel_is_compiled_again(tmp_path):
-    expected = ran("print(solve())", NUMBA_CACHE_DIR=str(tmp_path)).stdout
-    kept = [path for path in Path(tmp_path).rglob("*") if path.is_file()]
-    assert kept
-    for path in kept:
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    done = ran("print(solve())", NUMBA_CACHE_DIR=str(tmp_path))
-    assert done.stdout == expected
-    assert "Warning" not in done.stderr
-
-
-@pytest.mark.slow
-def test_after_warming_up_nothing_is_left_to_compile(tmp_path):
-    kernels = {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    ran("from handsight._kernels.warm import warm; warm(lambda name, seconds: None)", **kernels)
-    kept = {path.name for path in (tmp_path / "kernels").rglob("*.nbc")}
-    assert kept
-    program = f"""
-solve()
-far = hs.PosePrior(T, np.diag([0.01] * 3 + [0.3] * 3))
-hs.correct_pose(model, contacts, vision=far, outside=[[0.1, 0, 0], [0, 0, 0]])
-hs.correct_pose(model, contacts, vision=far, samples=200)
-hs.correct_pose(model, contacts)
-bare = hs.Contacts(contacts.points_palm, [None, [-1.0, 0, 0], None])
-hs.correct_pose(model, bare, vision=far)
-os.environ["HANDSIGHT_CACHE"] = {str(tmp_path / "fields")!r}
-mesh = hs.ObjectModel.from_mesh(model.vertices, model.faces)
-mesh.evaluate([[0, 0, 0]])
-hs.correct_pose(mesh, contacts, vision=vision)
-hs.ObjectModel.from_points(*mesh.sample(2000))
-mesh.evaluate(mesh.points_object)
-model.evaluate(model.points_object)
-hs.contacts_from_wrenches(np.eye(3), np.eye(3), hs.Ellipsoid((0.01, 0.01, 0.012)))
-hs.contact_from_wrench([0, 0, -1], [0, 0, 0], hs.Sphere(0.01))
-"""
-    ran(program, **kernels)
-    assert {path.name for path in (tmp_path / "kernels").rglob("*.nbc")} == kept
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM + program], capture_output=True, timeout=500, text=True
+    )
+    assert done.returncode == 0, done.stderr

@@ -22,7 +22,6 @@ from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
 from handsight._kernels.uncertainty import information, posterior_cost, summarize
 from handsight._kernels.vec3 import Vec3, add, cross, dot, matrix, mul, norm, scale, store, sub, vector
 
-
 LIMITS = COARSE_LIMITS, FINE_LIMITS
 
 
@@ -192,7 +191,9 @@ def fine_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, 
 
 
 @entry
-def start_costs(model: Any, nodes: Any, contacts: Any, sigma_distance: float, sigma_normal: float, descents: Any) -> None:
+def start_costs(
+    model: Any, nodes: Any, contacts: Any, sigma_distance: float, sigma_normal: float, descents: Any
+) -> None:
     """Fills in what contacts (n,) say of descents (K,), with standard deviations [m], [rad] as coarse as the starts are."""
     field = model[0].coarse
     for k in range(len(descents)):

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import inner
-from handsight._kernels.field import FLAT, Values, field_at
+from handsight._kernels.field import FLAT, field_at
 from handsight._kernels.simd import accumulate
 from handsight._kernels.vec3 import (
     Mat33,
     Vec3,
-    add,
     add33,
     block,
     cross,

@@ -13,7 +13,7 @@ MOST_ROTATIONS = 121
 
 
 def _record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
-    return np.dtype(list(fields), align=True)  # type: ignore[arg-type]
+    return np.dtype(list(fields), align=True)
 
 
 POSE = _record(("rotation", "f8", (3, 3)), ("position", "f8", (3,)))
@@ -143,7 +143,9 @@ PROBLEM = _record(
 )
 
 # Room for a descent: normal equations, and what is solved with them.
-WORKSPACE = _record(("now", "f8", (7, 8)), ("next", "f8", (7, 8)), ("factor", "f8", (6, 6)), ("step", "f8", (6,)))
+WORKSPACE = _record(
+    ("now", "f8", (7, 8)), ("next", "f8", (7, 8)), ("factor", "f8", (6, 6)), ("step", "f8", (6,))
+)
 
 # Room for what is worked out of a pose's uncertainty.
 UNCERTAINTY = _record(

@@ -87,7 +87,9 @@ def accumulate(_: Any, weight: Any, rows: Any, equations: Any) -> Any:
 def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     equations = _data(context, builder, signature.args[2], arguments[2])
     n, zero = signature.args[1].count, ir.Constant(_DOUBLE, 0.0)
-    numbers = [cgutils.unpack_tuple(builder, row, 7) for row in cgutils.unpack_tuple(builder, arguments[1], n)]
+    numbers = [
+        cgutils.unpack_tuple(builder, row, 7) for row in cgutils.unpack_tuple(builder, arguments[1], n)
+    ]
     rows = [[_packed(builder, row[:4]), _packed(builder, [*row[4:], zero])] for row in numbers]
     weighted = _weighted(context, builder, signature.args[0], arguments[0], rows)
     for i in range(7):

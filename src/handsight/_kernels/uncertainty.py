@@ -27,7 +27,21 @@ from handsight._kernels.prior_term import IDENTITY, add_prior, prior_cost
 from handsight._kernels.records import NO_PRIOR, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
 from handsight._kernels.simd import local
-from handsight._kernels.vec3 import Vec3, add, add33, cross, matmul, matrix, mul, norm, scale, scale33, skew, sub, vector
+from handsight._kernels.vec3 import (
+    Vec3,
+    add,
+    add33,
+    cross,
+    matmul,
+    matrix,
+    mul,
+    norm,
+    scale,
+    scale33,
+    skew,
+    sub,
+    vector,
+)
 
 
 @inner
@@ -58,7 +72,9 @@ def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
 
 
 @inner
-def information(evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any) -> tuple[float, float]:
+def information(
+    evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
+) -> tuple[float, float]:
     """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all."""
     chi2, log_spread = contact_information(evidence, pose)
     # A wall: it costs, but says nothing of the way back.
@@ -193,7 +209,9 @@ def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool
         va = vectors[0, a], vectors[1, a], vectors[2, a]
         for b in range(a + 1):
             along = mul(arc, (vectors[0, b], vectors[1, b], vectors[2, b]))
-            value = va[0] * along[0] + va[1] * along[1] + va[2] * along[2] + (1 / values[a] if a == b else 0.0)
+            value = (
+                va[0] * along[0] + va[1] * along[1] + va[2] * along[2] + (1 / values[a] if a == b else 0.0)
+            )
             u.wider[a, b] = u.wider[b, a] = value
     factor(u.wider, known, 0.0, u.factor)
     for j in range(known):

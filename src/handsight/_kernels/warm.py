@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import (
+    batch,
     chain,
     contacts_to_palm,
-    correct,
     field,
-    layout,
     linking,
-    many,
     nearest_triangle,
+    records,
     sensing,
     spreading,
     winding,
@@ -39,33 +38,30 @@ def warm_tracker() -> None:
 
 
 def _starts() -> None:
-    model, singles, contacts, prior, hand = _ball()
-    sight, held, center = np.empty(layout.SIGHT), np.empty(layout.SIGHT), np.empty(3)
-    correct.prepare(model, contacts, prior, sight, held, center)
-    used, poses, found = np.ones((1, 3), dtype=bool), prior[None, :12].copy(), np.empty((2, 3))
-    many.approach_all(model, singles, contacts, used, sight, sight, hand, center, poses, found, 0, 1)
-    likely = poses.copy()
-    many.finish_all(model, singles, contacts, used, sight, held, hand, center, poses, likely, found, 0, 1)
-    evidence = (model, singles, contacts, used[0], sight, held, hand)
-    many.weigh_all(*evidence, poses, 1.0, np.empty((1, 2)))
-    many.cost_all(*evidence, poses, np.empty(1))
-    answers = np.zeros((1, layout.RESIDUALS + 6))
-    answers[:, :12] = poses
-    many.explain_all(*evidence, 0.0, answers)
-    many.nearest_all(model, poses, prior[:12])
-    many.distinct(model, poses, np.zeros(1, dtype=np.int64), 1, 1.0, 1.0, np.empty(1, dtype=np.int64))
+    model, nodes, contacts, problems, outside = _ball()
+    prior, descents = problems["prior"].copy(), np.zeros(2, dtype=records.DESCENT)
+    descents["pose"] = prior["pose"]
+    given = (model, nodes, contacts[None], prior, outside)
+    for kernel in (batch.coarse_solve, batch.mode_weights, batch.cost_all):
+        kernel(*given, descents)
+    batch.fine_solve(*given, descents[:, None])
+    answers = np.zeros(1, dtype=records.ANSWER)
+    answers["pose"] = prior["pose"]
+    batch.summarize_all(*given, answers)
+    batch.start_costs(model, nodes, contacts, 1.0, 1.0, descents)
+    batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))
+    batch.nearest_all(model, descents, prior)
+    batch.distinct(model, descents, np.arange(2), np.ones(2), np.empty(1, dtype=np.int64))
 
 
 def _corrections() -> None:
-    model, singles, contacts, prior, hand = _ball()
-    begins, answers = np.array([0, len(contacts)]), np.empty((1, layout.RESIDUALS + 6))
-    many.correct_all(model, singles, contacts, begins, prior, np.empty(0), hand, 1.0, answers, 0, 1)
+    model, nodes, contacts, problems, outside = _ball()
+    batch.correct_all(model, nodes, contacts, outside, problems, np.empty((len(contacts), 2)))
 
 
 def _fields() -> None:
-    model, singles, *_ = _ball()
-    singles.flags.writeable = False  # as a model's own are
-    field.evaluate(model, singles, 0, np.zeros((1, 3)), np.empty((1, 13)), 0, 1)
+    model, nodes, *_ = _ball()
+    field.evaluate(nodes, model["fine"], np.zeros((1, 3)), np.empty((1, 13)))
 
 
 def _objects() -> None:
@@ -89,32 +85,24 @@ GROUPS: dict[str, Callable[[], None]] = {
 
 
 def _ball() -> tuple[NDArray[Any], ...]:
-    """A ball between three contacts, as the kernels take it: model, singles, contacts, prior, hand."""
-    radius, directions = 0.05, np.vstack([np.eye(3), -np.eye(3), np.eye(3)[:2]])
-    head = np.zeros(layout.MODEL)
-    for at in (layout.COARSE, layout.FINE):
-        head[at + layout.KIND], head[at + layout.ORIGIN], head[at + layout.LEAST] = (
-            layout.SPHERE,
-            radius,
-            1e-3,
-        )
-    head[layout.RADIUS], head[layout.MATCH_WEIGHT], head[layout.BAND] = radius, 1e-2, 1.0
-    head[layout.SAMPLE_VARIANCE : layout.SAMPLE_VARIANCE + 2] = 1e-6, 1e-3
-    head[layout.LEAST_ROUGH : layout.LEAST_ROUGH + 2] = 1e-8, 1e-5
-    head[layout.SHARP] = 1e6
-    head[layout.ROTATION_COUNT], head[layout.ROTATIONS] = 1, layout.MODEL
-    head[layout.SAMPLES] = layout.MODEL + 12
-    head[layout.SCAN_COUNT] = len(directions)
-    still = np.eye(4)[:3, [0, 1, 2]].reshape(-1)
-    samples = np.hstack([radius * directions, directions]).reshape(-1)
-    model = np.concatenate([head, still, np.zeros(3), samples])
-    table = np.vstack([np.full(len(directions), radius**2), radius * directions.T, directions.T])
-    contacts = np.zeros((3, layout.CONTACT))
-    contacts[:, : layout.NORMAL], contacts[:, layout.NORMAL : layout.HAS_NORMAL] = (
-        radius * np.eye(3),
-        np.eye(3),
-    )
-    contacts[:, layout.HAS_NORMAL] = 1
-    contacts[:, layout.COVARIANCE :] = np.diag([1e-6] * 3 + [1e-3] * 3).reshape(-1)
-    prior = np.concatenate([still, np.full(3, 0.01), np.diag([1e-4] * 3 + [1e-2] * 3).reshape(-1)])
-    return model, table.astype(np.float32).reshape(-1), contacts.reshape(-1), prior, np.array([1.0])
+    """A ball between three contacts, as the kernels take it: model, nodes, contacts, problems, outside points."""
+    radius, directions = 0.05, np.vstack([np.eye(3), -np.eye(3)])[np.arange(records.SAMPLES) % 6]
+    model = np.zeros(1, dtype=records.MODEL)
+    row = model[0]
+    for name in ("coarse", "fine"):
+        row[name]["kind"], row[name]["origin"], row[name]["least_radius"] = records.SPHERE, radius, 1e-3
+    row["radius"], row["normal_weight2"], row["band"] = radius, 1e-2, 1.0
+    row["sample_variance_distance"], row["sample_variance_normal"], row["edge_curvature2"] = 1e-6, 1e-3, 1e6
+    row["error"]["least_distance"], row["error"]["least_normal"] = 1e-8, 1e-5
+    row["samples"] = np.stack([radius * directions, directions], axis=1)
+    row["scan"] = np.vstack([np.full(records.SAMPLES, radius**2), radius * directions.T, directions.T])
+    contacts = np.zeros(3, dtype=records.CONTACT)
+    contacts["point"], contacts["normal"] = radius * np.eye(3), np.eye(3)
+    contacts["has_normal"] = contacts["used"] = 1
+    contacts["covariance"] = np.diag([1e-6] * 3 + [1e-3] * 3)
+    problems = np.zeros(1, dtype=records.PROBLEM)
+    prior = problems[0]["prior"]
+    prior["pose"]["rotation"], prior["pose"]["position"] = np.eye(3), 0.01
+    prior["covariance"] = np.diag([1e-4] * 3 + [1e-2] * 3)
+    problems["last"] = 3
+    return model, np.empty(0, dtype=np.float32), contacts, problems, np.empty(0, dtype=records.OUTSIDE)

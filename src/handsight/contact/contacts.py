@@ -111,7 +111,10 @@ class Contacts:
             raise InvalidInput(
                 f"select: expected a mask of {n} or indices below {n}, got {checks.brief(mask_or_indices)}"
             )
-        return _made(*(getattr(self, name)[chosen] for name in Contacts.__slots__))
+        return _made(*(getattr(self, name)[chosen] for name in _GIVEN))
+
+
+_GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance")
 
 
 def _made(*arrays: NDArray[Any]) -> Contacts:
@@ -122,12 +125,14 @@ def _made(*arrays: NDArray[Any]) -> Contacts:
 
 
 def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
-    for name, array in zip(Contacts.__slots__, arrays, strict=True):
+    record = np.empty(len(arrays[0]), dtype=CONTACT)
+    for name, field, array in zip(
+        _GIVEN, ("point", "normal", "has_normal", "covariance"), arrays, strict=True
+    ):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
-    record = np.empty(len(points), dtype=CONTACT)
-    record["point"], record["normal"], record["covariance"] = points, normals, covariance
-    record["has_normal"], record["used"] = has_normal, True
+        record[field] = array
+    record["used"] = True
     object.__setattr__(contacts, "record", record)
 
 

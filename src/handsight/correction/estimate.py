@@ -106,7 +106,7 @@ class PoseEstimate:
     @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> "PoseEstimate":
         """Of a pose that is known without touch: one mode, no residuals."""
-        answer = np.zeros((), dtype=ANSWER)[()]
+        answer = np.zeros(1, dtype=ANSWER)[0]
         answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
         answer["T_palm_object"], answer["covariance"], answer["complete"] = T_palm_object, covariance, 1
         answer["open_count"] = len(unobservable)
@@ -114,7 +114,11 @@ class PoseEstimate:
         return cls(answer, (answer,), np.empty((0, 2)), True)
 
     def with_gaussian(
-        self, T_palm_object: Array, covariance: Array | None, information: Array, residuals: Array | None = None
+        self,
+        T_palm_object: Array,
+        covariance: Array | None,
+        information: Array,
+        residuals: Array | None = None,
     ) -> "PoseEstimate":
         """The same estimate with another pose, covariance and information; the modes stay. `residuals` (n, 2)."""
         answer = self.answer.copy()

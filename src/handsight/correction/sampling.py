@@ -23,9 +23,7 @@ TARGET = 0.35
 """Share of accepted steps that explores a line fastest, about."""
 
 
-def mean_by_sampling(
-    problem: Problem, estimate: PoseEstimate, used: Mask, samples: int
-) -> PoseEstimate:
+def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
     """The estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
 
     Metropolis walks from the mode along the eigenvectors of the information there, which must have no wall in it: at

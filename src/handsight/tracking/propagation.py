@@ -1,13 +1,11 @@
 """A correction propagated to now: the pose stays, its uncertainty grows with the process noise."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Hypothesis, PoseEstimate, Residuals
+from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
 
 RENEW_AFTER = 0.02
@@ -51,20 +49,7 @@ class Correction:
 
 def estimate_without_contacts(T_palm_object: Array, covariance: Array) -> PoseEstimate:
     """An estimate that is its prior, a pose (4, 4) and its covariance (6, 6): contacts leave every direction open."""
-    information: Array = np.linalg.inv(covariance).astype(np.float64)
-    none = np.empty(0)
-    return PoseEstimate(
-        T_palm_object=T_palm_object,
-        covariance=covariance,
-        information=information,
-        converged=True,
-        iterations=0,
-        residuals=Residuals(none, none),
-        unobservable=EYE_6,
-        consistent=True,
-        outliers=(),
-        hypotheses=(Hypothesis(T_palm_object, information, covariance, 1.0, 0.0),),
-    )
+    return PoseEstimate.from_gaussian(T_palm_object, covariance, EYE_6)
 
 
 def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
@@ -73,7 +58,7 @@ def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
         return estimate
     information = inflated_information(estimate.information, variance)
     covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
-    return replace(estimate, information=information, covariance=covariance)
+    return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
 
 
 def inflated_information(information: Array, variance: Array) -> Array:

@@ -10,7 +10,7 @@ from handsight import checks, se3
 from handsight._kernels.warm import warm_tracker
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import PoseEstimate, PosePrior, correct_pose, follow_pose
+from handsight.correction import PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
@@ -230,7 +230,7 @@ class Tracker:
         """The answer; with `near`, that estimate's own minimum if it still fits: nothing new asks for another."""
         samples = self.settings.samples
         if near is not None and near.consistent and not near.outliers and not samples:
-            refined = follow_pose(self.model, contacts, prior, near.T_palm_object, outside)
+            refined = refine_pose(self.model, contacts, prior, near.T_palm_object, outside)
             if refined is not None:
                 return refined
         return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples)

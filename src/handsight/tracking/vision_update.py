@@ -74,7 +74,9 @@ class VisionUpdate:
     def _mount_of(self, seen: PoseMeasurement) -> Mount:
         if seen.frame == "camera":
             if self._rig.camera is None:
-                raise InvalidInput("vision.frame: expected world or palm (the rig has no camera), got 'camera'")
+                raise InvalidInput(
+                    "vision.frame: expected world or palm (the rig has no camera), got 'camera'"
+                )
             return self._rig.camera.on
         return seen.frame
 

@@ -7,19 +7,21 @@ import functools
 import os
 import sys
 import warnings
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 import handsight as hs
-import report
-import scenes
 from handsight import se3
 from handsight.objects import ObjectWarning, propose_symmetries
+from shared import report, scenes
+from shared.report import Array
 
 ESTIMATORS = {
     "CosyPose": "cosypose",
@@ -35,7 +37,7 @@ QUERIES, SURFACE = 1000, 20_000
 def data_folder() -> Path | None:
     """Where the data are: $HANDSIGHT_DATA, else `shared/data` beside the checkout; None: nowhere."""
     named = os.environ.get("HANDSIGHT_DATA")
-    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
     return folder if (folder / "ycb_meshes").is_dir() else None
 
 
@@ -55,16 +57,16 @@ class YcbObject:
     """One object: its model with symmetries, and its surface for judging poses."""
 
     model: hs.ObjectModel
-    queries_object: np.ndarray
+    queries_object: Array
     """(QUERIES, 3) [m]."""
     tree: cKDTree
     """Of SURFACE points."""
-    normals: np.ndarray
+    normals: Array
     """(SURFACE, 3) of these points."""
     gap: float
     """How far apart these points may be [m]."""
 
-    def closest_point_error(self, T_hat, T_true):
+    def closest_point_error(self, T_hat: Array, T_true: Array) -> float:
         """ADD-S, or ADI [m]: mean distance from the points at one pose to the surface at the other.
 
         To the plane of the nearest sample: between samples, which a turn of a can about its own axis reaches,
@@ -76,7 +78,7 @@ class YcbObject:
         aside = np.sqrt(np.maximum(distance**2 - height**2, 0.0))
         return float(np.hypot(height, np.maximum(aside - self.gap, 0.0)).mean())
 
-    def turn(self, T_hat, T_true):
+    def turn(self, T_hat: Array, T_true: Array) -> float:
         """Angle [rad] between two poses, modulo the object's symmetries."""
         nearest = scenes.nearest_truth(self.model, T_true, T_hat)
         return float(np.linalg.norm(se3.rotation_log(T_hat[:3, :3] @ nearest[:3, :3].T)))
@@ -94,18 +96,18 @@ def load(folder: Path, name: str) -> YcbObject:
     return YcbObject(model, model.sample(QUERIES, seed=1)[0], cKDTree(points), normals, gap)
 
 
-def area_under_curve(errors, limit):
+def area_under_curve(errors: Any, limit: float) -> float:
     """AUC [%]: share of errors below a threshold, averaged over thresholds from 0 to `limit`."""
     return 100 * float(np.clip(1 - np.asarray(errors) / limit, 0, 1).mean())
 
 
-def surface_samples(folder: Path, name: str):
+def surface_samples(folder: Path, name: str) -> scenes.Surface:
     """About 2000 points and outward normals on the object's surface (its own frame), sampled by others."""
     rows = np.loadtxt(folder / "surface_samples" / f"{name}_2000.off", skiprows=2)
     return rows[:, :3], rows[:, 3:6] / np.linalg.norm(rows[:, 3:6], axis=1, keepdims=True)
 
 
-def read_poses(path: Path):
+def read_poses(path: Path) -> tuple[Array, Array]:
     """Poses `T_camera_object` (n, 4, 4) of one file, and which (n,) were detected at all."""
     rows = np.loadtxt(path, ndmin=2)
     detected = np.abs(rows[:, :4]).sum(axis=1) > 0
@@ -113,7 +115,7 @@ def read_poses(path: Path):
     return se3.compose(se3.rotation_from_quaternion(quaternions_xyzw), rows[:, 4:7]), detected
 
 
-def triplets(folder: Path):
+def triplets(folder: Path) -> list[tuple[str, int, Array, Array]]:
     """The three-finger problems: (object, number, points (3, 3), outward normals (3, 3)), all at one pose."""
     found = []
     for path in sorted((folder / "tactile_triplets").glob("*/triplet_*/poses_sensors.txt")):
@@ -128,7 +130,7 @@ TRIPLET_TRUTH = se3.compose(np.eye(3), np.array([0.1, 0.0, 0.2]))
 """`T_world_object` of every triplet."""
 
 
-def in_parallel(function, tasks, what):
+def in_parallel(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], what: str) -> list[Any]:
     """The answers to the tasks in their order, worked out by a process per core, with a bar on stderr."""
     # One thread each: the arrays are small, and processes that share cores only get in each other's way.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

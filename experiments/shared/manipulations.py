@@ -1,17 +1,21 @@
 """An object that is moved, lifted and turned in the hand: the pose over time, as the paper's Fig. 8 has it."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 import handsight as hs
-from grasp_errors import pose_errors
-from grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
-from grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
 from handsight import se3
 from handsight.simulation import Sample, Scenario, simulate
-from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking import TrackerSettings
 from handsight.tracking.replay import Step, Tally, replay
+from shared.grasp_errors import pose_errors
+from shared.grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
+from shared.grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
+from shared.report import Row, Rows
 
 RATE = 50.0
 """Observations a second; vision sees ten times a second."""
@@ -38,27 +42,28 @@ WITH_MEAN = TRACKED | {"mean, outside, table": Tracked(outside=True, samples=SAM
 """The mean takes 20 s a run."""
 
 
-def recorded(name, seed):
+@lru_cache(maxsize=2)  # figure 8 shows the first of those that section III's repetition judges
+def recorded(name: str, seed: int) -> list[Sample]:
     """All samples of a manipulation."""
     return list(simulate(Scenario(object=name, seed=seed, motion="manipulate", rate=RATE)))
 
 
-def tracked(name, samples, how) -> list[Step]:
+def tracked(name: str, samples: Sequence[Sample], how: Tracked) -> list[Step]:
     """The tracker's answers to a run."""
     robot = rig() if how.table else replace(rig(), table=None)
     settings = TrackerSettings(outside=OUTSIDE if how.outside else 0, samples=how.samples)
-    tracker = Tracker(robot, exact_model(name), settings=settings)
+    tracker = hs.Tracker(robot, exact_model(name), settings=settings)
     return list(replay((sample.observation for sample in samples), tracker, Tally()))
 
 
-def turned(samples: list[Sample]):
+def turned(samples: Sequence[Any]) -> float:
     """The largest turn of the palm between two instants of a run [°], as far as its first one tells."""
     first = samples[0].observation.T_world_palm[:3, :3]
     turns = [se3.rotation_log(s.observation.T_world_palm[:3, :3] @ first.T) for s in samples]
     return float(np.rad2deg(np.linalg.norm(turns, axis=1).max()))
 
 
-def run_rows(name, seed, ways):
+def run_rows(name: str, seed: int, ways: Mapping[str, Tracked]) -> Rows | None:
     """A row a method: mean errors over the last third of a run, where vision saw; None where it was dropped."""
     samples = recorded(name, seed)
     if samples[-1].dropped:
@@ -78,7 +83,7 @@ def run_rows(name, seed, ways):
     return [{"object": name, "seed": seed, "palm turned": turn, **row} for row in rows]
 
 
-def by_paper(model, samples):
+def by_paper(model: hs.ObjectModel, samples: Sequence[Sample]) -> tuple[list[Any], list[int]]:
     """The paper's method whenever vision sees: (pose in the palm, no directions, sample) each, and the iterations."""
     found, iterations = [], []
     for sample in samples:
@@ -95,7 +100,7 @@ def by_paper(model, samples):
     return found, iterations
 
 
-def _run_row(model, method, found, fingers):
+def _run_row(model: hs.ObjectModel, method: str, found: Sequence[Any], fingers: Sequence[Any]) -> Row:
     """Mean errors of (pose, open directions, sample) each, and of vision's."""
     ours = [pose_errors(model, T, sample, directions) for T, directions, sample in found]
     seen = [pose_errors(model, seen_in_palm(s.observation), s, directions) for _, directions, s in found]

@@ -1,11 +1,15 @@
 """The corrections that section III compares, each run on a simulated grasp: a row of errors a method."""
 
 import functools
+from collections.abc import Iterable
+
+import numpy as np
 
 import handsight as hs
-import report
-from grasp_errors import open_sigma, pose_errors, region
-from grasp_trials import exact_model
+from shared import report, scenes
+from shared.grasp_errors import open_sigma, pose_errors
+from shared.grasp_trials import Trial, exact_model
+from shared.report import Row, Rows
 
 SAMPLES = 4000
 WEIGHTS_CM = (1, 2, 5, 10)
@@ -27,31 +31,31 @@ OURS = {
 
 
 @functools.cache
-def warm():
+def warm() -> None:
     """Compiles what is compiled at its first call, so that times are of corrections."""
-    model = hs.ObjectModel.box((0.06, 0.09, 0.14))
+    model = scenes.box()
     points, normals = model.sample(4)
     contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
-    prior = hs.PosePrior.from_sigmas([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], 0.05, 0.1)
+    prior = hs.PosePrior.from_sigmas(np.eye(4), 0.05, 0.1)
     for outside in (None, points):
         hs.correct_pose(model, contacts, vision=prior, outside=outside, samples=100)
         hs.correct_pose(model, contacts, vision=prior, outside=outside)
     hs.correct_pose(model, contacts, vision=prior, method="paper-lm")
 
 
-def rows_of(trial, methods):
+def rows_of(trial: Trial, methods: Iterable[str]) -> Rows:
     """A row for each of the methods (names of `PAPER` and `OURS`), vision's errors beside its own."""
     warm()
     rows = []
     for name in methods:
         estimate, seconds = None, 0.0
         if name in OURS or len(trial.contacts) >= LEAST_FINGERS:
-            estimate, seconds = report.timed(lambda name=name: corrected(trial, name))
+            estimate, seconds = report.timed(functools.partial(corrected, trial, name))
         rows.append(_row(trial, name, estimate, seconds))
     return rows
 
 
-def corrected(trial, name):
+def corrected(trial: Trial, name: str) -> hs.PoseEstimate:
     """The estimate of one of the methods."""
     if name in PAPER:
         return hs.correct_pose(trial.model, trial.contacts, vision=trial.vision, method=PAPER[name])
@@ -65,7 +69,7 @@ def corrected(trial, name):
     )
 
 
-def _row(trial, name, estimate, seconds):
+def _row(trial: Trial, name: str, estimate: hs.PoseEstimate | None, seconds: float) -> Row:
     exact, sample = (
         exact_model(trial.scenario.object),
         trial.sample,
@@ -80,5 +84,7 @@ def _row(trial, name, estimate, seconds):
     row |= {f"vision {k}": v for k, v in seen.items()}
     row |= {"iterations": estimate.iterations, "ms": 1e3 * seconds, "consistent": estimate.consistent}
     if name in OURS:
-        row |= {"open sigma": open_sigma(exact, estimate)} | region(exact, estimate, sample.T_palm_object)
+        row |= {"open sigma": open_sigma(exact, estimate)} | scenes.region(
+            exact, estimate, sample.T_palm_object
+        )
     return row

@@ -1,26 +1,52 @@
-"""Errors of a pose in the hand, as the paper measures them and as a simulator knows them, with their spread."""
+"""Errors of a pose in the hand, as the paper measures them (eq. 8) and as a simulator knows them, with their spread."""
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
-from figure_6 import centre_from_corners, corners
+import handsight as hs
 from handsight import se3
 from handsight.evaluation import base_center
-from handsight.objects.symmetry import nearest
+from shared import scenes
+from shared.report import Array, Row
 
 GRID = 0.001
 """To what the corners are read off the paper on the table [m]."""
+SIDE = 0.06
+"""Of a square on the table [m]; the paper says 'known dimensions' and no number."""
+QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 RESAMPLES, CONFIDENCE = 2000, 0.95
-LEVELS = (0.50, 0.95)
+Interval = tuple[float, float, float]
+"""A value and the ends of its 95 % interval."""
 
 
-def read_centre(xy, angle):
+def centre_from_corners(p1: Any, p2: Any) -> Array:
+    """The object's centre (..., 2) from two corners: `p1` across the square from it, `p2` next to it.
+
+    Eq. 8. Seen from above, x right and y up, the square is walked counterclockwise centre, `p2`, `p1`.
+    """
+    v = np.asarray(p1) - np.asarray(p2)
+    return np.asarray(np.asarray(p2) + v @ QUARTER_TURN.T)
+
+
+def corners(centre: Array, angle: float, side: float = SIDE) -> Array:
+    """(4, 2, 2): p₁ and p₂ of each of the four squares around a centre, as eq. 8 wants them."""
+    turns = angle + np.arange(4) * np.pi / 2
+    along = side * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    p2 = centre + along
+    return np.stack([p2 + along @ QUARTER_TURN.T, p2], axis=1)
+
+
+def read_centre(xy: Array, angle: float) -> Array:
     """(2,) the base's centre on the table [m] by eq. 8, from two corners read to a millimetre."""
     p1, p2 = corners(np.asarray(xy), angle)[0]
     return centre_from_corners(*(GRID * np.round(p / GRID) for p in (p1, p2)))
 
 
-def pose_errors(model, T_palm_object, sample, open_directions=()):
+def pose_errors(
+    model: hs.ObjectModel, T_palm_object: Array, sample: Any, open_directions: Array | Sequence[Array] = ()
+) -> Row:
     """Errors of a pose modulo symmetry, in millimetres and degrees.
 
     `open_directions` (k, 6): in which the contacts leave the pose open, as `PoseEstimate.unobservable`.
@@ -33,7 +59,7 @@ def pose_errors(model, T_palm_object, sample, open_directions=()):
       open    the rest
     """
     T_world_palm = sample.observation.T_world_palm
-    true = nearest(model.symmetries, sample.T_palm_object, T_palm_object, model.radius)
+    true = scenes.nearest_truth(model, sample.T_palm_object, T_palm_object)
     base = base_center(model, sample.T_world_object)
     found, exact = (se3.apply(T_world_palm @ T, base[None])[0, :2] for T in (T_palm_object, true))
     middles = [se3.apply(T, model.center_object[None])[0] for T in (T_palm_object, true)]
@@ -52,7 +78,7 @@ def pose_errors(model, T_palm_object, sample, open_directions=()):
     }
 
 
-def open_sigma(model, estimate):
+def open_sigma(model: hs.ObjectModel, estimate: hs.PoseEstimate) -> float:
     """Standard deviation [mm] that an estimate states along its open directions, declared symmetries aside."""
     scale = np.repeat([1.0, 1 / model.radius], 3)
     values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
@@ -61,26 +87,14 @@ def open_sigma(model, estimate):
     return 1e3 * float(np.sqrt((rows**2 / values[known]).sum()))
 
 
-def region(model, estimate, T_true):
-    """Where the truth is in the answer's own units: χ², its degrees of freedom, and whether regions hold it."""
-    truth = nearest(model.symmetries, T_true, estimate.T_palm_object, model.radius)
-    delta = se3.difference(truth, estimate.T_palm_object)
-    squared = float(delta @ estimate.information @ delta)
-    scale = np.repeat([1.0, 1 / model.radius], 3)
-    information = estimate.information * scale[:, None] * scale
-    freedom = int(np.linalg.matrix_rank(information, hermitian=True))
-    inside = {f"in {level:.0%}": bool(squared < chdtri(freedom, 1 - level)) for level in LEVELS}
-    return {"squared": squared, "freedom": freedom, **inside}
-
-
-def mean_interval(values, seed=0):
+def mean_interval(values: Any, seed: int = 0) -> Interval:
     """Mean, and the ends of its 95 % interval by bootstrap."""
     array = np.asarray(values, dtype=np.float64)
     means = array[_resampled(len(array), seed)].mean(axis=1)
     return float(array.mean()), *_ends(means)
 
 
-def removed_interval(before, after, seed=0):
+def removed_interval(before: Array, after: Array, seed: int = 0) -> Interval:
     """Share of the mean error that was removed [%], and the ends of its 95 % interval by bootstrap over pairs."""
     before, after = (np.asarray(v, dtype=np.float64) for v in (before, after))
     rows = _resampled(len(before), seed)
@@ -88,16 +102,16 @@ def removed_interval(before, after, seed=0):
     return float(100 * (1 - after.mean() / before.mean())), *_ends(shares)
 
 
-def _resampled(n, seed):
+def _resampled(n: int, seed: int) -> Array:
     return np.random.default_rng(seed).integers(n, size=(RESAMPLES, n))
 
 
-def _ends(values):
+def _ends(values: Array) -> tuple[float, float]:
     low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 
 
-def between(interval, digits=1):
+def between(interval: Interval, digits: int = 1) -> str:
     """`value [low, high]` as text."""
     value, low, high = interval
     return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"

@@ -7,9 +7,11 @@ of it.
 """
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +20,14 @@ from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
 from handsight.tracking.table import on_table
+from shared.grasp_errors import pose_errors
+from shared.report import Array
 
 OBJECTS = ("can", "box")
 OUTSIDE = 500
 """Points of the hand's surface, shrunk by 1.5 mm, that cannot be inside the object."""
 INSTANTS = 10.0
 """Observations a second of a grasp: only its last one is used."""
-SEEDS_APART = 10_000
-"""Between the grasps of one `--seed` and the next."""
 
 
 @dataclass(frozen=True)
@@ -37,49 +39,53 @@ class Trial:
     model: hs.ObjectModel
     """What the robot takes the object for."""
     touch: FingertipContacts
+    """What its fingertips felt; some contact."""
     vision: hs.PosePrior
     standing: hs.PosePrior
     """The same, given that the object stands on the table."""
-    outside: np.ndarray
+    outside: Array
     """(500, 3) points of the hand in the palm [m]."""
 
     @property
-    def contacts(self):
+    def contacts(self) -> hs.Contacts:
         """In the palm."""
+        assert self.touch.contacts is not None
         return self.touch.contacts
 
 
 @cache
-def rig():
-    """The robot as it knows itself; the same for both objects and all nuisances."""
+def rig() -> Any:
+    """The `hs.Rig` as it knows itself, nothing missing; the same for both objects and all nuisances."""
     return rig_of(Scenario())
 
 
 @cache
-def fingertips():
+def fingertips() -> FingertipSensors:
     """Its fingertips."""
     return FingertipSensors(rig())
 
 
 @cache
-def surface():
-    """Its links, without the tips, which touch the object."""
+def surface() -> Any:
+    """The `HandSurface` of its links, without the tips, which touch the object."""
     return rig().hand.surface(OUTSIDE, without=fingertips().frames)
 
 
-def last_instant(scenario):
+@lru_cache(maxsize=64)  # several experiments ask for the same grasp, and some for the same twice
+def last_instant(scenario: Scenario) -> Sample:
     """The sample at the end of a grasp."""
     *_, last = simulate(scenario)
     return last
 
 
-def seen_in_palm(observation):
+def seen_in_palm(observation: Any) -> Array:
     """T_palm_object (4, 4) as vision has it."""
-    T_world_object = rig().camera.T_mount_camera @ observation.vision.T_frame_object
-    return se3.inverse(observation.T_world_palm) @ T_world_object
+    T_world_object: Array = rig().camera.T_mount_camera @ observation.vision.T_frame_object
+    T_palm_object: Array = se3.inverse(observation.T_world_palm) @ T_world_object
+    return T_palm_object
 
 
-def vision_prior(observation):
+def vision_prior(observation: Any) -> hs.PosePrior:
     """The seen pose with the camera's constant error and noise as its covariance."""
     camera = rig().camera
     position = camera.sigma_position**2 + camera.sigma_position_constant**2
@@ -87,7 +93,7 @@ def vision_prior(observation):
     return hs.PosePrior(seen_in_palm(observation), np.diag([position] * 3 + [rotation] * 3))
 
 
-def standing(prior, model, T_world_palm):
+def standing(prior: hs.PosePrior, model: hs.ObjectModel, T_world_palm: Array) -> hs.PosePrior:
     """The prior given that the object stands on the table; as it was where that contradicts it."""
     no_bias = 1e-6 * np.eye(6)
     state = PoseBiasSmoother.from_prior(prior.T_palm_object, prior.covariance, no_bias, np.zeros(3)).now
@@ -95,7 +101,7 @@ def standing(prior, model, T_world_palm):
     return prior if stood is None else hs.PosePrior(stood.T_palm_object, stood.covariance[:6, :6])
 
 
-def trial_of(scenario, sample, model=None):
+def trial_of(scenario: Scenario, sample: Any, model: hs.ObjectModel | None = None) -> Trial | None:
     """The problem of a sample; None where no finger touches. `model`: as the robot has it, if it is at hand."""
     observation = sample.observation
     touch = fingertips().contacts(observation)
@@ -109,12 +115,12 @@ def trial_of(scenario, sample, model=None):
 
 
 @cache
-def exact_model(name):
+def exact_model(name: str) -> hs.ObjectModel:
     """The object as it is."""
     return model_of(Scenario(object=name))
 
 
-def grasps(name, number, first, left_out):
+def grasps(name: str, number: int, first: int, left_out: Any) -> Iterator[Trial]:
     """`number` trials of that object with usual nuisances, by seeds from `first` on.
 
     `left_out` counts why a seed gave none.
@@ -133,19 +139,32 @@ def grasps(name, number, first, left_out):
         yield trial
 
 
-def again(trial, **nuisances):
+def typical(name: str, number: int, first: int) -> Trial:
+    """Of some grasps the one whose vision is wrong by the middle amount."""
+    trials = list(grasps(name, number, first, Counter()))
+    return sorted(trials, key=lambda t: read_error(t, t.vision.T_palm_object))[len(trials) // 2]
+
+
+def read_error(trial: Trial, T_palm_object: Array) -> float:
+    """Of the base's centre [mm], as the paper measures it."""
+    return float(pose_errors(trial.model, T_palm_object, trial.sample)["read"])
+
+
+def again(trial: Trial, **nuisances: Any) -> Trial | None:
     """The same grasp with other nuisances; None where no finger touches."""
     changed = replace(trial.scenario, nuisances=replace(trial.scenario.nuisances, **nuisances))
     return trial_of(changed, last_instant(changed), trial.model)
 
 
-def silent(trial):
+def silent(trial: Trial) -> Counter[str]:
     """How many fingers of the truth were left out of the contacts, by reason."""
     pushed = trial.sample.forces_object
     return Counter(reason for name, reason in trial.touch.reasons.items() if pushed.get(name, 0.0) > 0.1)
 
 
-def sensing_errors(scenario, draws, rng):
+def sensing_errors(
+    scenario: Scenario, draws: int, rng: np.random.Generator
+) -> tuple[list[float], list[float]]:
     """How far contacts are from the simulator's [m]: without any noise, and with 10 mN and 0.05 mN m.
 
     Of tips that touch the object and nothing else, joints exact: sensing alone.
@@ -156,15 +175,14 @@ def sensing_errors(scenario, draws, rng):
     clean = _misplaced(sample, sample.observation)
     noisy = []
     for _ in range(draws):
-        wrenches = {
-            name: wrench + sigma * rng.normal(size=6) for name, wrench in sample.observation.wrenches.items()
-        }
+        read = sample.observation.wrenches.items()
+        wrenches = {name: wrench + sigma * rng.normal(size=6) for name, wrench in read}
         noisy += _misplaced(sample, replace(sample.observation, wrenches=wrenches))
     return clean, noisy
 
 
-def _misplaced(sample, observation):
-    touch = fingertips().contacts(observation)
+def _misplaced(sample: Any, observation: Any) -> list[float]:
+    touch: Any = fingertips().contacts(observation)
     found = []
     for i, finger in enumerate(touch.fingers):
         truths = [t for t in sample.contacts_truth if t.finger == finger]

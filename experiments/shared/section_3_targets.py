@@ -1,6 +1,11 @@
 """What section III's repetition should reach, and whether it did."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
+
+from shared.report import Row, Rows
 
 REMOVED = (
     # object, experiment, method, least share removed [%], most error as read [mm]
@@ -19,20 +24,20 @@ HONEST = {"can": ("maximum", "maximum, table"), "box": ("maximum", "mean, outsid
 WHEN = {"instant": "one instant", "time": "over time"}
 
 
-def judged(found):
+def judged(found: Row) -> Rows:
     """A line a target: what, what was wanted, what was found, whether it is met."""
     return [*_paper(found), *_removed(found), *_seen(found), *_sensing(found), *_regions(found)]
 
 
-def _line(target, wanted, value, met):
+def _line(target: str, wanted: str, value: str, met: bool) -> Row:
     return {"target": target, "wanted": wanted, "found": value, "met": bool(met)}
 
 
-def _of(lines, method):
+def _of(lines: Rows, method: str) -> Any:
     return next((line for line in lines if line["method"] == method), None)
 
 
-def _paper(found):
+def _paper(found: Row) -> Iterator[Row]:
     for key, vision in (("instant", "vision wrong in 3-D"), ("plane", "vision right in height")):
         line = _of(found[key]["can"], "paper-lm, w_n 5 cm")
         if line:
@@ -40,7 +45,7 @@ def _paper(found):
             yield _line(f"can, paper-lm, w_n 5 cm, {vision}", "20-30 mm", f"{mm:.1f} mm", 20 <= mm <= 30)
 
 
-def _removed(found):
+def _removed(found: Row) -> Iterator[Row]:
     for name, when, method, least, most in REMOVED:
         line = _of(found[when][name], method)
         if line is None:
@@ -51,7 +56,7 @@ def _removed(found):
         yield _line(f"{name}, {WHEN[when]}, {method}", wanted, f"{share:.1f} %, {mm:.1f} mm", met)
 
 
-def _seen(found):
+def _seen(found: Row) -> Iterator[Row]:
     for name in found["instant"]:
         share = _of(found["instant"][name], "maximum")["seen removed"][0]
         yield _line(
@@ -59,13 +64,13 @@ def _seen(found):
         )
 
 
-def _sensing(found):
+def _sensing(found: Row) -> Iterator[Row]:
     for (name, noise), most in SENSING.items():
         um = 1e6 * float(np.mean(found["sensing"][name][noise]))
         yield _line(f"{name}, contact sensing, {noise}", f"≤ {most} µm", f"{um:.0f} µm", um <= most)
 
 
-def _regions(found):
+def _regions(found: Row) -> Iterator[Row]:
     for name, methods in HONEST.items():
         for method in methods:
             line = _of(found["instant"][name], method)

@@ -1,8 +1,8 @@
-"""What the experiments share: their options, progress, tables with spread, CSV files and figures."""
+"""Options of an experiment, progress, tables with their spread, CSV files."""
 
 import argparse
 import csv
-import itertools
+import functools
 import os
 import platform
 import textwrap
@@ -18,9 +18,14 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-INITIAL, TRUTH, RESULT = "0.6", "#2e9e4f", "#e6b400"
-"""The paper's colours of its Fig. 3: grey, green, yellow."""
+from handsight.errors import MissingExtra
+
+Array = np.ndarray
+Row = dict[str, Any]
+"""What one trial found, by the names of the CSV file."""
+Rows = list[Row]
 WIDTH = 130
+SEEDS_APART = 10_000
 
 
 @dataclass(frozen=True)
@@ -33,31 +38,35 @@ class Options:
     trials: int
     seed: int
 
+    @property
+    def first_seed(self) -> int:
+        """Of the simulated grasps: those of one `--seed` and the next are apart."""
+        return self.seed * SEEDS_APART
+
     def rng(self, *keys: int) -> np.random.Generator:
         """The generator of one trial: the same for the same seed, whatever else is run."""
         return np.random.default_rng([self.seed, *keys])
 
 
-def parser(description: str) -> argparse.ArgumentParser:
+def parser(description: str | None) -> argparse.ArgumentParser:
     """A parser that shows the experiment's docstring as written."""
-    return argparse.ArgumentParser(
-        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    shown = argparse.RawDescriptionHelpFormatter
+    return argparse.ArgumentParser(description=description, formatter_class=shown)
+
+
+def options(description: str | None, *, trials: int, quick_trials: int) -> Options:
+    """The options of an experiment that has no others."""
+    return parsed(parser(description), trials=trials, quick_trials=quick_trials)[0]
 
 
 def parsed(arguments: argparse.ArgumentParser, *, trials: int, quick_trials: int) -> tuple[Options, Any]:
     """The options that every experiment has, and all that was parsed."""
-    add = arguments.add_argument
+    add, default = arguments.add_argument, "(default: %(default)s)"
     add("--quick", action="store_true", help=f"a look in under half a minute: {quick_trials} trials")
     add("--trials", type=_positive, metavar="N", help=f"default: {trials}, or {quick_trials} with --quick")
-    add("--seed", type=int, default=0, metavar="S", help="another seed, other trials (default: %(default)s)")
-    add(
-        "--output",
-        type=Path,
-        default=Path("results"),
-        metavar="DIR",
-        help="where CSV and PNG go (default: %(default)s/)",
-    )
+    add("--seed", type=int, default=0, metavar="S", help=f"another seed, other trials {default}")
+    where = f"where CSV and PNG go {default}"
+    add("--output", type=Path, default=Path("results"), metavar="DIR", help=where)
     given = arguments.parse_args()
     number = given.trials or (quick_trials if given.quick else trials)
     given.output.mkdir(parents=True, exist_ok=True)
@@ -71,14 +80,37 @@ def _positive(text: str) -> int:
     return value
 
 
+def or_skip(main: Callable[[], None]) -> Callable[[], None]:
+    """The same program, which says so and ends well where what it needs is not installed."""
+
+    @functools.wraps(main)
+    def guarded() -> None:
+        try:
+            main()
+        except MissingExtra as error:
+            say(f"skipped: {error}")
+
+    return guarded
+
+
 def progress(items: Sequence[Any], what: str) -> Iterable[Any]:
     """The items, with a bar on stderr."""
     return track(items, description=what, console=Console(stderr=True), total=len(items))
 
 
-def values(rows: Iterable[Mapping[str, Any]], name: str, **key: object) -> np.ndarray:
+def chosen(rows: Iterable[Row], **key: object) -> Rows:
+    """The rows whose columns are as given."""
+    return [row for row in rows if all(row[k] == v for k, v in key.items())]
+
+
+def values(rows: Iterable[Row], name: str, **key: object) -> Array:
     """The numbers of one column, of the rows whose other columns are as given."""
-    return np.array([row[name] for row in rows if all(row[k] == v for k, v in key.items())])
+    return np.array([row[name] for row in chosen(rows, **key)])
+
+
+def distinct(rows: Iterable[Row], name: str) -> list[Any]:
+    """The values of a column, each once, in order of appearance."""
+    return list(dict.fromkeys(row[name] for row in rows))
 
 
 def summary(values: Iterable[float]) -> tuple[float, float]:
@@ -110,30 +142,24 @@ def with_error(mean: float, error: float, digits: int = 2) -> str:
     return f"{mean:{form}}±{error:{form}}"
 
 
-def grouped(
-    rows: Sequence[Mapping[str, Any]], keys: Sequence[str], names: Iterable[str]
-) -> list[dict[str, Any]]:
+def grouped(rows: Iterable[Row], keys: Sequence[str], names: Iterable[str]) -> Rows:
     """A row per combination of `keys`, in order of appearance: mean, standard error, median of each name."""
-    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[Any, ...], Rows] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    table = []
-    for values, members in groups.items():
-        line: dict[str, Any] = dict(zip(keys, values, strict=True))
-        for name in names:
-            found = [row[name] for row in members]
-            line[f"{name}_mean"], line[f"{name}_se"] = summary(found)
-            line[f"{name}_median"] = float(np.median(found))
+    columns, table = list(names), []
+    for key, members in groups.items():
+        line = dict(zip(keys, key, strict=True))
+        for name in columns:
+            numbers = [row[name] for row in members]
+            line[f"{name}_mean"], line[f"{name}_se"] = summary(numbers)
+            line[f"{name}_median"] = float(np.median(numbers))
         table.append(line | {"trials": len(members)})
     return table
 
 
 def print_grouped(
-    title: str,
-    rows: Sequence[Mapping[str, Any]],
-    keys: Sequence[str],
-    digits: Mapping[str, int],
-    note: str = "",
+    title: str, rows: Rows, keys: Sequence[str], digits: Mapping[str, int], note: str = ""
 ) -> None:
     """Prints `grouped` rows as mean±standard error, each column with its digits."""
     cells = []
@@ -179,7 +205,7 @@ def _console() -> Console:
     return Console(width=WIDTH)
 
 
-def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+def write_csv(path: Path, rows: Rows) -> None:
     """Writes rows with one header, floats to six significant digits, and says so."""
     with path.open("w", newline="", encoding="utf-8") as file:
         names = list(dict.fromkeys(name for row in rows for name in row))
@@ -188,67 +214,6 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
         for row in rows:
             writer.writerow({key: f"{v:.6g}" if isinstance(v, float) else v for key, v in row.items()})
     wrote(path)
-
-
-def pyplot() -> Any:
-    """matplotlib's pyplot on a backend that needs no screen."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise SystemExit("figures need matplotlib: pip install 'handsight[plot]'") from None
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    plt.rcParams.update({"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False})
-    plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False})
-    return plt
-
-
-def save_figure(figure: Any, path: Path) -> None:
-    """Writes the figure as PNG, closes it, and says so."""
-    figure.savefig(path, dpi=140)
-    pyplot().close(figure)
-    wrote(path)
-
-
-def frame_3d(
-    axes: Any, points: np.ndarray, *, unit: str = "cm", view: tuple[float, float] = (22, -58)
-) -> None:
-    """Equal scales around the points, ticks in centimetres, few of them."""
-    from matplotlib.ticker import MaxNLocator
-
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, half = (low + high) / 2, 0.5 * (high - low).max()
-    for name, center in zip("xyz", middle, strict=True):
-        getattr(axes, f"set_{name}lim")(center - half, center + half)
-        axis = getattr(axes, f"{name}axis")
-        axis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
-        axis.set_major_locator(MaxNLocator(4))
-        axis.set_tick_params(labelsize=7, pad=-1)
-        axis.set_label_text(f"palm {name} [cm]", fontsize=8)
-        axis.labelpad = -3
-    axes.grid(False)
-    axes.set_box_aspect((1, 1, 1))
-    axes.view_init(elev=view[0], azim=view[1])
-
-
-def outline(model: Any) -> list[np.ndarray]:
-    """Polylines (k, 3), object frame, of a box' edges or of a cylinder's rims."""
-    low, high = model.bounds_object
-    if model.symmetries.axes:
-        angle = np.linspace(0, 2 * np.pi, 73)
-        rim = high[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return [np.column_stack([rim, np.full(len(rim), z)]) for z in (low[2], high[2])]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    pairs = itertools.combinations(range(8), 2)
-    return [corners[[i, j]] for i, j in pairs if (corners[i] != corners[j]).sum() == 1]
-
-
-def faces_viewer(axes: Any, normals: np.ndarray) -> np.ndarray:
-    """(n,) bool: the surface there is turned to the viewer of these axes, as `frame_3d` has set them."""
-    elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
-    toward = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    return np.asarray(normals @ np.array(toward) > 0)
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:

@@ -1,0 +1,71 @@
+"""What the benchmarks take from inside handsight: its compiled kernels, nowhere else imported here."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+
+import handsight as hs
+from handsight._kernels import batch, levenberg, records
+from handsight._kernels.compiled import FAST
+from handsight._kernels.simd import local
+from handsight._kernels.symmetry import pose_of
+from handsight._kernels.threads import alone
+from handsight.correction.estimate import PoseEstimate
+from handsight.correction.problem import NO_OUTSIDE, Problem
+from handsight.correction.solve import kernel_call, solve_single_start
+
+__all__ = ["Evaluation", "alone", "fits_at_once", "kernel_call", "stages"]
+
+Call = Callable[[], Any]
+PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (
+    records.PRIOR_TERM,
+    records.TERM,
+    records.UNCERTAINTY,
+    records.WORKSPACE,
+)
+
+
+def fits_at_once(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> bool:
+    """Whether a single start is enough; else a wrong contact is searched for."""
+    return solve_single_start(Problem(model, contacts, vision, NO_OUTSIDE)) is not None
+
+
+def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:
+    """The parts of one correction, each as a call."""
+    rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((len(contacts), 2))
+    rows["prior"], rows["last"] = vision.record, len(contacts)
+    given = model.record.model, model.record.nodes, contacts.record, NO_OUTSIDE, rows, residuals
+    answer = rows[0]["answer"]
+    return {
+        "kernel": lambda: batch.correct_all(*given),
+        "of it the two phases": kernel_call(model, contacts, vision),
+        "estimate made": lambda: PoseEstimate(answer, (answer,), residuals, True),
+    }
+
+
+class Evaluation:
+    """The normal equations of contacts and vision at one pose, evaluated again and again."""
+
+    def __init__(self, model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> None:
+        self._given = model.record.model, model.record.nodes, contacts.record, vision.record, NO_OUTSIDE
+        self.bytes = len(contacts) * 8 * (6 + 1 + 16) + records.PRIOR_TERM.itemsize + 8 * 56
+        """Read in double precision: contacts, their weights, vision, the equations."""
+
+    def __call__(self, n: int) -> float:
+        """n evaluations, each at a pose a hair from the last."""
+        return float(_evaluations(n, *self._given))
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+def _evaluations(n, model, nodes, contacts, vision, outside):
+    prior, workspace, terms = local(PRIOR_TERM), local(WORKSPACE), np.empty(len(contacts), TERM)
+    center = batch._load_terms(contacts, terms)
+    batch._fill_prior(model[0], vision, center, prior)
+    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
+    R, p = pose_of(vision[0].pose)
+    for k in range(n):
+        pose = R, (p[0] + 1e-9 * k, p[1], p[2])
+        levenberg.evaluate(evidence, model[0].fine, pose, k == 0, workspace.now)
+    return workspace.now[6, 6]

@@ -1,0 +1,111 @@
+"""What the figures share: matplotlib without a screen, colours, axes in centimetres, views of a simulated grasp."""
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import handsight as hs
+from shared import report
+from shared.report import Array
+
+INITIAL, TRUTH, RESULT = "0.6", "#2e9e4f", "#e6b400"
+"""The paper's colours of its Fig. 3: grey, green, yellow."""
+GREEN, PINK = (0.2, 0.75, 0.3, 0.6), (0.95, 0.3, 0.65, 0.6)
+"""Of the object drawn where vision or a correction puts it."""
+AWAY, CENTRED = np.array([-0.16, 0.36, 0.22]), 0.06
+"""Of the eye from the object [m], on the side of the robot's camera; the picture's middle, towards the hand."""
+CLOSE = slice(30, 450), slice(70, 570)
+"""The part of a picture that is shown."""
+
+
+def pyplot() -> Any:
+    """matplotlib's pyplot on a backend that needs no screen."""
+    try:
+        import matplotlib
+    except ImportError:
+        raise SystemExit("figures need matplotlib: pip install 'handsight[plot]'") from None
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False})
+    plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False})
+    return plt
+
+
+def save(figure: Any, path: Path) -> None:
+    """Writes the figure as PNG, closes it, and says so."""
+    figure.savefig(path, dpi=140)
+    pyplot().close(figure)
+    report.wrote(path)
+
+
+def shares(values: Array) -> tuple[Array, Array]:
+    """The values in order, and the share that is not above each: a cumulative distribution."""
+    return np.sort(values), np.arange(1, len(values) + 1) / len(values)
+
+
+def frame_3d(axes: Any, points: Array, view: tuple[float, float] = (22, -58)) -> None:
+    """Equal scales around the points, ticks in centimetres, few of them."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, 0.5 * (high - low).max()
+    for name, center in zip("xyz", middle, strict=True):
+        getattr(axes, f"set_{name}lim")(center - half, center + half)
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
+        axis.set_major_locator(MaxNLocator(4))
+        axis.set_tick_params(labelsize=7, pad=-1)
+        axis.set_label_text(f"palm {name} [cm]", fontsize=8)
+        axis.labelpad = -3
+    axes.grid(False)
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(elev=view[0], azim=view[1])
+
+
+def outline(model: hs.ObjectModel) -> list[Array]:
+    """Polylines (k, 3), object frame, of a box' edges or of a cylinder's rims."""
+    low, high = model.bounds_object
+    if model.symmetries.axes:
+        angle = np.linspace(0, 2 * np.pi, 73)
+        rim = high[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return [np.column_stack([rim, np.full(len(rim), z)]) for z in (low[2], high[2])]
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    pairs = itertools.combinations(range(8), 2)
+    return [corners[[i, j]] for i, j in pairs if (corners[i] != corners[j]).sum() == 1]
+
+
+def faces_viewer(axes: Any, normals: Array) -> Array:
+    """(n,) bool: the surface there is turned to the viewer of these axes, as `frame_3d` has set them."""
+    elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
+    toward = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    return np.asarray(normals @ np.array(toward) > 0)
+
+
+def legend_below(figure: Any, axes: Any, columns: int) -> None:
+    """The legend of some axes, outside and below."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
+
+
+def show_pictures(panels: Any, pictures: Sequence[tuple[str, Array]]) -> None:
+    """A picture a panel, under its title."""
+    for axes, (title, picture) in zip(panels, pictures, strict=True):
+        axes.imshow(picture)
+        axes.set_title(title)
+        axes.axis("off")
+
+
+def close_up(trial: Any, T_palm_object: Array | None = None, color: Any = GREEN) -> Array:
+    """(h, w, 3) a simulated grasp from near: as it is, or with the object only where it is said to be."""
+    from handsight.simulation import looking, render
+
+    at = trial.sample.T_world_object[:3, 3] - [CENTRED, 0, 0]
+    options: dict[str, Any] = {"T_world_camera": looking(at + AWAY, at)}
+    if T_palm_object is not None:
+        options |= {"ghost": T_palm_object, "color": color, "show_object": False}
+    picture: Array = render(trial.scenario, trial.sample, **options)
+    return picture[CLOSE]
