@@ -54,7 +54,7 @@ def _fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
 
 @inner
 def _solve(evidence: Evidence, pose: Pose, follows: bool) -> tuple[Pose, float, int, bool]:
-    """The minimum that both phases lead to from a pose, or, if one `follows`, the fine field alone; cost, steps, converged."""
+    """The minimum that both phases lead to from a pose, or the fine field alone; its cost, steps, convergence."""
     model, steps = evidence.model, 0
     if not follows:
         pose, steps = match(evidence, pose)
@@ -168,7 +168,7 @@ def coarse_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any
 
 @entry
 def fine_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
-    """Moves descents (K, 1) on the fine field; of (K, 2), without vision, the second from there to the most likely pose.
+    """Moves descents (K, 1) on the fine field; of (K, 2), without vision, the second on to the most likely pose.
 
     Along a slide any place is a minimum; the weak prior on the position says which is the most likely one.
     """
@@ -194,7 +194,7 @@ def fine_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, 
 def start_costs(
     model: Any, nodes: Any, contacts: Any, sigma_distance: float, sigma_normal: float, descents: Any
 ) -> None:
-    """Fills in what contacts (n,) say of descents (K,), with standard deviations [m], [rad] as coarse as the starts are."""
+    """Fills in what contacts (n,) say of descents (K,), with sigmas [m], [rad] as coarse as the starts are."""
     field = model[0].coarse
     for k in range(len(descents)):
         pose, cost = pose_of(descents[k].pose), 0.0
@@ -251,7 +251,7 @@ def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: An
 
 @entry
 def cost_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
-    """Fills in minus two log of the posterior density of descents (K,), up to a constant; of the first set of contacts."""
+    """Fills in minus two log of the posterior density of descents (K,), by the first set of contacts."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     center = _load_terms(contacts[0], terms)
     _fill_prior(model[0], prior, center, term)
@@ -278,7 +278,7 @@ def nearest_all(model: Any, descents: Any, prior: Any) -> None:
 
 @entry
 def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) -> int:
-    """How many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them as far as it goes.
+    """How many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them.
 
     `limits` (2,): apart are poses that differ by more than a shift [m] or a turn [rad].
     """

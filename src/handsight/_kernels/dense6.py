@@ -11,7 +11,7 @@ TINY = 1e-300
 
 @inner
 def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
-    """Cholesky's factor of the (n, n) matrix, its lower triangle read, plus `ridge` on the diagonal; whether there is one.
+    """Whether there is a Cholesky factor of the (n, n) matrix, its lower triangle read, plus a `ridge`; writes it.
 
     The diagonal of `out` holds the factor's reciprocals.
     """

@@ -9,8 +9,7 @@ MATCH_STEPS, MATCH_TOLERANCE = 8, 0.02
 WIDEST_OF_ONE = 0.225
 """A prior narrower than this part of the diameter needs one start."""
 COARSE_LIMITS, FINE_LIMITS = (2, 0.3), (50, 0.03)
-"""Most steps of a descent, and the step [standard deviations of the answer] that ends it; the coarse field is off by more
-anyway."""
+"""Most steps of a descent, and the step [standard deviations] that ends it; the coarse field is off by more anyway."""
 SHORT_STEP = 2e-5
 """A step is short when it moves no part of the object by more than this many radii."""
 OPEN = 1 / 3
