@@ -26,12 +26,16 @@ model = replace(rig.objects["can"].model(), name="can")
 tracker = hs.Tracker(rig, model)
 rows = []
 with open_recording(folder / "can.mcap", rig) as recording:
-    for seen in recording.observations():
-        estimate = tracker.update(seen)
+    for observation in recording.observations():
+        estimate = tracker.update(observation)
         if estimate is not None:
             rows.append(
                 TrackRow(
-                    seen.stamp, estimate.T_palm_object, estimate.covariance, tracker.state, tracker.reason
+                    observation.stamp,
+                    estimate.T_palm_object,
+                    estimate.covariance,
+                    tracker.state,
+                    tracker.reason,
                 )
             )
     # Counted while it was read; empty where nothing is wrong.

@@ -15,20 +15,20 @@ tracker = hs.Tracker(rig, model, settings=TrackerSettings(rate=25))
 said = None
 for sample in simulate(scenario):
     robot = sample.observation
-    seen = hs.Observation(
+    observation = hs.Observation(
         stamp=robot.stamp,
         joint_positions=robot.joint_positions,  # by name, in any order
         wrenches=robot.wrenches,  # by finger, as the sensors read them
         vision=robot.vision,  # None where vision has nothing new
         T_world_palm=robot.T_world_palm,  # None costs gravity, the table and a camera that stands in the world
     )
-    estimate = tracker.update(seen)
+    estimate = tracker.update(observation)
     if estimate is None:
         continue  # neither a start nor vision so far
     if (tracker.state, tracker.fingertips.fingers) != said:
         said = tracker.state, tracker.fingertips.fingers
         touching = ", ".join(tracker.fingertips.fingers) or "nothing"
-        print(f"{seen.stamp:.2f} s: {tracker.state} {tracker.reason} (touching {touching})")
+        print(f"{observation.stamp:.2f} s: {tracker.state} {tracker.reason} (touching {touching})")
 
 print("why the others do not count:", dict(tracker.fingertips.reasons))
 print("position in the palm [mm]:", (1e3 * estimate.T_palm_object[:3, 3]).round(1))
