@@ -1,11 +1,19 @@
 """What is said beside a pose: information, open directions, fit."""
 
+import numba
 import numpy as np
 import pytest
 
 import handsight as hs
 from handsight import se3
+from handsight._kernels import levenberg, prior_term, records, uncertainty
+from handsight._kernels.compiled import FAST
+from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
+from handsight._kernels.settings import LEAST_FACTOR
+from handsight._kernels.simd import local
+from handsight._kernels.symmetry import pose_of
 from handsight.correction import modes
+from handsight.correction.problem import NO_OUTSIDE, descents_at
 from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 RADIUS = 0.09
@@ -18,9 +26,41 @@ def covariance(deviations, seed=0):
     return (axes * np.square(deviations)) @ axes.T * SCALE[:, None] * SCALE
 
 
+@numba.njit(error_model="numpy", fastmath=FAST)
+def _second_order(model, values, vectors, answers):
+    u = local(UNCERTAINTY)
+    u.values[:], u.vectors[:] = values, vectors
+    return uncertainty.second_order_information(model[0], 0.0, answers[0], u)
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+def _calibrated(model, nodes, vision, outside, descents, values, vectors):
+    prior = local(PRIOR_TERM)
+    prior_term.vision_prior(model[0], vision[0], prior, local(UNCERTAINTY))
+    evidence = levenberg.Evidence(model[0], nodes, np.empty(0, TERM), outside, prior, (0.0, 0.0, 0.0))
+    uncertainty.calibrated_information(evidence, pose_of(descents[0].pose), values, vectors)
+
+
+def along_palm_axes(information):
+    """An information along the object's own axes, as it is along the palm's; whether all of it is known."""
+    model, answers = np.zeros(1, records.MODEL), np.zeros(1, records.ANSWER)
+    model["radius"] = RADIUS
+    complete = _second_order(model, *np.linalg.eigh(modes.in_metres(information, RADIUS)), answers)
+    return answers[0]["information"], complete
+
+
+def secant(values, prior, T, outside=NO_OUTSIDE):
+    """Information [1/m²] along x, y, z and the turns about them, calibrated by the cost of a prior and a wall."""
+    thing = box()
+    vision = hs.PosePrior(T, np.diag(1 / (prior * np.repeat([1.0, thing.radius**2], 3))))
+    values = np.array(values, dtype=np.float64)
+    _calibrated(*thing.record[:2], vision.record, outside, descents_at(T[None]), values, np.eye(6))
+    return values
+
+
 def test_a_slide_with_an_uncertain_turn_is_as_wide_along_the_palm_as_its_draws():
     sigma = covariance([0.03, 0.01, 0.002, 0.001, 0.004, 0.002])
-    widened = np.linalg.inv(modes.along_palm_axes(np.linalg.inv(sigma), RADIUS))
+    widened = np.linalg.inv(along_palm_axes(np.linalg.inv(sigma))[0])
     draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), sigma, 400_000)
     # The second order: δp = s + δθ × s.
     draws[:, :3] += np.cross(draws[:, 3:], draws[:, :3])
@@ -36,57 +76,39 @@ def test_an_unknown_direction_stays_unknown_along_the_palm():
     information = np.linalg.inv(covariance([0.03, 0.01, 0.002, 0.001, 0.004, 0.002]))
     axis = np.array([0, 0, 0, 0.6, 0, 0.8])
     information -= np.outer(information @ axis, axis @ information) / (axis @ information @ axis)
-    carried = modes.along_palm_axes(information, RADIUS)
+    carried, complete = along_palm_axes(information)
     assert np.abs(carried @ axis).max() < 1e-9 * np.trace(carried)
-    assert not modes.complete(carried, RADIUS, blind=False)
+    assert not complete
 
 
 def test_more_information_stays_more_along_the_palm():
     rng = np.random.default_rng(3)
     less = np.linalg.inv(covariance([0.03, 0.01, 0.002, 0.001, 0.004, 0.002]))
     row = rng.normal(size=6) * 100
-    more = modes.along_palm_axes(less + np.outer(row, row), RADIUS) - modes.along_palm_axes(less, RADIUS)
+    more = along_palm_axes(less + np.outer(row, row))[0] - along_palm_axes(less)[0]
     assert np.linalg.eigvalsh(modes.in_metres(more, RADIUS)).min() > -1e-6
 
 
-def quadratic(information, T_mode):
-    def cost_at(poses):
-        turn = se3.rotation_log(poses[:, :3, :3] @ T_mode[:3, :3].T)
-        slide = np.einsum("kji,kj->ki", se3.rotation_exp(turn), poses[:, :3, 3] - T_mode[:3, 3])
-        steps = np.hstack([slide, turn])
-        return np.einsum("ki,ij,kj->k", steps, information, steps)
-
-    return cost_at
+SHARP, OPEN = np.array([1e8, 1e6, 1e6, 1e6, 1e6, 1e6]), np.array([6.25e4, 1e6, 1e6, 1e6, 1e6, 1e6])
+"""Deviations along x of 0.1 mm and of 4 mm."""
 
 
 def test_a_gaussians_information_is_its_own_secant():
     T = se3.random(np.random.default_rng(0), spread=0.1)
-    information = np.linalg.inv(covariance([0.005, 0.01, 0.002, 0.001, 0.004, 0.002]))
-    np.testing.assert_allclose(
-        modes.secant(information, T, quadratic(information, T), RADIUS), information, rtol=1e-6
-    )
-
-
-SHARP, OPEN = np.diag([1e8, 1e6, 1e6, 1e4, 1e4, 1e4]), np.diag([6.25e4, 1e6, 1e6, 1e4, 1e4, 1e4])
-"""Deviations along x of 0.1 mm and of 4 mm."""
+    np.testing.assert_allclose(secant(OPEN, OPEN, T), OPEN, rtol=1e-6)
 
 
 def test_a_bump_at_the_mode_does_not_pass_for_knowledge():
-    T = np.eye(4)
-    information = modes.secant(SHARP, T, quadratic(OPEN, T), RADIUS)
-    np.testing.assert_allclose(information, OPEN, rtol=1e-6)
+    np.testing.assert_allclose(secant(SHARP, OPEN, np.eye(4)), OPEN, rtol=1e-6)
 
 
 def test_a_wall_on_one_side_of_the_mode_counts_by_half():
-    T = np.eye(4)
-
-    def cost_at(poses):
-        return np.where(poses[:, 0, 3] < 0, quadratic(OPEN, T)(poses), quadratic(SHARP, T)(poses))
-
-    information = modes.secant(SHARP, T, cost_at, RADIUS)
+    wall = np.zeros(1, OUTSIDE)
+    wall["point"], wall["sigma"] = (0.030, 0.001, 0.002), 1e-4
+    values = secant(SHARP, OPEN, np.eye(4), wall)
     # One side rises as the slope at the mode says, the other hardly: least factor, counted with it.
-    assert information[0, 0] == pytest.approx((1 + modes.LEAST_FACTOR) / 2 * 1e8)
-    assert information[1, 1] == pytest.approx(1e6)
+    assert values[0] == pytest.approx((1 + LEAST_FACTOR) / 2 * 1e8)
+    assert values[1] == pytest.approx(1e6)
 
 
 def test_blind_a_slide_has_no_covariance_and_a_weight_all_the_same():

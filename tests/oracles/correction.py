@@ -1,0 +1,134 @@
+"""A correction's evidence in plain NumPy, one pose at a time and without derivatives: what its kernels are judged by."""
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction.problem import Problem
+from oracles import fields
+
+LEAST_ERROR = (1e-4, 2e-3)
+STEP = 1e-6
+
+
+def surface(problem: Problem, points_palm: Array, T: Array) -> tuple[Array, Array, Array, Array]:
+    """Distance (n,), its gradient (n, 3), unit normal (n, 3) and the normal's derivative (n, 3, 3) at palm points."""
+    values = fields.evaluate(problem.model.fine, se3.apply(se3.inverse(T), points_palm))
+    R = T[:3, :3]
+    gradient = values.gradient @ R.T
+    length = np.linalg.norm(gradient, axis=1)[:, None]
+    normal = gradient / length
+    hessian = R @ values.hessian @ R.T
+    along = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    return values.distance, gradient, normal, along @ hessian / length[..., None]
+
+
+def covariance(problem: Problem, T: Array) -> Array:
+    """(n, 4, 4) of every contact's distance and normal, to first order in the errors of point and normal."""
+    contacts, model = problem.contacts, problem.model
+    _, gradient, _, curvature = surface(problem, contacts.points_palm, T)
+    n = len(contacts)
+    by_error = np.zeros((n, 4, 6))
+    by_error[:, 0, :3], by_error[:, 1:, :3], by_error[:, 1:, 3:] = gradient, curvature, -np.eye(3)
+    S = by_error @ contacts.covariance @ by_error.transpose(0, 2, 1)
+    own = np.tile([(LEAST_ERROR[0] * model.diameter) ** 2, LEAST_ERROR[1] ** 2], (n, 1))
+    if model.field_error is not None:
+        own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))
+    S[:, 0, 0] += own[:, 0]
+    S[:, 1:, 1:] += own[:, 1, None, None] * np.eye(3)
+    # Along the normal, where a unit vector has no noise of first order, the mean variance of the tangents.
+    tangential = np.trace(S[:, 1:, 1:], axis1=1, axis2=2) / 2
+    normals = np.where(contacts.has_normal[:, None], contacts.normals_palm, 0.0)
+    S[:, 1:, 1:] += tangential[:, None, None] * normals[:, :, None] * normals[:, None, :]
+    return S
+
+
+def of_contacts(problem: Problem, T: Array, T_weights: Array, used: Array | None = None) -> Array:
+    """Residuals (n, 4) of the contacts at `T`, whitened as at `T_weights`; zeros for what does not count."""
+    contacts = problem.contacts
+    distance, _, normal, _ = surface(problem, contacts.points_palm, T)
+    S, rows = covariance(problem, T_weights), np.zeros((len(contacts), 4))
+    for i in range(len(contacts)):
+        size = 4 if contacts.has_normal[i] else 1
+        if used is None or used[i]:
+            error = np.concatenate([distance[i : i + 1], normal[i] - contacts.normals_palm[i]])[:size]
+            rows[i, :size] = np.linalg.solve(np.linalg.cholesky(S[i, :size, :size]), error)
+    return rows
+
+
+def log_spread(problem: Problem, T: Array, used: Array | None = None) -> float:
+    """log det of the covariances of the contacts that count."""
+    S, total = covariance(problem, T), 0.0
+    for i in range(len(S)):
+        size = 4 if problem.contacts.has_normal[i] else 1
+        if used is None or used[i]:
+            total += np.linalg.slogdet(S[i, :size, :size])[1]
+    return total
+
+
+def of_prior(problem: Problem, T: Array) -> Array:
+    """Residuals (6,) of vision: the pivot's shift and the turn, or swing of the axis; nothing of a spin."""
+    vision, axes = problem.vision, problem.model.symmetries.axes
+    T_vision = vision.T_palm_object
+    R = T_vision[:3, :3]
+    pivot = axes[0][0] if axes else np.zeros(3)
+    if axes:
+        a, b = R @ axes[0][1], T[:3, :3] @ axes[0][1]
+        product = np.cross(a, b)
+        sine = np.linalg.norm(product)
+        turn = product * (np.arctan2(sine, a @ b) / sine if sine > 1e-12 else 1.0)
+    else:
+        turn = se3.rotation_log(T[:3, :3] @ R.T)
+    root = np.linalg.cholesky(np.linalg.inv(vision.covariance)).T
+    from_pivot = np.eye(6)
+    from_pivot[:3, 3:] = se3.skew(R @ pivot)
+    root = root @ from_pivot
+    if axes:
+        # Spins take up what they can: the rows' part across what spins do.
+        spins = root[:, 3:] @ R @ np.stack([axis for _, axis in axes], axis=1)
+        root = root - spins @ np.linalg.pinv(spins) @ root
+    shift = se3.apply(T, pivot[None])[0] - se3.apply(T_vision, pivot[None])[0]
+    return root @ np.concatenate([shift, turn])
+
+
+def of_outside(problem: Problem, T: Array) -> Array:
+    """Residuals (m,) of the hand's points: how deep each is, in its deviations."""
+    if not len(problem.outside):
+        return np.empty(0)
+    places = se3.apply(se3.inverse(T), problem.outside["point"])
+    depth = fields.evaluate(problem.model.fine, places).distance
+    return np.minimum(depth, 0.0) / problem.outside["sigma"]
+
+
+def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:
+    """All of them, whitened as at `T_weights`, which is `T` where not given."""
+    weights = T if T_weights is None else T_weights
+    touch = of_contacts(problem, T, weights, used).reshape(-1)
+    sight = np.empty(0) if problem.vision is None else of_prior(problem, T)
+    return np.concatenate([touch, of_outside(problem, T), sight])
+
+
+def posterior_cost(problem: Problem, T: Array, used: Array | None = None) -> float:
+    """Minus two log of the density, up to a constant; blind, with the weak prior on the center's position."""
+    r = residuals(problem, T, used=used)
+    total = r @ r + log_spread(problem, T, used)
+    if problem.vision is None:
+        center = se3.apply(T, problem.model.center_object[None])[0]
+        off = (center - problem.contacts.points_palm.mean(axis=0)) / problem.model.radius
+        total += off @ off
+    return float(total)
+
+
+def turned(T: Array, step: Array, center: Array) -> Array:
+    """The pose after a shift and a turn (6,) about a palm point."""
+    Q = se3.rotation_exp(step[3:])
+    return se3.compose(Q @ T[:3, :3], Q @ (T[:3, 3] - center) + center + step[:3])
+
+
+def jacobian(function, T: Array, center: Array) -> Array:
+    """Central differences (r, 6) of a function of the pose, by a shift and a turn about a palm point."""
+    columns = [
+        (function(turned(T, step, center)) - function(turned(T, -step, center))) / (2 * STEP)
+        for step in STEP * np.eye(6)
+    ]
+    return np.stack(columns, axis=1)
