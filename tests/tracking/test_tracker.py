@@ -74,7 +74,7 @@ def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
     rng = np.random.default_rng(3)
     estimate = tracked(box).estimate
     root = np.linalg.cholesky(estimate.covariance) * 0.05  # small turns: to first order
-    narrow = replace(estimate, covariance=root @ root.T, information=np.linalg.inv(root @ root.T))
+    narrow = estimate.with_gaussian(estimate.T_palm_object, root @ root.T, np.linalg.inv(root @ root.T))
     point = np.array([0.4, -0.3, 0.2])
     drawn = se3.moved(
         np.repeat(narrow.T_palm_object[None], 20_000, axis=0), rng.normal(size=(20_000, 6)) @ root.T
