@@ -14,12 +14,13 @@ from handsight._kernels.contact_term import Pose, prepare_term, surface_at
 from handsight._kernels.dense6 import eigen, in_metres
 from handsight._kernels.levenberg import Evidence, descend
 from handsight._kernels.match import match
+from handsight._kernels.posterior import information, posterior_cost
 from handsight._kernels.prior_term import prior_cost, vision_prior, weak_position_prior
 from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
-from handsight._kernels.uncertainty import information, posterior_cost, summarize
+from handsight._kernels.uncertainty import summarize
 from handsight._kernels.vec3 import Vec3, add, cross, dot, matrix, mul, norm, scale, store, sub, vector
 
 LIMITS = COARSE_LIMITS, FINE_LIMITS

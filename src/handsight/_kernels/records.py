@@ -160,3 +160,12 @@ UNCERTAINTY = _record(
     ("column", "f8", (6,)),
     ("arc", "f8", (3, 3)),
 )
+
+# A joint on the way from a base to a body: its axis and a point on it, in the base, when all joints are at their zero.
+CHAIN_JOINT = _record(
+    ("axis", "f8", (3,)),
+    ("point", "f8", (3,)),
+    ("zero", "f8"),  # its position there
+    ("slides", "i8"),
+    ("value", "i8"),  # where among the positions its own is
+)

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._kernels import chain
+from handsight._kernels.records import CHAIN_JOINT
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 
@@ -26,29 +28,27 @@ class Chains:
     joints: tuple[str, ...]
     """Names of the joints that move any of the bodies, in the file's order."""
     starts: Indices
-    """(t + 1,) body i hangs on the joints `columns[starts[i] : starts[i + 1]]`, counted from the base."""
-    columns: Indices
-    """(s,) places in `joints`."""
-    steps: Array
-    """(s, 8) see `handsight._kernels.chain.STEP`, in the base's axes."""
+    """(t + 1,) body i hangs on `steps[starts[i] : starts[i + 1]]`, counted from the base."""
+    steps: NDArray[np.void]
+    """(s,) CHAIN_JOINT."""
     homes: Array
     """(t, 4, 4) poses in the base with all joints at their zero."""
 
     def poses(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
-        """Poses (t, 4, 4) of the bodies in the base, and (s, 6) the joints' axes and points on them [m] now.
+        """Poses (t, 4, 4) of the bodies in the base, and (s, 2, 3) the joints' axes and points on them [m] now.
 
         Raises InvalidInput naming joints that are missing or whose position is no finite number.
         """
-        Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 6))
+        Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
         values = self._values(joint_positions)
-        if not chain.poses(values, self.starts, self.columns, self.steps, self.homes, Ts, axes):
+        if not chain.poses(values, self.starts, self.steps, self.homes, Ts, axes):
             raise InvalidInput(_not_numbers(joint_positions, self.joints))
         return Ts, axes
 
     def jacobians(self, points: Array, bodies: Indices, axes: Array) -> Array:
         """(k, 6, j) how points (k, 3), each fixed on one of the `bodies` (k,), move and turn by each joint."""
         out = np.zeros((len(points), 6, len(self.joints)))
-        chain.jacobians(points, bodies, self.starts, self.columns, self.steps, axes, out)
+        chain.jacobians(points, bodies, self.starts, self.steps, axes, out)
         return out
 
     def _values(self, joint_positions: Mapping[str, float]) -> Array:
@@ -96,12 +96,15 @@ def chains(model: Any, base: int, bodies: Sequence[int], file: str) -> Chains:
     on_path = sorted({joint for path in paths for joint, _ in path})
     for joint in on_path:
         _check(model, joint, file)
-    rows = [_step(model, joint, sign, Ts_base_body) for path in paths for joint, sign in path]
+    rows = [
+        _step(model, joint, sign, Ts_base_body, on_path.index(joint))
+        for path in paths
+        for joint, sign in path
+    ]
     return Chains(
         joints=tuple(str(model.joint(joint).name) for joint in on_path),
         starts=np.cumsum([0, *map(len, paths)]),
-        columns=np.array([on_path.index(joint) for path in paths for joint, _ in path], dtype=np.int64),
-        steps=np.array(rows, dtype=np.float64).reshape(-1, chain.STEP),
+        steps=np.array(rows, dtype=CHAIN_JOINT),
         homes=Ts_base_body[list(bodies)],
     )
 
@@ -137,11 +140,11 @@ def _path(model: Any, base: int, body: int) -> list[tuple[int, float]]:
     return against + [(joint, 1.0) for b in reversed(down) for joint in joints_of(model, b)]
 
 
-def _step(model: Any, joint: int, sign: float, Ts_base_body: Array) -> Array:
+def _step(model: Any, joint: int, sign: float, Ts_base_body: Array, place: int) -> tuple[Any, ...]:
     T = Ts_base_body[model.jnt_bodyid[joint]]
     axis, point = sign * T[:3, :3] @ model.jnt_axis[joint], se3.apply(T, model.jnt_pos[joint][None])[0]
     zero = model.qpos0[model.jnt_qposadr[joint]]
-    return np.array([*axis, *point, zero, model.jnt_type[joint] == SLIDE])
+    return axis, point, zero, model.jnt_type[joint] == SLIDE, place
 
 
 def _check(model: Any, joint: int, file: str) -> None:

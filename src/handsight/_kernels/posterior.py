@@ -1,0 +1,111 @@
+"""The posterior at a pose: its information, its cost, and what each contact gains by being left out."""
+
+from typing import Any
+
+from handsight._kernels.compiled import inner
+from handsight._kernels.contact_term import (
+    Pose,
+    add_contact,
+    at_edge,
+    factored,
+    flattened,
+    invert_covariance,
+    log_determinant,
+    mahalanobis2,
+    residual_covariance,
+    surface_at,
+)
+from handsight._kernels.dense6 import factor, solve
+from handsight._kernels.levenberg import Evidence
+from handsight._kernels.outside_term import outside_cost
+from handsight._kernels.prior_term import add_prior, prior_cost
+from handsight._kernels.records import NO_PRIOR, VISION_PRIOR
+from handsight._kernels.vec3 import vector
+
+
+@inner
+def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
+    """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ)."""
+    model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
+    chi2, log_spread = 0.0, 0.0
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        term.equations[:] = 0.0
+        if term.contact.used:
+            surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
+            has_normal = term.contact.has_normal != 0
+            factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
+            invert_covariance(factor4, has_normal, term.weight)
+            log_spread += log_determinant(factor4, has_normal)
+            if at_edge(model, term.contact, surface):
+                square = mahalanobis2(term.contact, surface, factor4)
+                add_contact(term, flattened(term.contact, surface), frame, term.equations)
+                # What it pulls at is beyond the edge: only its own residuals count.
+                for k in range(6):
+                    term.equations[6, k] = 0.0
+                term.equations[6, 6] = square
+            else:
+                add_contact(term, surface, frame, term.equations)
+            chi2 += term.equations[6, 6]
+    return chi2, log_spread
+
+
+@inner
+def information(
+    evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
+) -> tuple[float, float]:
+    """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all."""
+    chi2, log_spread = contact_information(evidence, pose)
+    # A wall: it costs, but says nothing of the way back.
+    chi2 += outside_cost(evidence, evidence.model.fine, pose)
+    equations[:] = 0.0
+    if evidence.prior.kind == VISION_PRIOR:
+        add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
+    for i in range(6):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(len(evidence.terms)):
+                value += evidence.terms[k].equations[i, j]
+            by_touch[i, j] = by_touch[j, i] = value
+            total[i, j] = total[j, i] = value + equations[i, j]
+    chi2 += equations[6, 6]
+    return chi2, chi2 + log_spread
+
+
+@inner
+def posterior_cost(evidence: Evidence, pose: Pose) -> float:
+    """Minus two log of the posterior density at a pose, up to a constant."""
+    model, nodes, field = evidence.model, evidence.nodes, evidence.model.fine
+    total = outside_cost(evidence, field, pose)
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            surface = surface_at(nodes, field, vector(term.contact.point), pose)
+            factor4 = factored(residual_covariance(model, nodes, field, term, surface))
+            total += mahalanobis2(term.contact, surface, factor4)
+            total += log_determinant(factor4, term.contact.has_normal != 0)
+    if evidence.prior.kind != NO_PRIOR:
+        total += prior_cost(evidence.prior, pose)
+    return total
+
+
+@inner
+def largest_gain(evidence: Evidence, total: Any, u: Any) -> float:
+    """The most that χ² falls, to first order, when one contact is left out and the pose gives way.
+
+    With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g.
+    """
+    most, ridge = 0.0, 1e-12 * (total[0, 0] + total[1, 1] + total[2, 2])
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            for r in range(6):
+                for c in range(r + 1):
+                    u.matrix[r, c] = total[r, c] - term.equations[r, c]
+            gain = term.equations[6, 6]
+            if factor(u.matrix, 6, ridge, u.factor):
+                solve(u.factor, 6, term.equations[6], u.row)
+                for k in range(6):
+                    gain += u.row[k] * term.equations[6, k]
+            most = max(most, gain)
+    return most
