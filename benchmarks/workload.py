@@ -13,7 +13,6 @@ from typing import Any, Protocol
 import numpy as np
 
 import handsight as hs
-from benchmarks import kernels
 from handsight import se3
 from shared import scenes
 
@@ -22,6 +21,8 @@ OBJECTS = tuple(scenes.OBJECTS)
 CHOSEN_ON, REPORTED_ON = 1, 0
 """Seeds: settings of the peers are chosen on one, numbers reported on the other."""
 SHIFT_LIMIT, TURN_LIMIT = 5e-3, np.deg2rad(8)
+OPEN = 1 / 3
+"""Contacts leave a direction open when its standard deviation is above this part of the object's radius."""
 
 Solve = Callable[[], Any]
 """One solve of one problem; what it answers is for `pose_of`."""
@@ -142,7 +143,12 @@ def open_directions(problem: Problem) -> np.ndarray:
             ]
         )
         information += rows.T @ rows
-    return kernels.unobservable(information, model.radius, model.center_object)
+    # Read at the object's center: an origin far away swings by metres where the object itself hardly turns.
+    metres = np.diag(np.r_[np.ones(3), np.ones(3) / model.radius])
+    to_origin = np.block([[np.eye(3), se3.skew(model.center_object)], [np.zeros((3, 3)), np.eye(3)]]) @ metres
+    values, vectors = np.linalg.eigh(to_origin.T @ information @ to_origin)
+    open_ = np.linalg.solve(metres, to_origin @ vectors[:, values < 1 / (OPEN * model.radius) ** 2])
+    return np.linalg.qr(open_)[0].T
 
 
 def accuracy(verdicts: list[Verdict]) -> dict[str, Any]:
