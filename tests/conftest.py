@@ -6,6 +6,7 @@ import os
 import pickle
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 with contextlib.suppress(ImportError):  # not on Windows: there workers may do the same work twice
@@ -13,6 +14,17 @@ with contextlib.suppress(ImportError):  # not on Windows: there workers may do t
 
 # Before anything compiles: kernels are kept from run to run, apart from the user's, by what they are made of.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(__file__).parents[1] / ".kernel_cache"))
+
+
+# The same examples every time, however busy the machine; other ones with --hypothesis-profile=explore.
+hypothesis.settings.register_profile(
+    "handsight",
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.register_profile("explore", deadline=None)
+hypothesis.settings.load_profile("handsight")
 
 
 @contextlib.contextmanager

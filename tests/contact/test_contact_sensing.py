@@ -281,7 +281,7 @@ TIPS = st.sampled_from(
 @given(EXTREME, EXTREME, TIPS)
 @example(np.full((1, 3), -1.7976931348623157e308), np.zeros((1, 3)), TIP)
 @example(np.array([[0.0, 0, -1]]), np.array([[1e300, 1e300, 1e308]]), TIP)
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 def test_no_finite_wrench_gives_nan(force, torque, tip):
     batch = contacts_from_wrenches(force, torque, tip)
     assert batch.reasons[0] != Reason.INVALID
@@ -293,7 +293,7 @@ def test_no_finite_wrench_gives_nan(force, torque, tip):
 
 
 @given(st.integers(-300, 300), st.integers(0, 1000))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_only_the_ratio_of_torque_to_force_says_where(exponent, seed):
     truth = touches(np.random.default_rng(seed), TIP, 1)
     tip = Ellipsoid(PAPER_TIP, min_force=1e-9)

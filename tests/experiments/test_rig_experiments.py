@@ -273,8 +273,9 @@ def test_without_the_simulator_an_experiment_says_so_and_ends_well(name, monkeyp
     def missing(*_):
         raise hs.errors.MissingExtra("simulation needs mujoco: pip install 'handsight[sim]'")
 
-    for module in ("shared.grasp_trials", "shared.manipulations", "figure_5"):
-        loaded = importlib.import_module(module)
+    # All are imported before any is patched: a name that is imported patched would stay so in later tests.
+    modules = ("shared.grasp_trials", "shared.manipulations", "figure_5", name)
+    for loaded in [importlib.import_module(module) for module in modules]:
         for function in ("last_instant", "simulate"):
             if hasattr(loaded, function):
                 monkeypatch.setattr(loaded, function, missing)

@@ -136,7 +136,7 @@ def assert_jacobians_are_derivatives(hand, positions, points_tip, step=1e-5):
         np.testing.assert_allclose(found[:, :, column], numeric, atol=1e-8)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), reach=st.sampled_from([0.0, 0.01, 1.0]))
 def test_the_jacobians_are_the_derivatives(shadow_hand, seed, reach):
     rng = np.random.default_rng(seed)

@@ -106,7 +106,7 @@ def test_a_contact_near_another_tip_is_less_certain_by_the_chance_of_two():
         np.testing.assert_allclose(np.diag(added), expected, rtol=0.03, atol=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(SEEDS)
 def test_the_gap_between_tips_is_at_most_their_distance_and_not_much_less(seed):
     """Against the nearest two points in both, which is a convex problem; a slab between them is never wider."""

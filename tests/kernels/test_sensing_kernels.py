@@ -165,7 +165,7 @@ WRENCHES = hnp.arrays(np.float64, (5, 6), elements=SIZES | SPECIAL)
     ),
     2,
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_the_reason_is_that_of_plain_numpy_whatever_comes(wrenches, which):
     tip = tips(np.random.default_rng(3))[which]
     F, M = wrenches[:, :3], wrenches[:, 3:]

@@ -113,7 +113,7 @@ def test_a_pose_equivalent_to_the_reference_becomes_it(symmetries, rng):
     np.testing.assert_allclose(best, np.broadcast_to(T, best.shape), atol=1e-7)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**31))
 def test_the_best_spin_is_the_minimum_along_the_axis(seed):
     rng = np.random.default_rng(seed)
