@@ -6,7 +6,8 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.correction import solve
-from handsight.correction.problem import NO_OUTSIDE, OUTSIDE, Problem, descents_at
+from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
+from handsight.correction.problem import Problem, descents_at
 from oracles import correction as oracle
 from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
@@ -57,7 +58,7 @@ def test_a_contact_adds_a_positive_semidefinite_matrix_at_a_fixed_pose():
 
 def test_a_hand_point_outside_costs_nothing_and_one_inside_costs_its_depth():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, 3)
-    hand = np.empty(1, OUTSIDE)
+    hand = np.zeros(1, OUTSIDE)
     hand["sigma"] = 0.002
     free = solve.cost(Problem(box(), contacts, vision, NO_OUTSIDE), T[None], EVERYONE)[0]
     for place, depth in (((0, 0, 0.2), 0.0), ((0.031, 0, 0), 0.0), ((0, 0, 0), 0.030), ((0.02, 0, 0), 0.010)):
@@ -70,7 +71,7 @@ def test_a_hand_point_outside_costs_nothing_and_one_inside_costs_its_depth():
 
 def test_a_wall_costs_and_says_nothing_of_the_way_back():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, 3)
-    hand = np.empty(1, OUTSIDE)
+    hand = np.zeros(1, OUTSIDE)
     hand["point"], hand["sigma"] = se3.apply(T, np.array([[0.02, 0.0, 0.0]])), 0.002
     free = summary(Problem(box(), contacts, vision, NO_OUTSIDE), T)
     walled = summary(Problem(box(), contacts, vision, hand), T)

@@ -13,7 +13,8 @@ from handsight._kernels.settings import LEAST_FACTOR
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight.correction import modes
-from handsight.correction.problem import NO_OUTSIDE, descents_at
+from handsight.correction.outside import NO_OUTSIDE
+from handsight.correction.problem import descents_at
 from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 RADIUS = 0.09

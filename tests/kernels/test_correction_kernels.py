@@ -22,7 +22,8 @@ from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight._kernels.threads import alone, in_parts
 from handsight.correction import modes, solve
-from handsight.correction.problem import NO_OUTSIDE, OUTSIDE, Problem, descents_at
+from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
+from handsight.correction.problem import Problem, descents_at
 from handsight.objects import Symmetries
 from oracles import correction as oracle
 
@@ -63,7 +64,7 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False):
     vision = hs.PosePrior(se3.moved(T, root @ rng.normal(size=6)), root @ root.T)
     hand = NO_OUTSIDE
     if outside:
-        hand = np.empty(outside, dtype=OUTSIDE)
+        hand = np.zeros(outside, dtype=OUTSIDE)
         hand["point"] = palm[rng.integers(n, size=outside)] + rng.normal(0, 0.01, (outside, 3))
         hand["sigma"] = rng.uniform(1e-3, 3e-3, outside)
     return Problem(model(name), contacts, None if blind else vision, hand)

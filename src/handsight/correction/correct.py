@@ -3,13 +3,14 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handsight import checks, se3
+from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.outside import outside_records
 from handsight.correction.paper import PaperMethod
-from handsight.correction.problem import NO_OUTSIDE, Problem, TwoPhase, descents_at, outside_records
+from handsight.correction.problem import Problem, TwoPhase, descents_at
 from handsight.correction.sampling import mean_by_sampling
 from handsight.correction.solve import solve_single_start, summarize, summarize_pose
 from handsight.errors import InvalidInput
@@ -51,12 +52,9 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    points = NO_OUTSIDE
-    if outside is not None and np.size(outside):
-        points = outside_records(model, contacts, checks.finite(outside, "outside", (None, 3)))
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
         raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
-    problem = Problem(model, contacts, vision, points)
+    problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
     if options is USUAL and not samples:
         estimate = solve_single_start(problem)
         if estimate is not None:
@@ -73,8 +71,9 @@ def refine_pose(
 
     None where the evidence does not fit there: then search anew. `T_start` (4, 4); `outside` (m, 3) [m] or None.
     """
-    points = NO_OUTSIDE if outside is None else outside_records(model, contacts, outside)
-    return solve_single_start(Problem(model, contacts, vision, points), T_start)
+    return solve_single_start(
+        Problem(model, contacts, vision, outside_records(model, contacts, outside)), T_start
+    )
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:

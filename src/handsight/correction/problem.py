@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels.records import DESCENT, OUTSIDE, PRIOR
+from handsight._kernels.records import DESCENT, PRIOR
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
 from handsight.correction.estimate import PosePrior
@@ -16,10 +16,6 @@ from handsight.objects import ObjectModel
 Records = NDArray[np.void]
 
 MOST_STARTS = 1_000_000
-OUTSIDE_SIGMA = (1.5, 1e-3)
-"""Of a point of the hand: in sigmas of the contacts' points, and at least this [diameters]. It is as uncertain as the
-contacts, through the same kinematics, and the points of one link are wrong together, hence more than that."""
-NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 NO_PRIOR = np.empty(0, dtype=PRIOR)
 
 
@@ -69,19 +65,6 @@ class Problem:
         """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
         rows = int((used * (1 + 2 * self.contacts.has_normal)).sum())
         return max(rows - 6, 1) if self.blind else rows
-
-
-def outside_records(model: ObjectModel, contacts: Contacts, points_palm: Array) -> Records:
-    """(m,) OUTSIDE of points (m, 3) of the hand; none where the object has no inside."""
-    if not len(points_palm) or not model.closed:
-        return NO_OUTSIDE
-    variance = np.trace(contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3
-    rows = np.empty(len(points_palm), dtype=OUTSIDE)
-    rows["point"] = points_palm
-    rows["sigma"] = OUTSIDE_SIGMA[0] * max(
-        float(np.median(np.sqrt(variance))), OUTSIDE_SIGMA[1] * model.diameter
-    )
-    return rows
 
 
 def descents_at(Ts_palm_object: Array) -> Records:

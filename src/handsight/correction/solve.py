@@ -12,7 +12,8 @@ from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PoseEstimate, PosePrior
-from handsight.correction.problem import NO_OUTSIDE, Problem, Records, descents_at, poses_of
+from handsight.correction.outside import NO_OUTSIDE
+from handsight.correction.problem import Problem, Records, descents_at, poses_of
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
