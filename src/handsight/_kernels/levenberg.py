@@ -15,6 +15,7 @@ from handsight._kernels.contact_term import (
 )
 from handsight._kernels.dense6 import factor, solve
 from handsight._kernels.outside_term import add_outside
+from handsight._kernels.plane_term import add_planes
 from handsight._kernels.prior_term import add_prior
 from handsight._kernels.records import NO_PRIOR, WORKSPACE
 from handsight._kernels.settings import MAX_TURN, SHORT_STEP
@@ -57,6 +58,7 @@ def evaluate(evidence: Evidence, field: Any, pose: Pose, rewhiten: bool, equatio
             add_contact(term, surface, frame, equations)
     if len(evidence.outside):
         add_outside(evidence, field, pose, frame, equations)
+        add_planes(evidence, field, pose, frame, equations)
     if evidence.prior.kind != NO_PRIOR:
         add_prior(evidence.prior, pose, frame, equations)
 

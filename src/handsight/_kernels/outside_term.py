@@ -25,6 +25,8 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
     center, radius = frame
     for i in range(len(evidence.outside)):
         outside = evidence.outside[i]
+        if outside.is_plane:
+            continue
         point = vector(outside.point)
         place = tmul(R, sub(point, p))
         if not outside_bounds(evidence.model, place):
@@ -43,6 +45,8 @@ def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
     total = 0.0
     for i in range(len(evidence.outside)):
         outside = evidence.outside[i]
+        if outside.is_plane:
+            continue
         place = tmul(R, sub(vector(outside.point), p))
         if not outside_bounds(evidence.model, place):
             depth, _, _ = field_at(evidence.nodes, field, place)

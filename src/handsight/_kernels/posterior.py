@@ -18,6 +18,7 @@ from handsight._kernels.contact_term import (
 from handsight._kernels.dense6 import factor, solve
 from handsight._kernels.levenberg import Evidence
 from handsight._kernels.outside_term import outside_cost
+from handsight._kernels.plane_term import plane_cost
 from handsight._kernels.prior_term import add_prior, prior_cost
 from handsight._kernels.records import NO_PRIOR, VISION_PRIOR
 from handsight._kernels.vec3 import vector
@@ -56,8 +57,9 @@ def information(
 ) -> tuple[float, float]:
     """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all."""
     chi2, log_spread = contact_information(evidence, pose)
-    # A wall: it costs, but says nothing of the way back.
-    chi2 += outside_cost(evidence, evidence.model.fine, pose)
+    model = evidence.model
+    # Walls: they cost, but say nothing of the way back.
+    chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, model.fine, pose)
     equations[:] = 0.0
     if evidence.prior.kind == VISION_PRIOR:
         add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
@@ -76,7 +78,7 @@ def information(
 def posterior_cost(evidence: Evidence, pose: Pose) -> float:
     """Minus two log of the posterior density at a pose, up to a constant."""
     model, nodes, field = evidence.model, evidence.nodes, evidence.model.fine
-    total = outside_cost(evidence, field, pose)
+    total = outside_cost(evidence, field, pose) + plane_cost(evidence, field, pose)
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         if term.contact.used:

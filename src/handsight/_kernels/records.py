@@ -81,7 +81,8 @@ CONTACT = _record(
     ("covariance", "f8", (6, 6)),  # of (point, normal)
 )
 PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
-OUTSIDE = _record(("point", "f8", (3,)), ("sigma", "f8"))
+# What cannot be inside the object: a point of the hand; or a plane and all behind it, `point` any of its points.
+OUTSIDE = _record(("point", "f8", (3,)), ("sigma", "f8"), ("is_plane", "i8"), ("normal", "f8", (3,)))
 
 # What a correction works out of a contact.
 TERM = _record(

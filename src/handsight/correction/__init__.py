@@ -3,13 +3,16 @@
 from handsight.correction.batch import correct_poses
 from handsight.correction.correct import METHODS, correct_pose, refine_pose
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
+from handsight.correction.outside import Outside, Plane
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import TwoPhase
 
 __all__ = [
     "METHODS",
     "Hypothesis",
+    "Outside",
     "PaperMethod",
+    "Plane",
     "PoseEstimate",
     "PosePrior",
     "Residuals",

@@ -8,7 +8,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.estimate import PoseEstimate, PosePrior
-from handsight.correction.outside import outside_records
+from handsight.correction.outside import Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import Problem, TwoPhase, descents_at
 from handsight.correction.sampling import mean_by_sampling
@@ -31,14 +31,15 @@ def correct_pose(
     contacts: Contacts,
     *,
     vision: PosePrior | None = None,
-    outside: ArrayLike | None = None,
+    outside: ArrayLike | Outside | None = None,
     samples: int = 0,
     method: str | TwoPhase | PaperMethod = "handsight",
 ) -> PoseEstimate:
     """The object's pose in the palm that best explains the contacts and vision, with its uncertainty.
 
     contacts: fingertip contacts in the palm frame. vision: where the object is thought to be; None: blind.
-    outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object.
+    outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
+    `Outside` of such points and of planes that the object cannot cross.
     samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, which
     is the better answer where contacts bound a slide but do not fix it. method: a name of `METHODS`, or its
     options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge says so in

@@ -1,5 +1,7 @@
-"""What cannot be inside the object, checked, as kernels take it: points of the hand."""
+"""What cannot be inside the object, checked, as kernels take it: points of the hand, and planes such as a table."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -7,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
 from handsight._kernels.records import OUTSIDE
+from handsight.checks import Array
 from handsight.contact import Contacts
+from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 POINT_SIGMA = (1.5, 1e-3)
@@ -16,15 +20,54 @@ contacts, through the same kinematics, and the points of one link are wrong toge
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 
 
-def outside_records(model: ObjectModel, contacts: Contacts, outside: ArrayLike | None) -> NDArray[Any]:
-    """(m,) OUTSIDE of points (m, 3) of the hand; none where the object has no inside."""
-    if outside is None or not np.size(outside):
+@dataclass(frozen=True)
+class Plane:
+    """A plane that the object cannot cross."""
+
+    point_palm: Array
+    """(3,) any point of it [m]."""
+    normal_palm: Array
+    """(3,) to the side where the object is; of any length."""
+    sigma: float
+    """One standard deviation of where it is along its normal [m]."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point_palm", checks.finite(self.point_palm, "plane.point_palm", (3,)))
+        object.__setattr__(self, "normal_palm", checks.unit(self.normal_palm, "plane.normal_palm", (3,)))
+        object.__setattr__(self, "sigma", checks.positive(self.sigma, "plane.sigma"))
+
+
+@dataclass(frozen=True)
+class Outside:
+    """What cannot be inside the object."""
+
+    points_palm: ArrayLike = ()
+    """(m, 3) of the hand's surface [m]."""
+    planes: Sequence[Plane] = ()
+    """With all that is behind them."""
+
+    def __post_init__(self) -> None:
+        if any(not isinstance(plane, Plane) for plane in self.planes):
+            raise InvalidInput(f"outside.planes: expected Planes, got {checks.brief(self.planes)}")
+
+
+def outside_records(
+    model: ObjectModel, contacts: Contacts, outside: ArrayLike | Outside | None
+) -> NDArray[Any]:
+    """(m,) OUTSIDE. Points say nothing of an object that has no inside."""
+    if outside is None:
         return NO_OUTSIDE
-    points = checks.finite(outside, "outside", (None, 3))
+    given = outside if isinstance(outside, Outside) else Outside(outside)
+    points = np.empty((0, 3))
+    if np.size(given.points_palm):
+        points = checks.finite(given.points_palm, "outside", (None, 3))
     if not model.closed:
-        return NO_OUTSIDE
+        points = points[:0]
+    rows = np.zeros(len(points) + len(given.planes), dtype=OUTSIDE)
     variance = np.trace(contacts.covariance[:, :3, :3], axis1=1, axis2=2) / 3
-    rows = np.empty(len(points), dtype=OUTSIDE)
-    rows["point"] = points
+    rows["point"][: len(points)] = points
     rows["sigma"] = POINT_SIGMA[0] * max(float(np.median(np.sqrt(variance))), POINT_SIGMA[1] * model.diameter)
+    for row, plane in zip(rows[len(points) :], given.planes, strict=True):
+        row["is_plane"], row["sigma"] = True, plane.sigma
+        row["point"], row["normal"] = plane.point_palm, plane.normal_palm
     return rows
