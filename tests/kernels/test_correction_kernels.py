@@ -359,22 +359,23 @@ def test_parts_cover_the_range_once_and_pass_errors_on():
     for n, least in ((0, 10), (9, 10), (10, 10), (1000, 10), (1003, 1)):
         count = np.zeros(n, dtype=int)
 
-        def work(start, stop, count=count):
-            count[start:stop] += 1
+        def work(part, same):
+            assert len(part) == len(same)
+            part += 1
 
-        in_parts(work, n, least)
+        in_parts(work, (count, count), least)
         assert (count == 1).all()
 
     parts = []
     with alone():
-        in_parts(lambda start, stop: parts.append((start, stop, threading.get_ident())), 1000, 10)
-    assert parts == [(0, 1000, threading.get_ident())]
+        in_parts(lambda part: parts.append((len(part), threading.get_ident())), (np.zeros(1000),), 10)
+    assert parts == [(1000, threading.get_ident())]
 
-    def fails(start, stop):
+    def fails(part):
         raise ValueError("part")
 
     with pytest.raises(ValueError, match="part"):
-        in_parts(fails, 1000, 10)
+        in_parts(fails, (np.zeros(1000),), 10)
 
 
 PROGRAM = """

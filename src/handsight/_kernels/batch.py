@@ -105,6 +105,12 @@ def _store_answer(pose: Pose, answer: Any) -> None:
 
 
 @entry
+def width(model: Any, prior: Any) -> float:
+    """As `prior_width`, of an object and a prior alone."""
+    return prior_width(model[0], prior[0])
+
+
+@entry
 def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
     """Answers every problem from its prior's own pose, where that is narrow enough for one start; else its width only.
 

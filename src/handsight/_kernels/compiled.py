@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching
 
+from handsight._kernels.linked import Linked
 from handsight.cache_folder import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -35,9 +36,13 @@ class KernelWarning(UserWarning):
 
 def inner(function: F) -> F:
     """A function for other kernels: compiled into each of them, and not callable from Python."""
-    return numba.njit(error_model="numpy", fastmath=FAST, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
-        function
-    )
+    return numba.njit(
+        error_model="numpy",
+        fastmath=FAST,
+        no_cpython_wrapper=True,
+        no_cfunc_wrapper=True,
+        pipeline_class=Linked,
+    )(function)
 
 
 def exact(function: F) -> F:

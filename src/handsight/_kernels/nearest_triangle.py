@@ -145,7 +145,7 @@ def closest(points: Any, within: float, tree: Any, out: Any) -> None:
 def closest_points(points: Any, within: float, tree: Any) -> Any:
     """As `closest` (n, 8), on several threads."""
     out = np.zeros((len(points), RESULT))
-    in_parts(lambda a, b: closest(points[a:b], within, tree, out[a:b]), len(points), _LEAST)
+    in_parts(lambda some, there: closest(some, within, tree, there), (points, out), _LEAST)
     return out
 
 

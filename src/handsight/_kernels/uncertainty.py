@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import inner
-from handsight._kernels.contact_term import (
-    Pose,
-)
+from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.levenberg import Evidence
 from handsight._kernels.posterior import information, largest_gain, posterior_cost

@@ -48,6 +48,7 @@ def _starts() -> None:
     answers = np.zeros(1, dtype=records.ANSWER)
     answers["pose"] = prior["pose"]
     batch.summarize_all(*given, answers)
+    batch.width(model, prior)
     batch.start_costs(model, nodes, contacts, 1.0, 1.0, descents)
     batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))
     batch.nearest_all(model, descents, prior)

@@ -60,7 +60,7 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
 def winding_at(points: Any, patches: Any, elements: Any) -> Any:
     """As `winding` (n,), on several threads."""
     out = np.zeros(len(points))
-    in_parts(lambda a, b: winding(points[a:b], patches, elements, out[a:b]), len(points), _LEAST)
+    in_parts(lambda some, there: winding(some, patches, elements, there), (points, out), _LEAST)
     return out
 
 

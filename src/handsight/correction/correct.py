@@ -62,7 +62,9 @@ def correct_pose(
             return estimate
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
-    return _by_two_phases(problem, options, int(samples))
+    found = outliers.solve_robustly(problem, options)
+    estimate = summarize(problem, found.minima, found.used)
+    return mean_by_sampling(problem, estimate, found.used, int(samples)) if samples else estimate
 
 
 def refine_pose(
@@ -83,12 +85,6 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
     if method not in METHODS:
         raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     return METHODS[method]
-
-
-def _by_two_phases(problem: Problem, options: TwoPhase, samples: int) -> PoseEstimate:
-    found = outliers.solve_robustly(problem, options)
-    estimate = summarize(problem, found.minima, found.used)
-    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:

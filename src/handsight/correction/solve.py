@@ -53,11 +53,8 @@ def solve_batch(
     rows["prior"] = np.concatenate([vision.record for _, vision in problems])
     rows["last"] = np.cumsum(counts)
     rows["first"] = rows["last"] - counts
-
-    def part(start: int, stop: int) -> None:
-        batch.correct_all(*model.record[:2], contacts, NO_OUTSIDE, rows[start:stop], residuals)
-
-    in_parts(part, len(problems), FEW // 4)
+    given = (*model.record[:2], contacts, NO_OUTSIDE)
+    in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), FEW // 4)
     # Each estimate keeps its own numbers alive, not those of all.
     return [
         _accepted(row["answer"].copy(), residuals[row["first"] : row["last"]].copy(), searched=False)
@@ -88,18 +85,14 @@ def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Records, Mask]
     descents = descents_at(Ts_start)
     masks, descents["set"] = np.unique(used, axis=0, return_inverse=True) if len(used) > 1 else (used, 0)
     given = (*problem.model.record[:2], problem.sets(masks), problem.prior, problem.outside)
-    _on_all_cores(partial(batch.coarse_solve, *given), descents)
+    in_parts(partial(batch.coarse_solve, *given), (descents,), FEW)
     kept = descents[survivors(problem.model, descents, KEPT_BLIND if problem.blind else KEPT)]
     # Along a slide any place is a minimum: when blind, beside where each descent ended, the most likely one.
     ended = np.stack([kept, kept], axis=1) if problem.blind else kept[:, None].copy()
-    _on_all_cores(partial(batch.fine_solve, *given), ended)
+    in_parts(partial(batch.fine_solve, *given), (ended,), FEW)
     minima = ended[:, ::-1].T.reshape(-1)  # the most likely first: of equals they win
     minima = minima[np.argsort(minima["cost"], kind="stable")]
     return minima, masks[minima["set"]]
-
-
-def _on_all_cores(kernel: Callable[[Records], None], descents: Records) -> None:
-    in_parts(lambda start, stop: kernel(descents[start:stop]), len(descents), FEW)
 
 
 def survivors(model: ObjectModel, coarse: Records, most: int) -> Indices:

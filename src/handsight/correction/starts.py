@@ -23,19 +23,9 @@ BLIND_SPINS = 18
 BLIND_KEPT = 384
 
 
-def width(model: ObjectModel, vision: PosePrior) -> float:
-    """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
-    S = se3.skew(vision.T_palm_object[:3, :3] @ model.center_object)
-    C = vision.covariance
-    # Of the object's middle, δp - S δθ.
-    spread = np.trace(C[:3, :3] - S @ C[3:, :3] - C[:3, 3:] @ S.T + S @ C[3:, 3:] @ S.T)
-    turn = model.radius**2 * np.trace(C[3:, 3:])
-    return float(np.sqrt(spread + turn) / model.diameter)
-
-
 def count(model: ObjectModel, vision: PosePrior) -> int:
     """How many starts a prior of that width needs: one up to a fifth of the diameter, more beyond."""
-    w = width(model, vision)
+    w = batch.width(model.record.model, vision.record)
     return 1 if w < WIDEST_OF_ONE else int(np.clip(round(60 * (w - 0.2)), 1, MOST_STARTS))
 
 

@@ -1,5 +1,6 @@
 """An object as the record and the grid nodes that kernels take (`handsight._kernels.records`)."""
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -98,11 +99,7 @@ def evaluate(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
     """Distance, gradient and Hessian of a field, its record (1,), at points (n, 3) [m], on all cores."""
     points = np.require(points_object, np.float64, ["C", "W"])
     values = np.empty((len(points), 13))
-
-    def part(start: int, stop: int) -> None:
-        kernel.evaluate(nodes, field, points[start:stop], values[start:stop])
-
-    in_parts(part, len(points), MANY)
+    in_parts(partial(kernel.evaluate, nodes, field), (points, values), MANY)
     return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
 
 
