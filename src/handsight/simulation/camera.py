@@ -33,9 +33,8 @@ def looking(eye: ArrayLike, at: ArrayLike) -> Array:
     return se3.compose(np.column_stack([x, np.cross(z, x), z]), origin)
 
 
-def believed_camera() -> Array:
-    """T_world_camera (4, 4) as it was calibrated."""
-    return looking(EYE, LOOKS_AT)
+BELIEVED_CAMERA = looking(EYE, LOOKS_AT)
+"""T_world_camera (4, 4) as it was calibrated."""
 
 
 def displacement(nuisances: Nuisances, seed: int) -> Array:
