@@ -10,7 +10,6 @@ from handsight.objects import ObjectModel
 
 RENEW_AFTER = 0.02
 """How old the growth of a propagated covariance may be [s]: a micrometre or so."""
-EYE_6 = np.eye(6)
 
 
 class Correction:
@@ -32,8 +31,11 @@ class Correction:
 
     def at(self, stamp: float) -> PoseEstimate:
         """The estimate propagated to `stamp` [s], give or take `RENEW_AFTER`."""
-        if stamp - self._propagated_to > RENEW_AFTER:
-            self._propagated = propagated(self.estimate, self._process_noise * (stamp - self.stamp))
+        if stamp - self._propagated_to > RENEW_AFTER and self._process_noise.any():
+            last, variance = self.estimate, self._process_noise * (stamp - self.stamp)
+            covariance = None if last.covariance is None else last.covariance + np.diag(variance)
+            information = inflated_information(last.information, variance)
+            self._propagated = last.with_gaussian(last.T_palm_object, covariance, information)
             self._propagated_to = stamp
         return self._propagated
 
@@ -45,20 +47,6 @@ class Correction:
         if self._variance is None:
             self._variance = sigma_of_point(self.estimate, model, point_object) ** 2
         return float(np.sqrt(self._variance + self._process_noise[0] * (stamp - self.stamp)))
-
-
-def estimate_without_contacts(T_palm_object: Array, covariance: Array) -> PoseEstimate:
-    """An estimate that is its prior, a pose (4, 4) and its covariance (6, 6): contacts leave every direction open."""
-    return PoseEstimate.from_gaussian(T_palm_object, covariance, EYE_6)
-
-
-def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
-    """The estimate after a random walk of the pose, of `variance` (6,) along the palm's axes."""
-    if not variance.any():
-        return estimate
-    information = inflated_information(estimate.information, variance)
-    covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
-    return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
 
 
 def inflated_information(information: Array, variance: Array) -> Array:
