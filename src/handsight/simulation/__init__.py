@@ -1,13 +1,12 @@
 """Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
 
-from handsight.simulation.camera import BELIEVED_CAMERA, looking
+from handsight.simulation.camera import looking
 from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Nuisances, Sample, Scenario, TipContact
 from handsight.simulation.simulate import simulate
 
 __all__ = [
-    "BELIEVED_CAMERA",
     "Nuisances",
     "Sample",
     "Scenario",

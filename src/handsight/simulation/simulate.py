@@ -11,7 +11,7 @@ from handsight.checks import Array
 from handsight.observation import Observation, PoseMeasurement
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement, kinect
 from handsight.simulation.rendering import Renderer
-from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Sample, Scenario
+from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
 from handsight.simulation.world import World
 
@@ -27,11 +27,13 @@ class Sensors:
         seed, n = int(scenario.seed), scenario.nuisances
         constant = np.random.default_rng((seed, 2))
         self._offsets = n.joint_offset * constant.normal(size=len(world.scene.joints))
-        self._bias = UNLOADED + _wrenches(n.force_bias, n.torque_bias, constant)
-        self._drift = _wrenches(n.force_drift, n.torque_drift, constant)
+        self._bias = UNLOADED + _drawn(n.force_bias, n.torque_bias, constant, len(FINGERS))
+        self._drift = _drawn(n.force_drift, n.torque_drift, constant, len(FINGERS))
         self._noise, self._vision, self._grain = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
         # The scene stands on its table; the world is the robot's, which has the table elsewhere.
-        self.T_world_scene = _table(n, np.random.default_rng((seed, 9)))
+        height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
+        turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
+        self.T_world_scene = se3.compose(turn, np.array([0.0, 0.0, n.table_height * height]))
         self._T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(n, seed)
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
@@ -48,20 +50,24 @@ class Sensors:
         """What is measured now; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
-        vision = self._vision_pose(T_world_object) if self._due(VISION_PER_SECOND) else None
-        color = depth = None
+        n, color, depth, vision = self.nuisances, None, None, None
+        if self._due(VISION_PER_SECOND):
+            off = _drawn(n.vision_position, n.vision_rotation, self._vision)
+            vision = PoseMeasurement(se3.moved(self._T_camera_world @ T_world_object, off), "camera")
         if self._renderer is not None and self._due(IMAGES_PER_SECOND):
             T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
-            depth = kinect(exact, self.nuisances.depth_noise, self._grain)
+            depth = kinect(exact, n.depth_noise, self._grain)
         self._samples += 1
         # A load bends the tip, which the joints do not tell: it is as if they were turned the other way.
         joints = self.world.data.qpos[self._angles] + self._offsets - self._bent()
-        joints = joints + self.nuisances.joint_noise * self._noise.normal(size=len(joints))
+        joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
+        wrong = self._bias + self._drift * self.world.time
+        wrong = wrong + _drawn(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
         return Observation(
             stamp=self.world.time,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
-            wrenches=self._read(),
+            wrenches={f: self.world.reading(f) + off for f, off in zip(FINGERS, wrong, strict=True)},
             vision=vision,
             T_world_palm=self.T_world_scene @ self.world.pose(PALM),
             color=color,
@@ -72,11 +78,6 @@ class Sensors:
         """Whether something that comes so often comes with this sample."""
         so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
-
-    def _read(self) -> dict[str, Array]:
-        noise = _wrenches(self.nuisances.force_noise, self.nuisances.torque_noise, self._noise)
-        wrong = self._bias + self._drift * self.world.time + noise
-        return {finger: self.world.reading(finger) + row for finger, row in zip(FINGERS, wrong, strict=True)}
 
     def _bent(self) -> Array:
         """By how much the joints (24,) would have to turn to bring the tips where loads have bent them [rad]."""
@@ -98,22 +99,10 @@ class Sensors:
             bent[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
         return bent
 
-    def _vision_pose(self, T_world_object: Array) -> PoseMeasurement:
-        sigma = np.repeat([self.nuisances.vision_position, self.nuisances.vision_rotation], 3)
-        T_camera_object = self._T_camera_world @ T_world_object
-        return PoseMeasurement(se3.moved(T_camera_object, sigma * self._vision.normal(size=6)), "camera")
 
-
-def _wrenches(sigma_force: float, sigma_torque: float, rng: np.random.Generator) -> Array:
-    """(5, 6) drawn, a row for each finger."""
-    return np.repeat([sigma_force, sigma_torque], 3) * rng.normal(size=(len(FINGERS), 6))
-
-
-def _table(nuisances: Nuisances, rng: np.random.Generator) -> Array:
-    """T_world_scene (4, 4): how far the table is from where the robot has it."""
-    height, *tilt = rng.normal(size=3)
-    turn = se3.rotation_exp(nuisances.table_tilt * np.array([*tilt, 0.0]))
-    return se3.compose(turn, np.array([0.0, 0.0, nuisances.table_height * height]))
+def _drawn(sigma_first: float, sigma_second: float, rng: np.random.Generator, *rows: int) -> Array:
+    """(*rows, 6) errors: three with one sigma, three with another."""
+    return np.repeat([sigma_first, sigma_second], 3) * rng.normal(size=(*rows, 6))
 
 
 def simulate(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Iterator[Sample]:

@@ -62,7 +62,7 @@ class FingertipSensors:
         fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
-        touching = felt[felt["reason"] == 0]
+        touching = felt[felt["reason"] == 0] if reasons else felt
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         return FingertipContacts(

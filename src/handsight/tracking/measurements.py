@@ -117,30 +117,21 @@ def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm:
 
     It stands along the one of its six axes' directions that points up most.
     """
-    H, innovation = _linearized(state, model, table, T_world_palm)
-    noise = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
-    S = H @ state.covariance @ H.T + noise
-    if innovation @ np.linalg.solve(S, innovation) > TABLE_GATE_CHI2:
-        return None
-    return state.updated(H, innovation, noise)
-
-
-def _linearized(
-    state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array
-) -> tuple[Array, Array]:
-    """Jacobian (3, 12) and innovation (3,): height of the base [m], tilt about the world's x and y [rad]."""
-    R = T_world_palm[:3, :3]
-    T = T_world_palm @ state.T_palm_object
+    R, T = T_world_palm[:3, :3], T_world_palm @ state.T_palm_object
     up = int(np.argmax(np.abs(T[2, :3])))
     sign = 1.0 if T[2, up] > 0 else -1.0
     axis = sign * T[:3, up]
     base = model.bounds_object[0, up] if sign > 0 else -model.bounds_object[1, up]
-    # The swing that brings the axis upright; about z it says nothing.
+    # The swing about the world's x and y that brings the axis upright; about z it says nothing.
     swing = np.array([axis[1], -axis[0]])
     sine = float(np.linalg.norm(swing))
     if sine > 1e-9:
         swing = swing / sine * np.arctan2(sine, axis[2])
     H = np.zeros((3, 12))
-    H[0, :3] = R[2]
-    H[1:, 3:6] = R[:2]
-    return H, np.concatenate([[table.height - base - T[2, 3]], swing])
+    H[0, :3], H[1:, 3:6] = R[2], R[:2]
+    innovation = np.concatenate([[table.height - base - T[2, 3]], swing])
+    noise = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
+    S = H @ state.covariance @ H.T + noise
+    if innovation @ np.linalg.solve(S, innovation) > TABLE_GATE_CHI2:
+        return None
+    return state.updated(H, innovation, noise)
