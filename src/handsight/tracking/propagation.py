@@ -4,49 +4,17 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Contacts
 from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
 
-RENEW_AFTER = 0.02
-"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
 
-
-class Correction:
-    """The answer of a correction, with what it was made from, asked for at later instants."""
-
-    def __init__(
-        self,
-        estimate: PoseEstimate,
-        contacts: Contacts,
-        fingers: tuple[str, ...],
-        stamp: float,
-        process_noise: Array,
-    ) -> None:
-        """`contacts` were touched, by `fingers`, at `stamp` [s]; `process_noise` (6,): variance a second."""
-        self.estimate, self.contacts, self.fingers, self.stamp = estimate, contacts, fingers, stamp
-        self._process_noise = process_noise
-        self._propagated, self._propagated_to = estimate, stamp
-        self._variance: float | None = None
-
-    def at(self, stamp: float) -> PoseEstimate:
-        """The estimate propagated to `stamp` [s], give or take `RENEW_AFTER`."""
-        if stamp - self._propagated_to > RENEW_AFTER and self._process_noise.any():
-            last, variance = self.estimate, self._process_noise * (stamp - self.stamp)
-            covariance = None if last.covariance is None else last.covariance + np.diag(variance)
-            information = inflated_information(last.information, variance)
-            self._propagated = last.with_gaussian(last.T_palm_object, covariance, information)
-            self._propagated_to = stamp
-        return self._propagated
-
-    def sigma_of_point(self, stamp: float, model: ObjectModel, point_object: Array) -> float:
-        """Largest standard deviation of the position of a point of the object (3,) [m], propagated to `stamp` [s].
-
-        It is worked out once: ask for one point only.
-        """
-        if self._variance is None:
-            self._variance = sigma_of_point(self.estimate, model, point_object) ** 2
-        return float(np.sqrt(self._variance + self._process_noise[0] * (stamp - self.stamp)))
+def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
+    """The estimate after a random walk of the pose, of `variance` (6,) along the palm's axes."""
+    if not variance.any():
+        return estimate
+    information = inflated_information(estimate.information, variance)
+    covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
+    return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
 
 
 def inflated_information(information: Array, variance: Array) -> Array:

@@ -19,7 +19,7 @@ from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import Correction, sigma_of_point
+from handsight.tracking.propagation import propagated, sigma_of_point
 from handsight.tracking.smoother import PoseBiasSmoother
 
 State = Literal["tracking", "uncertain", "lost"]
@@ -30,6 +30,8 @@ RECOVERY_EVERY = 0.5
 """Seconds between two such searches, and between corrections while nothing fits: each costs a hundred others."""
 RETRY_EVERY = 0.1
 """The same when the fingers that touch have changed since."""
+RENEW_AFTER = 0.02
+"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
 LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
 
@@ -69,6 +71,19 @@ class TrackerSettings:
     """Largest standard deviation of the position [m] that counts as tracking."""
     lost_after: float = 10.0
     """How long nothing may be touched and nothing seen [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """The answer of a correction, and what it was made from."""
+
+    estimate: PoseEstimate
+    contacts: Contacts
+    """Touched by `fingers` at `stamp` [s]."""
+    fingers: tuple[str, ...]
+    stamp: float
+    variance: float
+    """Of the position of the object's middle, its largest [m²]."""
 
 
 class Tracker:
@@ -111,10 +126,9 @@ class Tracker:
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
         self._memory = ContactMemory(s.memory, self._process_noise)
-        self._middle_object = model.center_object
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
-        self._measured_at = self._fits_at = self._recovered_at = -math.inf
+        self._propagated_to = self._measured_at = self._fits_at = self._recovered_at = -math.inf
         if start is not None:
             self.smoother = self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
 
@@ -144,11 +158,13 @@ class Tracker:
             return None
         if touched is not None and self._due(touched, seen=seen):
             self._correct(touched, self.smoother, observation, seen=seen)
-        if self._correction is not None:
-            self.estimate = self._correction.at(stamp)
-        else:  # the smoother's alone: contacts leave every direction open
+        last = self._correction
+        if self.estimate is None or last is None:  # the smoother's alone: contacts leave every direction open
             now = self.smoother.now
             self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
+        elif stamp - self._propagated_to > RENEW_AFTER:
+            self.estimate = propagated(last.estimate, self._process_noise * (stamp - last.stamp))
+            self._propagated_to = stamp
         self.state, self.reason = self._judged(self.estimate)
         return self.estimate
 
@@ -166,11 +182,12 @@ class Tracker:
     @property
     def sigma(self) -> float:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
-        if self._correction is not None:
-            return self._correction.sigma_of_point(self.stamp, self.model, self._middle_object)
+        last = self._correction
+        if last is not None:
+            return math.sqrt(last.variance + self._process_noise[0] * (self.stamp - last.stamp))
         if self.estimate is None:
             return math.inf
-        return sigma_of_point(self.estimate, self.model, self._middle_object)
+        return sigma_of_point(self.estimate, self.model, self.model.center_object)
 
     def _predict(self, T_world_palm: Array | None, stamp: float) -> None:
         """Propagates the smoother to `stamp`, and through what has become of the grasp since."""
@@ -251,7 +268,9 @@ class Tracker:
         for i in estimate.outliers:
             if i >= len(touched):
                 self._memory.forget(remembered[i - len(touched)])
-        self._correction = Correction(estimate, touched, fingers, now, self._process_noise)
+        variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
+        self._correction = Correction(estimate, touched, fingers, now, variance)
+        self.estimate, self._propagated_to = estimate, now
         self.corrections += 1
 
     def _judged(self, estimate: PoseEstimate) -> tuple[State, str]:
