@@ -151,13 +151,13 @@ class Tracker:
         self._predict(observation.T_world_palm, stamp)
         before, touched = self.smoother, self.fingertips.contacts
         self.smoother = self.vision.update(observation, before, self.T_world_palm)
-        seen = self.smoother is not before
-        if seen or touched is not None:
+        vision = self.smoother is not before
+        if vision or touched is not None:
             self._measured_at = stamp
         if self.smoother is None:
             return None
-        if touched is not None and self._due(touched, seen=seen):
-            self._correct(touched, self.smoother, observation, seen=seen)
+        if touched is not None and self._due(touched, vision=vision):
+            self._correct(touched, self.smoother, observation, vision=vision)
         last = self._correction
         if self.estimate is None or last is None:  # the smoother's alone: contacts leave every direction open
             now = self.smoother.now
@@ -222,7 +222,7 @@ class Tracker:
             state = on_table(state, self.model, table, T) or state
         return smoother.restarted(state)
 
-    def _due(self, touched: Contacts, *, seen: bool) -> bool:
+    def _due(self, touched: Contacts, *, vision: bool) -> bool:
         """Whether vision or touch has something new to say, or touch has not been asked for long enough."""
         last = self._correction
         if last is None:
@@ -230,7 +230,7 @@ class Tracker:
         age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
-        if seen or regrasped:
+        if vision or regrasped:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
@@ -239,7 +239,7 @@ class Tracker:
         return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
 
     def _correct(
-        self, touched: Contacts, smoother: PoseBiasSmoother, observation: Observation, *, seen: bool
+        self, touched: Contacts, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool
     ) -> None:
         """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
         fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
@@ -248,10 +248,9 @@ class Tracker:
         outside, joints = None, observation.joint_positions
         if self._surface is not None and joints is not None and joints.keys() >= set(self._surface.joints):
             outside = self._surface.points_palm(joints)
-
         samples, prior = self.settings.samples, PosePrior.trusted(T, covariance)
         correct = partial(correct_pose, self.model, contacts, outside=outside, samples=samples)
-        near = None if seen or last is None or fingers != last.fingers else last.estimate
+        near = None if vision or last is None or fingers != last.fingers else last.estimate
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
