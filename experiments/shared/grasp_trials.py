@@ -19,7 +19,7 @@ import handsight as hs
 from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
-from handsight.tracking.table import on_table
+from handsight.tracking.measurements import on_table
 from shared.grasp_errors import pose_errors
 from shared.report import Array
 
@@ -68,7 +68,7 @@ def fingertips() -> FingertipSensors:
 @cache
 def surface() -> Any:
     """The `HandSurface` of its links, without the tips, which touch the object."""
-    return rig().hand.surface(OUTSIDE, without=fingertips().frames)
+    return rig().hand.surface(OUTSIDE, without=[finger.frame for finger in rig().fingers.values()])
 
 
 @lru_cache(maxsize=64)  # several experiments ask for the same grasp, and some for the same twice

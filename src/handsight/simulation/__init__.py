@@ -1,6 +1,6 @@
 """Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
 
-from handsight.simulation.camera import believed_camera, looking
+from handsight.simulation.camera import looking
 from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Nuisances, Sample, Scenario, TipContact
@@ -11,7 +11,6 @@ __all__ = [
     "Sample",
     "Scenario",
     "TipContact",
-    "believed_camera",
     "looking",
     "model_of",
     "render",

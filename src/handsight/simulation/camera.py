@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import minimum_filter
 
 from handsight import checks, se3
 from handsight.checks import Array
@@ -20,6 +21,8 @@ STEP = 2.85e-3
 """Of depth at 1 m [m]; it grows with the depth's square, for what is measured is disparity."""
 DROPOUT, EDGE = 0.004, 0.02
 """Share of pixels without depth; a jump between neighbours at which the farther one loses it [m]."""
+SHADOWED_BY = np.array([[0, 0, 1, 0, 0], [0, 1, 0, 1, 1], [0, 0, 1, 0, 0]])
+"""These neighbours: beside something nearer the projector's pattern is in shadow, to its left over two pixels."""
 
 
 def looking(eye: ArrayLike, at: ArrayLike) -> Array:
@@ -33,9 +36,8 @@ def looking(eye: ArrayLike, at: ArrayLike) -> Array:
     return se3.compose(np.column_stack([x, np.cross(z, x), z]), origin)
 
 
-def believed_camera() -> Array:
-    """T_world_camera (4, 4) as it was calibrated."""
-    return looking(EYE, LOOKS_AT)
+BELIEVED_CAMERA = looking(EYE, LOOKS_AT)
+"""T_world_camera (4, 4) as it was calibrated."""
 
 
 def displacement(nuisances: Nuisances, seed: int) -> Array:
@@ -62,18 +64,6 @@ def kinect(depth: NDArray[np.float32], amount: float, rng: np.random.Generator) 
         z = z + amount * (0.0012 + 0.0019 * (z - 0.4) ** 2) * rng.normal(size=z.shape)
         disparity = np.round(1 / (amount * STEP * np.maximum(z, NEAR / 2)))
         z = 1 / (amount * STEP * np.maximum(disparity, 1))
-        valid &= (rng.random(z.shape) > amount * DROPOUT) & ~_lost_at_edges(depth)
+        nearest = minimum_filter(depth, footprint=SHADOWED_BY, mode="constant", cval=np.inf)
+        valid &= (rng.random(z.shape) > amount * DROPOUT) & (depth - nearest <= EDGE)
     return np.where(valid, z, np.nan).astype(np.float32)
-
-
-def _lost_at_edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels beside something nearer: there the projector's pattern is in shadow, to its left over two pixels."""
-    lost = np.zeros(depth.shape, dtype=bool)
-    for axis, shift in ((1, 1), (1, 2), (1, -1), (0, 1), (0, -1)):
-        beside = np.roll(depth, -shift, axis=axis)
-        jump = depth - beside > EDGE
-        # What rolled over the image's border is no neighbour.
-        border = slice(-shift, None) if shift > 0 else slice(0, -shift)
-        jump[(slice(None), border) if axis else (border,)] = False
-        lost |= jump
-    return lost

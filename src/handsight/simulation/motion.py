@@ -1,61 +1,128 @@
-"""Where the palm goes: over the table, up, round."""
+"""How the hand moves: it closes on an object, then the palm goes over the table, up, round.
 
-from dataclasses import dataclass
+The grasps' numbers were found by random search on the Shadow hand (J3 spread, J2 knuckle, J1 middle; the last joint of
+a finger is coupled to its middle one by a tendon).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.simulation.scenario import Motion
 
-HELD, FREED, KEPT = 0.3, 0.4, 0.5
-"""After closing [s]: the object is still held in place; it is let go and settles in the hand; the palm waits."""
-_LEGS = (
-    # seconds, then where at their end: x, y, z [m], turn about the vertical, tilt about the forearm [deg]
-    (KEPT, 0.00, 0.00, 0.00, 0, 0),
-    (1.5, 0.00, 0.10, 0.00, 0, 0),
-    (2.0, 0.00, -0.06, 0.00, 0, 0),
-    (1.0, 0.02, 0.00, 0.00, 0, 0),
-    (1.5, 0.02, 0.00, 0.12, 0, 0),
-    (3.0, 0.02, 0.00, 0.12, 75, 0),
-    (1.5, 0.02, 0.00, 0.12, 75, 15),
-    (3.0, 0.02, 0.00, 0.12, 10, 0),
-    (2.5, 0.02, 0.00, 0.16, 75, 0),
-    (0.5, 0.02, 0.00, 0.16, 75, 0),
+CLOSED, FREE, SETTLED, MOVES = 0.7, 1.0, 1.4, 1.9
+"""When the servos' targets are closed, the object is let go, has settled in the hand, and the palm may move [s]."""
+SHIFT, TURN, AIM = 0.003, float(np.deg2rad(3.0)), float(np.deg2rad(1.0))
+"""Half widths of the draws: place [m] and turn [rad] of the object per axis, targets of the joints [rad]."""
+PALM_ABOVE_TABLE = 0.0468
+"""Of a grasp on any object [m]: lower, the palm's edge touches the table."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """A closing motion of the hand around an object."""
+
+    T_palm_middle: Array
+    """(4, 4) of the upright object's middle, its z up, when the fingers begin to close."""
+    opening: Mapping[str, float]
+    """Targets of the joints' servos at first [rad]; 0 for those not named."""
+    closed: Mapping[str, float]
+    """The same at the end."""
+    furthest: float = 1.0
+    """How far a finger closes at most, in parts of the way from opening to closed."""
+    stop_force: float = np.inf
+    """Force at the tip at which a finger closes no further [N]."""
+
+
+def _joints(**of_finger: Mapping[int, float]) -> dict[str, float]:
+    return {
+        f"robot0:{finger}J{number}": angle
+        for finger, angles in of_finger.items()
+        for number, angle in angles.items()
+    }
+
+
+_UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+"""R_palm_object with the object's z along the palm's x, which is up."""
+
+CAN = Grasp(
+    T_palm_middle=se3.compose(_UPRIGHT, np.array([0.0142, -0.0884, 0.0923])),
+    opening=_joints(TH={4: -0.45, 3: 1.22, 2: 0.18, 1: -0.2, 0: -1.3}),
+    closed=_joints(
+        FF={3: 0.35, 2: 0.87, 1: 0.53},
+        MF={3: 0.01, 2: 0.94, 1: 0.63},
+        RF={3: -0.04, 2: 1.22, 1: 0.24},
+        LF={4: 0.35, 3: -0.28, 2: 0.77, 1: 0.39},
+        TH={4: 0.31, 3: 1.22, 2: 0.18, 1: -0.52, 0: -1.36},
+    ),
 )
+BOX = Grasp(
+    T_palm_middle=se3.compose(
+        _UPRIGHT @ se3.rotation_exp(np.array([0.0, 0.0, -0.315])), np.array([-0.0023, -0.0897, 0.1001])
+    ),
+    opening=_joints(TH={4: -0.6, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61}),
+    closed=_joints(
+        FF={3: 0.0, 2: 0.68, 1: 0.61},
+        MF={3: 0.0, 2: 0.74, 1: 0.57},
+        TH={4: 0.0, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61},
+    ),
+)
+MESH = replace(
+    CAN, opening=_joints(TH={4: -0.7, 3: 1.22, 2: 0.18, 1: 0.0, 0: -0.9}), furthest=1.6, stop_force=1.5
+)
+"""Any other object: as the can, each finger until it touches the object."""
 
 
-@dataclass(frozen=True, slots=True)
-class PalmPath:
-    """How the palm moves from where the grasp was made."""
-
-    T_world_palm: Array
-    """(4, 4) at first."""
-    pivot: Array
-    """(3,) in the world: the point that turns leave in place."""
-    legs: Array
-    """(n, 6): duration [s], and at its end shift [m], turn, tilt [rad]."""
-
-    @property
-    def duration(self) -> float:
-        """[s]"""
-        return float(self.legs[:, 0].sum())
-
-    def at(self, times: Array) -> Array:
-        """Ts_world_palm (n, 4, 4) that many seconds (n,) after the start; at rest at the end of each leg."""
-        ends = np.cumsum(self.legs[:, 0])
-        i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
-        s = np.clip(1 - (ends[i] - times) / self.legs[i, 0], 0, 1)
-        smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
-        begins = np.vstack([np.zeros(5), self.legs[:-1, 1:]])
-        now = begins[i] + smooth[:, None] * (self.legs[i, 1:] - begins[i])
-        turn, tilt = now[:, 3:4] * [0.0, 0, 1], now[:, 4:5] * [1.0, 0, 0]
-        R = se3.rotation_exp(turn) @ se3.rotation_exp(tilt)
-        return np.asarray(se3.compose(R, self.pivot + now[:, :3] - R @ self.pivot) @ self.T_world_palm)
+def grasp_of(name: str, height: float) -> Grasp:
+    """How an object is grasped; `height` of it [m]."""
+    if name in ("can", "box"):
+        return CAN if name == "can" else BOX
+    T = MESH.T_palm_middle.copy()
+    T[0, 3] = height / 2 - PALM_ABOVE_TABLE
+    return replace(MESH, T_palm_middle=T)
 
 
-def palm_path(motion: Motion, T_world_palm: Array, pivot: Array) -> PalmPath:
-    """What the palm does once the object is in the hand."""
-    legs = np.array(_LEGS if motion == "manipulate" else _LEGS[:1], dtype=np.float64)
-    legs[:, 4:] = np.deg2rad(legs[:, 4:])
-    return PalmPath(T_world_palm, pivot, legs)
+def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
+    """The same grasp, a little elsewhere: each number uniform within its half width."""
+    shift, turn = rng.uniform(-SHIFT, SHIFT, 3), rng.uniform(-TURN, TURN, 3)
+    aim = rng.uniform(-AIM, AIM, len(grasp.closed))
+    return replace(
+        grasp,
+        T_palm_middle=se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn])),
+        closed={joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)},
+    )
+
+
+LEGS = np.array(
+    [  # seconds, then where at their end: x, y, z [m], turn about the vertical, tilt about the forearm [deg]
+        (0.5, 0.00, 0.00, 0.00, 0, 0),
+        (1.5, 0.00, 0.10, 0.00, 0, 0),
+        (2.0, 0.00, -0.06, 0.00, 0, 0),
+        (1.0, 0.02, 0.00, 0.00, 0, 0),
+        (1.5, 0.02, 0.00, 0.12, 0, 0),
+        (3.0, 0.02, 0.00, 0.12, 75, 0),
+        (1.5, 0.02, 0.00, 0.12, 75, 15),
+        (3.0, 0.02, 0.00, 0.12, 10, 0),
+        (2.5, 0.02, 0.00, 0.16, 75, 0),
+        (0.5, 0.02, 0.00, 0.16, 75, 0),
+    ]
+)
+"""(10, 6) of a manipulation, once the object is in the hand [s], [m], [rad]; a mere grasp ends with the first."""
+LEGS[:, 4:] = np.deg2rad(LEGS[:, 4:])
+
+
+def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
+    """Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s], at rest at the end of each leg.
+
+    `T_world_palm` (4, 4): at first; `pivot` (3,): the point in the world that turns leave in place [m].
+    """
+    ends = np.cumsum(legs[:, 0])
+    i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
+    s = np.clip(1 - (ends[i] - times) / legs[i, 0], 0, 1)
+    smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
+    begins = np.vstack([np.zeros(5), legs[:-1, 1:]])
+    now = begins[i] + smooth[:, None] * (legs[i, 1:] - begins[i])
+    R = se3.rotation_exp(now[:, 3:4] * [0.0, 0, 1]) @ se3.rotation_exp(now[:, 4:] * [1.0, 0, 0])
+    return np.asarray(se3.compose(R, pivot + now[:, :3] - R @ pivot) @ T_world_palm)

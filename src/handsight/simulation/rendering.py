@@ -11,16 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.simulation.camera import believed_camera
+from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
-from handsight.simulation.scene import FINER, IMAGE_SIZE, Scene, mujoco_module, scene
+from handsight.simulation.scene import FINER, IMAGE_SIZE, PALM, Scene, mujoco_module, scene
 
 NO_LIBRARY = (ImportError, RuntimeError, AttributeError, OSError)
 """What PyOpenGL raises for a missing library."""
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
-
-
 Rgba = tuple[float, float, float, float]
 """Opacity last, each 0 to 1."""
 
@@ -38,7 +36,7 @@ class Renderer:
         self._drawn, self._option = mujoco.MjvScene(built.model, maxgeom=400), mujoco.MjvOption()
         self._option.geomgroup[:] = [1, 1, 0, 0, 0, 0]  # hand's collision shapes: 4; what is hidden: 5
         self._camera = mujoco.MjvCamera()
-        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, built.camera
+        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0  # the only one
         self._device = mujoco.MjrContext(built.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._device)
         self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
@@ -53,7 +51,12 @@ class Renderer:
         """Color (h, w, 3) and depth (h, w) along the optical axis [m] of the scene in that configuration."""
         self._pose(configuration, T_world_camera)
         self._drawn.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0  # half of the time
-        return self._color(), self._depth()
+        color, buffer = self._pixels()
+        planes = self._scene.model.vis.map  # in multiples of the scene's extent, which is 1
+        # The buffer holds 1 at the near plane and 0 at the far one, even in 1 / z.
+        span = planes.zfar - planes.znear
+        z: Array = planes.znear * planes.zfar / (planes.znear + buffer.astype(np.float64) * span)
+        return color, z.astype(np.float32)
 
     def draw(
         self,
@@ -71,24 +74,26 @@ class Renderer:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
             self._add(geom, *ghost)
-        return self._color(finer=FINER)
+        color, _ = self._pixels(finer=FINER)
+        blocks = color.reshape(IMAGE_SIZE[1], FINER, IMAGE_SIZE[0], FINER, 3)
+        smooth: Color = blocks.mean(axis=(1, 3)).astype(np.uint8)
+        return smooth
 
     def _pose(self, configuration: Array, T_world_camera: Array) -> None:
         model, data = self._scene.model, self._data
         data.qpos[:] = configuration
         self._mujoco.mj_kinematics(model, data)
         self._mujoco.mj_camlight(model, data)
-        data.cam_xpos[self._scene.camera] = T_world_camera[:3, 3]
+        camera = data.camera("camera")
         # OpenGL looks along -z, y up.
-        data.cam_xmat[self._scene.camera] = (T_world_camera[:3, :3] * [1, -1, -1]).ravel()
+        camera.xpos[:], camera.xmat[:] = T_world_camera[:3, 3], (T_world_camera[:3, :3] * [1, -1, -1]).ravel()
         self._mujoco.mjv_updateScene(
             model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
         )
 
     def _add(self, geom: int, T_palm_object: Array, rgba: Rgba) -> None:
-        model, data = self._scene.model, self._data
-        body = self._scene.bodies["palm"]
-        T_world_palm = se3.compose(data.xmat[body].reshape(3, 3), data.xpos[body])
+        model, palm = self._scene.model, self._data.body(PALM)
+        T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
         # MuJoCo moves a mesh's frame into its own axes of inertia.
         T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], np.roll(model.geom_quat[geom], -1))
         T = T_world_palm @ T_palm_object @ T_object_geom
@@ -101,29 +106,18 @@ class Renderer:
             drawn.dataid = 2 * model.geom_dataid[geom]  # the mesh itself; its hull is the next
         self._drawn.ngeom += 1
 
-    def _color(self, *, finer: int = 1) -> Color:
-        """At so many times the image's size, averaged: smooth edges."""
-        width, height = finer * IMAGE_SIZE[0], finer * IMAGE_SIZE[1]
-        color = np.empty((height, width, 3), dtype=np.uint8)
-        self._mujoco.mjr_readPixels(color, None, self._rendered(width, height), self._device)
-        blocks = np.flipud(color).reshape(IMAGE_SIZE[1], finer, IMAGE_SIZE[0], finer, 3)
-        return blocks.mean(axis=(1, 3)).astype(np.uint8) if finer > 1 else np.flipud(color).copy()
-
-    def _depth(self) -> Depth:
-        buffer = np.empty((IMAGE_SIZE[1], IMAGE_SIZE[0]), dtype=np.float32)
-        self._mujoco.mjr_readPixels(None, buffer, self._rendered(*IMAGE_SIZE), self._device)
-        planes = self._scene.model.vis.map  # in multiples of the scene's extent, which is 1
-        # The buffer holds 1 at the near plane and 0 at the far one, even in 1 / z.
-        span = planes.zfar - planes.znear
-        z: Array = planes.znear * planes.zfar / (planes.znear + buffer.astype(np.float64) * span)
-        return np.flipud(z).astype(np.float32)
-
-    def _rendered(self, width: int, height: int) -> Any:
-        """Draws; the part of the buffer where it is."""
+    def _pixels(self, *, finer: int = 1) -> tuple[Color, Depth]:
+        """Color and depth buffer at so many times the image's size."""
         self._context.make_current()
+        width, height = finer * IMAGE_SIZE[0], finer * IMAGE_SIZE[1]
+        color, depth = (
+            np.empty((height, width, 3), dtype=np.uint8),
+            np.empty((height, width), dtype=np.float32),
+        )
         rectangle = self._mujoco.MjrRect(0, 0, width, height)
         self._mujoco.mjr_render(rectangle, self._drawn, self._device)
-        return rectangle
+        self._mujoco.mjr_readPixels(color, depth, rectangle, self._device)
+        return color[::-1].copy(), depth[::-1].copy()  # OpenGL's first row is the lowest
 
 
 def render(
@@ -145,7 +139,7 @@ def render(
     built = scene(scenario.object)
     if sample.configuration.shape != (built.model.nq,):
         raise InvalidInput(f"sample: expected one of the scenario's ({scenario.object}), got another scene's")
-    T = believed_camera() if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
+    T = BELIEVED_CAMERA if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
     wanted = None if ghost is None else (se3.check(ghost, "ghost"), color)
     with closing(Renderer(built)) as renderer:
         return renderer.draw(sample.configuration, T, ghost=wanted, show_object=show_object)

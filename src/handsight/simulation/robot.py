@@ -11,7 +11,7 @@ from handsight.contact import Ellipsoid, WrenchCalibration
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
 from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
-from handsight.simulation.camera import INTRINSICS, believed_camera
+from handsight.simulation.camera import BELIEVED_CAMERA, INTRINSICS
 from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import (
     BOX_SIZE,
@@ -23,11 +23,11 @@ from handsight.simulation.scene import (
     PALM,
     SENSOR_Z,
     TIP_MASS,
+    UNLOADED,
     convex_hull,
     hand_file,
     tip_shape,
 )
-from handsight.simulation.sensors import UNLOADED
 
 SCANNED, SCAN_SEED = 4000, 7
 """Points of a scanned object's cloud."""
@@ -51,7 +51,15 @@ def rig_of(scenario: Scenario) -> Rig:
         },
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
-        camera=_camera(usual),
+        camera=Camera(
+            T_mount_camera=BELIEVED_CAMERA,
+            intrinsics=INTRINSICS,
+            size=IMAGE_SIZE,
+            sigma_position=usual.vision_position,
+            sigma_rotation=usual.vision_rotation,
+            sigma_position_constant=usual.camera_height,
+            sigma_rotation_constant=usual.camera_rotation,
+        ),
         table=Table(height=0.0, sigma_height=usual.table_height, sigma_tilt=usual.table_tilt),
         gravity=GRAVITY,
         topics=Topics(
@@ -71,13 +79,19 @@ def model_of(scenario: Scenario) -> ObjectModel:
     A mesh's is its convex hull, which is what is simulated. Raises InvalidFile or InvalidObject for a mesh that cannot
     be used.
     """
-    n = scenario.nuisances
-    model = _exact(scenario.object, n.object_scale)
+    n, seed = scenario.nuisances, int(scenario.seed)
+    if scenario.object == "can":
+        model = ObjectModel.cylinder(n.object_scale * CAN_SIZE[0], n.object_scale * CAN_SIZE[1])
+    elif scenario.object == "box":
+        model = ObjectModel.box(n.object_scale * np.array(BOX_SIZE))
+    else:
+        vertices, faces = convex_hull(scenario.object)
+        model = ObjectModel.from_mesh(n.object_scale * vertices, faces)
     if n.object_dent > 0:
-        model = _dented(model, n.object_dent, int(scenario.seed))
+        model = _dented(model, n.object_dent, seed)
     if n.object_scan > 0:
         points, normals = model.sample(SCANNED, SCAN_SEED)
-        rng = np.random.default_rng((int(scenario.seed), 8))
+        rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
         return ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
     return model
@@ -121,27 +135,6 @@ def _finger(name: str, unloaded: Array) -> Finger:
         sigma_torque=Nuisances().torque_noise,
         full_scale=(50.0, 0.5),
     )
-
-
-def _camera(usual: Nuisances) -> Camera:
-    return Camera(
-        T_mount_camera=believed_camera(),
-        intrinsics=INTRINSICS,
-        size=IMAGE_SIZE,
-        sigma_position=usual.vision_position,
-        sigma_rotation=usual.vision_rotation,
-        sigma_position_constant=usual.camera_height,
-        sigma_rotation_constant=usual.camera_rotation,
-    )
-
-
-def _exact(name: str, scale: float) -> ObjectModel:
-    if name == "can":
-        return ObjectModel.cylinder(scale * CAN_SIZE[0], scale * CAN_SIZE[1])
-    if name == "box":
-        return ObjectModel.box(scale * np.array(BOX_SIZE))
-    vertices, faces = convex_hull(name)
-    return ObjectModel.from_mesh(scale * vertices, faces.astype(np.int64))
 
 
 def _dented(model: ObjectModel, depth: float, seed: int) -> ObjectModel:

@@ -28,6 +28,16 @@ SENSOR_Z = 0.002
 TIP_MASS = 0.004
 """[kg]"""
 GRAVITY = np.array([0.0, 0.0, -9.81])
+UNLOADED = np.array(
+    [
+        [0.21, -0.34, 0.12, 0.0021, -0.0013, 0.0008],
+        [-0.15, 0.08, 0.43, -0.0009, 0.0017, -0.0011],
+        [0.32, 0.17, -0.26, 0.0014, 0.0006, 0.0019],
+        [-0.28, 0.24, 0.19, -0.0018, -0.0022, 0.0005],
+        [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
+    ]
+)
+"""What each finger's sensor reads without load [N, N m]: calibration knows it."""
 CAN_SIZE, BOX_SIZE, OBJECT_MASS = (0.033, 0.122), (0.060, 0.090, 0.140), 0.15
 """Radius and height; sides [m]; [kg]."""
 TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
@@ -47,31 +57,16 @@ HIDDEN = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A compiled scene and where to find things in it; the same for all draws of one object."""
+    """A compiled scene, the same for all draws of one object: bodies PALM, `object`, and a `_tip` for each finger."""
 
     model: Any
     """mujoco.MjModel, never changed after this."""
     joints: dict[str, int]
     """The hand's, by name: where in qpos."""
-    dofs: dict[str, int]
-    """The same: where in qvel."""
-    servos: dict[str, int]
-    """By the joint's name: where in ctrl."""
-    object_q: int
-    """Where in qpos the object's position and quaternion begin; its velocity in qvel at `object_v`."""
-    object_v: int
-    mount_q: int
-    bodies: dict[str, int]
-    """palm, object, and each finger's tip."""
     tips: dict[int, str]
     """Finger by geom."""
-    readings: dict[str, int]
-    """By finger: where in sensordata force and torque begin."""
-    camera: int
-    size_object: Array
-    """(3,) of its bounds [m]."""
-    center_object: Array
-    """(3,) their middle in the object's frame [m]."""
+    bounds_object: Array
+    """(2, 3) in the object's frame [m]."""
 
 
 def tip_shape(finger: str) -> tuple[Array, float]:
@@ -106,7 +101,14 @@ def scene(name: str) -> Scene:
     _let_mount_move(mujoco, spec)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name)
-    return _addressed(spec.compile(), bounds)
+    model = spec.compile()
+    joints = [model.joint(i) for i in range(model.njnt)]
+    return Scene(
+        model=model,
+        joints={joint.name: int(joint.qposadr[0]) for joint in joints if joint.name.startswith("robot0:")},
+        tips={model.geom(f"{finger}_tip").id: finger for finger in FINGERS},
+        bounds_object=bounds,
+    )
 
 
 def hand_file() -> Path:
@@ -148,9 +150,9 @@ def _make_tips(mujoco: Any, spec: Any) -> None:
             friction=[1.0, 0.005, 0.0001], priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1], **STIFF,
         )  # fmt: skip
         tip.add_site(name=f"{finger}_ft")
-        for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
-            name = f"{finger}_{'force' if kind == mujoco.mjtSensor.mjSENS_FORCE else 'torque'}"
-            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{finger}_ft")
+        site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": f"{finger}_ft"}
+        spec.add_sensor(name=f"{finger}_force", type=mujoco.mjtSensor.mjSENS_FORCE, **site)
+        spec.add_sensor(name=f"{finger}_torque", type=mujoco.mjtSensor.mjSENS_TORQUE, **site)
     # Tips that are no neighbours never meet; the hand's geoms do not collide with one another by themselves.
     for a, b in (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4])):
         spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
@@ -228,45 +230,15 @@ def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
     """Vertices (k, 3) [m] and faces (m, 3) of a mesh file's convex hull, in the file's frame."""
+    import trimesh
+
     from handsight.objects.files import read_shape
 
     vertices: Array = read_shape(path).vertices
     extent = float(np.ptp(vertices, axis=0).max())
     if not extent <= LARGEST:
         raise InvalidObject(f"{Path(path).name}: expected metres, at most {LARGEST:g}, got {extent:.3g}")
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(vertices)
-    except QhullError as error:
-        raise InvalidObject(f"{Path(path).name}: expected a body with a volume, got none") from error
-    number = np.zeros(len(vertices), dtype=np.int32)
-    number[hull.vertices] = np.arange(len(hull.vertices))
-    corners = vertices[hull.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inside_out = (normals * hull.equations[:, :3]).sum(axis=1) < 0
-    faces = number[np.where(inside_out[:, None], hull.simplices[:, ::-1], hull.simplices)]
-    return vertices[hull.vertices], faces
-
-
-def _addressed(model: Any, bounds: Array) -> Scene:
-    hinges = [model.joint(i) for i in range(model.njnt) if model.joint(i).name.startswith("robot0:")]
-    return Scene(
-        model=model,
-        joints={joint.name: int(joint.qposadr[0]) for joint in hinges},
-        dofs={joint.name: int(joint.dofadr[0]) for joint in hinges},
-        servos={model.actuator(i).name.replace("A_", ""): i for i in range(model.nu)},
-        object_q=int(model.joint("object").qposadr[0]),
-        object_v=int(model.joint("object").dofadr[0]),
-        mount_q=int(model.joint("mount").qposadr[0]),
-        bodies={
-            "palm": model.body(PALM).id,
-            "object": model.body("object").id,
-            **{finger: model.body(f"{finger}_tip").id for finger in FINGERS},
-        },
-        tips={model.geom(f"{finger}_tip").id: finger for finger in FINGERS},
-        readings={finger: int(model.sensor(f"{finger}_force").adr[0]) for finger in FINGERS},
-        camera=model.camera("camera").id,
-        size_object=np.ptp(bounds, axis=0),
-        center_object=bounds.mean(axis=0),
-    )
+    if np.linalg.matrix_rank(vertices - vertices[0]) < 3:
+        raise InvalidObject(f"{Path(path).name}: expected a body with a volume, got none")
+    hull = trimesh.convex.convex_hull(vertices, qhull_options="Qt")
+    return np.asarray(hull.vertices), np.asarray(hull.faces)

@@ -1,10 +1,108 @@
-"""A scenario to what the robot measures and what is true, instant by instant."""
+"""A scenario to what is true and what the robot measures of it, with all errors of its sensors, instant by instant."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.observation import Observation, PoseMeasurement
+from handsight.simulation.camera import BELIEVED_CAMERA, displacement, kinect
+from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
-from handsight.simulation.sensors import Sensors
+from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
 from handsight.simulation.world import World
+
+VISION_PER_SECOND, IMAGES_PER_SECOND = 10.0, 30.0
+
+
+class Sensors:
+    """Joints, wrenches, camera: errors that are constant are drawn at the start, noise at every sample."""
+
+    def __init__(self, scenario: Scenario, world: World) -> None:
+        """Draws by the scenario's seed, a stream for each sensor, so that none depends on another's settings."""
+        self.scenario, self.world, self.nuisances = scenario, world, scenario.nuisances
+        seed, n = int(scenario.seed), scenario.nuisances
+        constant = np.random.default_rng((seed, 2))
+        self._offsets = n.joint_offset * constant.normal(size=len(world.scene.joints))
+        self._bias = UNLOADED + _drawn(n.force_bias, n.torque_bias, constant, len(FINGERS))
+        self._drift = _drawn(n.force_drift, n.torque_drift, constant, len(FINGERS))
+        self._noise, self._vision, self._grain = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
+        # The scene stands on its table; the world is the robot's, which has the table elsewhere.
+        height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
+        turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
+        self.T_world_scene = se3.compose(turn, np.array([0.0, 0.0, n.table_height * height]))
+        self._T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(n, seed)
+        self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
+        self._renderer = Renderer(world.scene) if scenario.images else None
+        self._samples = 0
+        self._angles = list(world.scene.joints.values())
+        self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
+
+    def close(self) -> None:
+        """Frees what drew the images."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def observe(self) -> Observation:
+        """What is measured now; the world must have been refreshed."""
+        self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
+        T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
+        n, color, depth, vision = self.nuisances, None, None, None
+        if self._due(VISION_PER_SECOND):
+            off = _drawn(n.vision_position, n.vision_rotation, self._vision)
+            vision = PoseMeasurement(se3.moved(self._T_camera_world @ T_world_object, off), "camera")
+        if self._renderer is not None and self._due(IMAGES_PER_SECOND):
+            T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
+            color, exact = self._renderer.take(configuration, T_scene_camera)
+            depth = kinect(exact, n.depth_noise, self._grain)
+        self._samples += 1
+        # A load bends the tip, which the joints do not tell: it is as if they were turned the other way.
+        joints = self.world.data.qpos[self._angles] + self._offsets - self._bent()
+        joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
+        wrong = self._bias + self._drift * self.world.time
+        wrong = wrong + _drawn(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
+        return Observation(
+            stamp=self.world.time,
+            joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
+            wrenches={f: self.world.reading(f) + off for f, off in zip(FINGERS, wrong, strict=True)},
+            vision=vision,
+            T_world_palm=self.T_world_scene @ self.world.pose(PALM),
+            color=color,
+            depth=depth,
+        )
+
+    def _due(self, per_second: float) -> bool:
+        """Whether something that comes so often comes with this sample."""
+        so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
+        return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
+
+    def _bent(self) -> Array:
+        """By how much the joints (24,) would have to turn to bring the tips where loads have bent them [rad]."""
+        bent = np.zeros(len(self.world.scene.joints))
+        if self.nuisances.tip_compliance == 0:
+            return bent
+        model, data = self.world.scene.model, self.world.data
+        for finger in FINGERS:
+            T = self.world.pose(f"{finger}_tip")
+            force = -T[:3, :3] @ self.world.reading(finger)[:3] - TIP_MASS * GRAVITY
+            center = T[:3, :3] @ [0, 0, tip_shape(finger)[1]] + T[:3, 3]
+            jacobian = np.zeros((3, model.nv))
+            mujoco_module().mj_jac(model, data, jacobian, None, center, model.body(f"{finger}_tip").id)
+            of_finger = f"robot0:{finger.upper()}J"
+            own = [i for i, name in enumerate(self.world.scene.joints) if name.startswith(of_finger)]
+            J = jacobian[:, self._dofs[own]]
+            # Damped by 1 mm, else a stretched finger would turn far to give way along itself.
+            gram = J @ J.T + 1e-6 * np.eye(3)
+            bent[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
+        return bent
+
+
+def _drawn(sigma_first: float, sigma_second: float, rng: np.random.Generator, *rows: int) -> Array:
+    """(*rows, 6) errors: three with one sigma, three with another."""
+    return np.repeat([sigma_first, sigma_second], 3) * rng.normal(size=(*rows, 6))
 
 
 def simulate(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Iterator[Sample]:
@@ -18,26 +116,20 @@ def simulate(scenario: Scenario, progress: Callable[[float], None] | None = None
     world = World(scenario)
     sensors = Sensors(scenario, world)
     every, steps = round(STEPS_PER_SECOND / scenario.rate), round(world.duration * STEPS_PER_SECOND)
-    try:
+    with closing(sensors):
         for step in range(steps + 1):
             if step:
                 world.step()
             if step % every == 0:
                 world.refresh()
-                yield _sample(world, sensors)
+                yield Sample(
+                    observation=sensors.observe(),
+                    T_palm_object=world.T_palm_object(),
+                    T_world_object=sensors.T_world_scene @ world.pose("object"),
+                    contacts_truth=world.tip_contacts(),
+                    phase=world.phase,
+                    dropped=world.dropped(),
+                    configuration=world.data.qpos.copy(),
+                )
                 if progress is not None:
                     progress(step / steps)
-    finally:
-        sensors.close()
-
-
-def _sample(world: World, sensors: Sensors) -> Sample:
-    return Sample(
-        observation=sensors.observe(),
-        T_palm_object=world.T_palm_object(),
-        T_world_object=sensors.T_world_scene @ world.pose("object"),
-        contacts_truth=world.tip_contacts(),
-        phase=world.phase,
-        dropped=world.dropped(),
-        configuration=world.data.qpos.copy(),
-    )

@@ -1,6 +1,5 @@
 """The simulated world, a step at a time: the hand closes on the object, lets its holder go, and moves."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,19 +7,16 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.simulation.grasps import BOX, CAN, CLOSING, MESH, Grasp, perturbed
-from handsight.simulation.motion import FREED, HELD, KEPT, palm_path
+from handsight.simulation.motion import CLOSED, FREE, LEGS, MOVES, SETTLED, grasp_of, palm_poses, perturbed
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
-from handsight.simulation.scene import FINGERS, T_MOUNT_PALM, Scene, mujoco_module, scene
+from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, mujoco_module, scene
 
 SETTLE = 0.15
 """For the servos to hold the open hand [s]."""
 R_WORLD_PALM = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
 """Fingers along x, the palm towards y, the thumb up; a draw turns it a little."""
-AWAY = np.array([0.0, 0.0, 3.0])
-"""Where the object waits meanwhile [m]."""
-PALM_ABOVE_TABLE = 0.0468
-"""Of a grasp on any object [m]: lower, the palm's edge touches the table."""
+AWAY = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
+"""Where the object waits meanwhile: position [m], quaternion, w first."""
 MAX_SHIFT, MAX_TURN = 0.03, 0.5
 """How far [m], and by what angle [rad], an object moves in a grasp that holds it."""
 MAX_OVERLAP = 0.003
@@ -35,17 +31,21 @@ class World:
         self._mujoco = mujoco_module()
         self.scene = scene(scenario.object)
         self.data: Any = self._mujoco.MjData(self.scene.model)
-        grasp = _grasp(scenario, self.scene)
-        self.grasp = perturbed(grasp, np.random.default_rng((int(scenario.seed), 1)))
-        middle = np.array([0.0, 0.0, self.scene.size_object[2] / 2])
+        low, high = self.scene.bounds_object
+        self._size = high - low
+        middle = np.array([0.0, 0.0, self._size[2] / 2])
+        grasp = grasp_of(scenario.object, self._size[2])
+        self._grasp = perturbed(grasp, np.random.default_rng((int(scenario.seed), 1)))
         T_world_middle = se3.compose(R_WORLD_PALM @ grasp.T_palm_middle[:3, :3], middle)
-        T_middle_object = se3.compose(np.eye(3), -self.scene.center_object)
-        self.T_world_object_begin = T_world_middle @ T_middle_object
-        self.path = palm_path(scenario.motion, T_world_middle @ se3.inverse(self.grasp.T_palm_middle), middle)
-        self.duration = CLOSING + HELD + FREED + self.path.duration
+        T_middle_object = se3.compose(np.eye(3), -(low + high) / 2)
+        T_world_palm = T_world_middle @ se3.inverse(self._grasp.T_palm_middle)
+        self._moves = scenario.motion == "manipulate"
+        legs = LEGS if self._moves else LEGS[:1]
+        self.duration = SETTLED + float(legs[:, 0].sum())
         times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
-        self._arm = _rows(self.path.at(times - (CLOSING + HELD + FREED)) @ se3.inverse(T_MOUNT_PALM))
-        self._begin, self._away = _rows(np.array([self.T_world_object_begin, se3.compose(np.eye(3), AWAY)]))
+        Ts_world_palm = palm_poses(legs, times - SETTLED, T_world_palm, middle)
+        self._arm = _rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
+        self._begin = _rows((T_world_middle @ T_middle_object)[None])[0]
         self.steps = 0
         self._closed = dict.fromkeys(FINGERS, 0.0)
         self._T_palm_object_freed: Array | None = None
@@ -59,10 +59,9 @@ class World:
     @property
     def phase(self) -> Phase:
         """What is going on."""
-        if self.time < CLOSING + HELD:
+        if self.time < FREE:
             return "close"
-        moves = len(self.path.legs) > 1  # the first is to wait
-        return "move" if moves and self.time >= CLOSING + HELD + FREED + KEPT else "hold"
+        return "move" if self._moves and self.time >= MOVES else "hold"
 
     def step(self) -> None:
         """Two milliseconds."""
@@ -81,19 +80,18 @@ class World:
             self._hold_object(self._begin)
         self._mujoco.mj_forward(self.scene.model, self.data)
 
-    def pose(self, body: str) -> Array:
-        """T_world_body (4, 4) of palm, object or a finger's tip (its sensor's frame)."""
-        i = self.scene.bodies[body]
-        return se3.compose(self.data.xmat[i].reshape(3, 3), self.data.xpos[i])
+    def pose(self, name: str) -> Array:
+        """T_world_body (4, 4) of a body; a tip's is its sensor's frame."""
+        body = self.data.body(name)
+        return se3.compose(body.xmat.reshape(3, 3), body.xpos)
 
     def reading(self, finger: str) -> Array:
         """(6,) what its sensor reads: force [N] and torque [N m] of the link on the tip, in the sensor's frame."""
-        at = self.scene.readings[finger]
-        return np.array(self.data.sensordata[at : at + 6])
+        return np.concatenate([self.data.sensor(f"{finger}_{kind}").data for kind in ("force", "torque")])
 
     def T_palm_object(self) -> Array:
         """(4, 4) true."""
-        return se3.inverse(self.pose("palm")) @ self.pose("object")
+        return se3.inverse(self.pose(PALM)) @ self.pose("object")
 
     def dropped(self) -> bool:
         """Whether the object has left the grasp since it was free."""
@@ -104,7 +102,7 @@ class World:
 
     def tip_contacts(self) -> tuple[TipContact, ...]:
         """The fingertips' contacts with whatever they touch."""
-        T_palm_world = se3.inverse(self.pose("palm"))
+        T_palm_world = se3.inverse(self.pose(PALM))
         return tuple(
             self._tip_contact(i, contact, side, T_palm_world)
             for i, contact in enumerate(self.data.contact[: self.data.ncon])
@@ -129,28 +127,28 @@ class World:
 
     def _open(self) -> None:
         """The open hand at its place, at rest, the object at its own."""
-        for joint, angle in self.grasp.opening.items():
-            self.data.qpos[self.scene.joints[joint]] = angle
-            self.data.ctrl[self.scene.servos[joint]] = angle
+        for joint, angle in self._grasp.opening.items():
+            self.data.joint(joint).qpos[:] = angle
+            self._servo(joint).ctrl[:] = angle
         self._move_arm()
-        self.data.qpos[self.scene.mount_q : self.scene.mount_q + 7] = self._arm[0]
+        self.data.joint("mount").qpos[:] = self._arm[0]
         for _ in range(round(SETTLE * STEPS_PER_SECOND)):
-            self._hold_object(self._away)
+            self._hold_object(AWAY)
             self._mujoco.mj_step(self.scene.model, self.data)
         self.refresh()
-        deepest = min((c.dist for c in self.data.contact[: self.data.ncon] if self._of_hand(c)), default=0.0)
-        if deepest < -MAX_OVERLAP:
-            size = " x ".join(f"{1000 * side:.0f}" for side in self.scene.size_object)
+        contacts = self.data.contact[: self.data.ncon]
+        body_of, held = self.scene.model.geom_bodyid, self.scene.model.body("object").id
+        between = [c.dist for c in contacts if held in body_of[c.geom] and 0 not in body_of[c.geom]]
+        if min(between, default=0.0) < -MAX_OVERLAP:
+            size = " x ".join(f"{1000 * side:.0f}" for side in self._size)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
 
-    def _of_hand(self, contact: Any) -> bool:
-        """Whether it is between object and hand."""
-        of = [int(self.scene.model.geom_bodyid[geom]) for geom in contact.geom]
-        return self.scene.bodies["object"] in of and 0 not in of
-
     def _hold_object(self, row: Array) -> None:
-        q, v = self.scene.object_q, self.scene.object_v
-        self.data.qpos[q : q + 7], self.data.qvel[v : v + 6] = row, 0.0
+        free = self.data.joint("object")
+        free.qpos[:], free.qvel[:] = row, 0.0
+
+    def _servo(self, joint: str) -> Any:
+        return self.data.actuator(joint.replace("robot0:", "robot0:A_"))
 
     def _move_arm(self) -> None:
         row = self._arm[min(self.steps, len(self._arm) - 1)]
@@ -159,21 +157,13 @@ class World:
     def _close_fingers(self) -> None:
         """Moves the servos' targets on, of those fingers that do not press enough yet."""
         for finger in FINGERS:
-            if np.linalg.norm(self.reading(finger)[:3]) < self.grasp.stop_force:
-                further = self._closed[finger] + self.grasp.furthest / (CLOSING * STEPS_PER_SECOND)
-                self._closed[finger] = min(further, self.grasp.furthest)
-        for joint, angle in self.grasp.closed.items():
-            begin = self.grasp.opening.get(joint, 0.0)
+            if np.linalg.norm(self.reading(finger)[:3]) < self._grasp.stop_force:
+                further = self._closed[finger] + self._grasp.furthest / (CLOSED * STEPS_PER_SECOND)
+                self._closed[finger] = min(further, self._grasp.furthest)
+        for joint, angle in self._grasp.closed.items():
+            begin = self._grasp.opening.get(joint, 0.0)
             share = self._closed[joint.removeprefix("robot0:")[:2].lower()]
-            self.data.ctrl[self.scene.servos[joint]] = begin + share * (angle - begin)
-
-
-def _grasp(scenario: Scenario, built: Scene) -> Grasp:
-    if scenario.object in ("can", "box"):
-        return CAN if scenario.object == "can" else BOX
-    T = MESH.T_palm_middle.copy()
-    T[0, 3] = built.size_object[2] / 2 - PALM_ABOVE_TABLE
-    return replace(MESH, T_palm_middle=T)
+            self._servo(joint).ctrl[:] = begin + share * (angle - begin)
 
 
 def _rows(Ts: Array) -> Array:

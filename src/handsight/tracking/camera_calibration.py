@@ -56,25 +56,16 @@ def calibrate_camera(
             turns.append(np.eye(3) if T is None or rig.camera.on == "palm" else T[:3, :3])
     if error is None or tracker.smoother is None:
         return None
-    return _calibration(rig.camera.T_mount_camera, error, tracker.smoother.pivot, turns)
-
-
-def _calibration(
-    T_mount_camera: Array, error: tuple[Array, Array], pivot: Array, turns: list[Array]
-) -> CameraCalibration:
     wrong, covariance = error
+    T_mount_camera, pivot = rig.camera.T_mount_camera, tracker.smoother.pivot
     # Vision is off by E, so the camera is where E took it from.
     E = se3.compose(se3.rotation_exp(wrong[3:]), np.zeros(3))
     E[:3, 3] = pivot + wrong[:3] - E[:3, :3] @ pivot
-    turned = max(float(np.linalg.norm(se3.rotation_log(turns[0].T @ R))) for R in turns)
     back = E[:3, :3].T
-    correction = np.concatenate([-back @ wrong[:3], -wrong[3:]])
-    J = np.zeros((6, 6))
-    J[:3, :3] = J[3:, 3:] = -back
     return CameraCalibration(
         T_mount_camera=se3.inverse(E) @ T_mount_camera,
-        correction=correction,
-        covariance=J @ covariance @ J.T,
+        correction=np.concatenate([-back @ wrong[:3], -wrong[3:]]),
+        covariance=se3.rotate_covariance(back, covariance),
         pivot=pivot,
-        turned=turned,
+        turned=max(float(np.linalg.norm(se3.rotation_log(turns[0].T @ R))) for R in turns),
     )

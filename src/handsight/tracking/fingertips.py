@@ -7,12 +7,13 @@ import numpy as np
 
 from handsight._kernels.contacts_to_palm import NEAR_TIP, contacts_to_palm
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
-from handsight.contact import REASON_NAMES, Contacts, Reason
+from handsight.contact import REASON_NAMES, Contacts
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
 
 SILENT = np.full(6, np.nan)
 REASONS = tuple("silent" if name == "invalid" else name for name in REASON_NAMES)
+"""By the kernel's number; the first is a contact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,9 +37,7 @@ class FingertipSensors:
     def __init__(self, rig: Rig) -> None:
         """The rig's hand must have a tip for every finger."""
         self.rig, self.names = rig, tuple(rig.fingers)
-        self.frames = tuple(finger.frame for finger in rig.fingers.values())
-        order = list(rig.hand.tips)
-        self._tips = [order.index(name) for name in self.names]
+        self._tips = np.array([list(rig.hand.tips).index(name) for name in self.names])
         variance_joint = rig.sigma_joint_offset**2 + rig.sigma_joint**2
         rows = [finger_record(finger, variance_joint) for finger in rig.fingers.values()]
         self._fingers = np.array(rows, dtype=FINGER)
@@ -52,23 +51,22 @@ class FingertipSensors:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         hand = self.rig.hand.kinematics(observation.joint_positions)
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
-        jacobians = hand.jacobians(Ts_palm_tip[:, :3, 3], self._tips)
+        jacobians = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
         readings = np.array([observation.wrenches.get(name, SILENT) for name in self.names], dtype=np.float64)
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         felt = np.empty(len(self.names), dtype=PALM_CONTACT)
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, jacobians, gravity_palm, felt)
 
-        names = list(zip(self.names, felt["reason"].tolist(), felt["gap"].tolist(), strict=True))
-        reasons = {name: REASONS[reason] for name, reason, _ in names if reason}
-        if len(reasons) == len(names):
+        reasons = {name: REASONS[k] for name, k in zip(self.names, felt["reason"].tolist(), strict=True) if k}
+        fingers = tuple(name for name in self.names if name not in reasons)
+        if not fingers:
             return FingertipContacts((), None, reasons)
-        touching = felt[felt["reason"] == Reason.CONTACT]
+        touching = felt[felt["reason"] == 0] if reasons else felt
+        contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
+        gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         return FingertipContacts(
-            tuple(name for name, reason, _ in names if not reason),
-            Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance"))),
-            reasons,
-            tuple(name for name, reason, gap in names if not reason and gap < NEAR_TIP),
+            fingers, contacts, reasons, tuple(name for name, gap in gaps if gap < NEAR_TIP)
         )
 
 

@@ -4,52 +4,8 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Contacts
 from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
-
-RENEW_AFTER = 0.02
-"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
-EYE_6 = np.eye(6)
-
-
-class Correction:
-    """The answer of a correction, with what it was made from, asked for at later instants."""
-
-    def __init__(
-        self,
-        estimate: PoseEstimate,
-        contacts: Contacts,
-        fingers: tuple[str, ...],
-        stamp: float,
-        process_noise: Array,
-    ) -> None:
-        """`contacts` were touched, by `fingers`, at `stamp` [s]; `process_noise` (6,): variance a second."""
-        self.estimate, self.contacts, self.fingers, self.stamp = estimate, contacts, fingers, stamp
-        self._process_noise = process_noise
-        self._propagated, self._propagated_to = estimate, stamp
-        self._variance: float | None = None
-
-    def at(self, stamp: float) -> PoseEstimate:
-        """The estimate propagated to `stamp` [s], give or take `RENEW_AFTER`."""
-        if stamp - self._propagated_to > RENEW_AFTER:
-            self._propagated = propagated(self.estimate, self._process_noise * (stamp - self.stamp))
-            self._propagated_to = stamp
-        return self._propagated
-
-    def sigma_of_point(self, stamp: float, model: ObjectModel, point_object: Array) -> float:
-        """Largest standard deviation of the position of a point of the object (3,) [m], propagated to `stamp` [s].
-
-        It is worked out once: ask for one point only.
-        """
-        if self._variance is None:
-            self._variance = sigma_of_point(self.estimate, model, point_object) ** 2
-        return float(np.sqrt(self._variance + self._process_noise[0] * (stamp - self.stamp)))
-
-
-def estimate_without_contacts(T_palm_object: Array, covariance: Array) -> PoseEstimate:
-    """An estimate that is its prior, a pose (4, 4) and its covariance (6, 6): contacts leave every direction open."""
-    return PoseEstimate.from_gaussian(T_palm_object, covariance, EYE_6)
 
 
 def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:

@@ -42,16 +42,10 @@ class Tally:
     """Observations that were wrong in themselves, by what was said of them."""
     states: dict[str, float] = field(default_factory=dict)
     """Seconds in each state."""
-    first: float | None = None
-    last: float | None = None
-    """Stamps [s]."""
+    recorded: float = 0.0
+    """Seconds between the first observation and the last."""
     wall: float = 0.0
     """Seconds this took."""
-
-    @property
-    def recorded(self) -> float:
-        """Seconds between the first observation and the last."""
-        return 0.0 if self.first is None or self.last is None else self.last - self.first
 
 
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
@@ -60,18 +54,19 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
     An observation that is wrong in itself is counted with what is wrong, and the next is taken.
     """
     began = time.perf_counter()
+    first: float | None = None
     for observation in observations:
-        before = tally.last
         tally.observations += 1
-        tally.first = observation.stamp if tally.first is None else tally.first
-        tally.last = observation.stamp if before is None else max(before, observation.stamp)
+        first = observation.stamp if first is None else first
+        before, tally.recorded = tally.recorded, max(tally.recorded, observation.stamp - first)
         try:
             estimate = tracker.update(observation)
         except InvalidInput as error:
             tally.refused[str(error)] += 1
             continue
-        if before is not None:
-            tally.states[tracker.state] = tally.states.get(tracker.state, 0.0) + tally.last - before
+        if tally.observations > 1:
+            passed = tally.recorded - before
+            tally.states[tracker.state] = tally.states.get(tracker.state, 0.0) + passed
         tally.wall = time.perf_counter() - began
         if estimate is None:
             continue

@@ -16,6 +16,7 @@ time. The correction fuses them with this estimate as its prior, afresh each tim
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight import se3
 from handsight.checks import Array
@@ -30,6 +31,16 @@ GAUSS_NEWTON_STEPS = 2
 SMALL_STEP = 1e-4
 """χ² of the last step: a hundredth of a standard deviation."""
 EYE_6 = np.eye(6)
+MEASUREMENT = np.dtype(
+    [
+        ("T_mount_palm", float, (4, 4)),
+        ("T_mount_object", float, (4, 4)),
+        ("covariance", float, (6, 6)),
+        ("process_noise", float, 6),
+    ]
+)
+"""A pose from vision, or several merged: its own noise, along the mount's axes, and the variance of the object's random
+walk in the palm from the prior to it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,38 +118,6 @@ class PoseAndBias:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VisionMeasurements:
-    """Poses from vision, a row for each palm they were taken from; a row may be several merged."""
-
-    Ts_mount_palm: Array
-    """(k, 4, 4)."""
-    Ts_mount_object: Array
-    """(k, 4, 4)."""
-    covariances: Array
-    """(k, 6, 6) of their noise, along the mount's axes."""
-    process_noise: Array
-    """(k, 6) variance of the object's random walk in the palm from the prior to the measurement."""
-
-    def __len__(self) -> int:
-        return len(self.process_noise)
-
-    def with_row(self, k: int, row: tuple[Array, Array, Array, Array]) -> "VisionMeasurements":
-        """With row k replaced, or with one more where k is their number."""
-        columns = (self.Ts_mount_palm, self.Ts_mount_object, self.covariances, self.process_noise)
-        return VisionMeasurements(
-            *(
-                np.concatenate([old[:k], new[None], old[k + 1 :]])
-                for old, new in zip(columns, row, strict=True)
-            )
-        )
-
-
-NO_MEASUREMENTS = VisionMeasurements(
-    np.empty((0, 4, 4)), np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6))
-)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PoseBiasSmoother:
     """The posterior of pose and bias, given a prior and all measurements of vision since."""
 
@@ -151,7 +130,8 @@ class PoseBiasSmoother:
     """(6,) the process noise by then."""
     process_noise: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) variance of the object's random walk in the palm since the prior."""
-    measurements: VisionMeasurements = NO_MEASUREMENTS
+    measurements: NDArray[np.void] = field(default_factory=lambda: np.empty(0, MEASUREMENT))
+    """(k,) MEASUREMENT, a row for each palm they were taken from."""
 
     @classmethod
     def from_prior(
@@ -184,17 +164,15 @@ class PoseBiasSmoother:
 
         The random walk is taken for as wide along all axes of the palm.
         """
-        Ts = self.measurements.Ts_mount_palm @ se3.inverse(T_new_old)
-        return replace(
-            self,
-            prior=self.prior.transformed(T_new_old),
-            solved=self.solved.transformed(T_new_old),
-            measurements=replace(self.measurements, Ts_mount_palm=Ts),
-        )
+        measurements = self.measurements.copy()
+        measurements["T_mount_palm"] = measurements["T_mount_palm"] @ se3.inverse(T_new_old)
+        prior, solved = self.prior.transformed(T_new_old), self.solved.transformed(T_new_old)
+        return replace(self, prior=prior, solved=solved, measurements=measurements)
 
     def updated(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> "PoseBiasSmoother":
         """After vision measured a pose; `covariance` (6, 6) of its own noise, along the mount's axes."""
-        return self._solved(self._merged(T_mount_palm, T_mount_object, covariance))
+        new = (T_mount_palm, T_mount_object, covariance, self.process_noise)
+        return self._solved(self._merged(np.array([new], dtype=MEASUREMENT)))
 
     def mahalanobis2(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> float:
         """Squared Mahalanobis distance (χ², six degrees of freedom) of a measurement from its prediction."""
@@ -208,48 +186,46 @@ class PoseBiasSmoother:
         state = self.solved
         return biased(T_mount_palm @ state.T_palm_object, state.T_measured_true, self.pivot)
 
-    def _merged(self, T_mount_palm: Array, T_mount_object: Array, covariance: Array) -> VisionMeasurements:
-        """The measurements with one more, merged into one from nearly the same palm if there is one."""
+    def _merged(self, new: NDArray[np.void]) -> NDArray[np.void]:
+        """The measurements with one (1,) more, merged into one from nearly the same palm if there is one."""
         kept = self.measurements
-        new = (T_mount_palm, T_mount_object, covariance, self.process_noise)
         if not len(kept):
-            return kept.with_row(0, new)
-        apart = se3.difference(kept.Ts_mount_palm, T_mount_palm[None])
+            return new
+        apart = se3.difference(kept["T_mount_palm"], new["T_mount_palm"])
         shift, turn = np.sqrt((apart * apart).reshape(-1, 2, 3).sum(axis=2)).T
         k = int(np.argmin(shift + LENGTH_PER_TURN * turn))
         if len(kept) < MOST_MEASUREMENTS and (shift[k] > SAME_PALM[0] or turn[k] > SAME_PALM[1]):
-            return kept.with_row(len(kept), new)
-        return kept.with_row(k, self._averaged(k, *new))
+            return np.concatenate([kept, new])
+        merged = kept.copy()
+        merged[k] = self._averaged(kept[k], new[0])
+        return merged
 
-    def _averaged(
-        self, k: int, T_mount_palm: Array, T_mount_object: Array, covariance: Array, noise: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Row k and a new one as one, from k's palm: innovations weighted by their information."""
-        kept = self.measurements
-        T_kept = kept.Ts_mount_palm[k]
-        expected = self.expected(np.stack([T_kept, T_mount_palm]))
-        measured = np.stack([kept.Ts_mount_object[k], T_mount_object])
-        innovation_kept, innovation = se3.difference(measured, expected)
-        aged = kept.covariances[k] + along_mount(T_kept, noise - kept.process_noise[k])
-        gain = np.linalg.solve(aged + covariance, aged).T
-        both = aged - gain @ aged
-        mean = innovation_kept + gain @ (innovation - innovation_kept)
-        return T_kept, se3.moved(expected[0], mean), (both + both.T) / 2, noise
+    def _averaged(self, kept: np.void, new: np.void) -> tuple[Array, Array, Array, Array]:
+        """Two measurements as one, from the first's palm: innovations weighted by their information."""
+        both = np.stack([kept, new])
+        expected = self.expected(both["T_mount_palm"])
+        innovation_kept, innovation = se3.difference(both["T_mount_object"], expected)
+        aged = kept["covariance"] + along_mount(
+            kept["T_mount_palm"], new["process_noise"] - kept["process_noise"]
+        )
+        gain = np.linalg.solve(aged + new["covariance"], aged).T
+        covariance = aged - gain @ aged
+        T_mount_object = se3.moved(expected[0], innovation_kept + gain @ (innovation - innovation_kept))
+        return kept["T_mount_palm"], T_mount_object, (covariance + covariance.T) / 2, new["process_noise"]
 
-    def _solved(self, measurements: VisionMeasurements) -> "PoseBiasSmoother":
+    def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """The maximum a posteriori of the prior and these measurements, by Gauss-Newton from the last answer.
 
         Process noise inflates each measurement by itself: that it is common to those of one time is neglected.
         """
-        Ts, noise = measurements.Ts_mount_palm, self.process_noise
-        weights = np.linalg.inv(
-            measurements.covariances + along_mount(Ts, noise - measurements.process_noise)
-        )
+        Ts, noise = measurements["T_mount_palm"], self.process_noise
+        walked = along_mount(Ts, noise - measurements["process_noise"])
+        weights = np.linalg.inv(measurements["covariance"] + walked)
         prior = self.prior.inflated(noise)
         prior_information = np.linalg.inv(prior.covariance)
         state = self.solved
         for _ in range(GAUSS_NEWTON_STEPS):
-            H, innovation = self._linearized(state, Ts, measurements.Ts_mount_object)
+            H, innovation = self._linearized(state, Ts, measurements["T_mount_object"])
             weighted = H.swapaxes(1, 2) @ weights
             information = prior_information + (weighted @ H).sum(axis=0)
             gradient = (weighted @ innovation[..., None]).sum(axis=0)[:, 0]

@@ -1,7 +1,8 @@
 """The object's pose in the palm over time: propagated between corrections, corrected when there is something new."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -15,14 +16,11 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking.contact_memory import ContactMemory, with_remembered
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
-from handsight.tracking.grasp_state import GraspChange, GraspState
-from handsight.tracking.propagation import Correction, estimate_without_contacts, sigma_of_point
-from handsight.tracking.settings import TrackerSettings
+from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
+from handsight.tracking.measurements import VisionUpdate, on_table
+from handsight.tracking.propagation import propagated, sigma_of_point
 from handsight.tracking.smoother import PoseBiasSmoother
-from handsight.tracking.table import on_table
-from handsight.tracking.vision_update import VisionUpdate
 
 State = Literal["tracking", "uncertain", "lost"]
 NO_POSE = "no pose yet: neither a start nor vision"
@@ -32,8 +30,60 @@ RECOVERY_EVERY = 0.5
 """Seconds between two such searches, and between corrections while nothing fits: each costs a hundred others."""
 RETRY_EVERY = 0.1
 """The same when the fingers that touch have changed since."""
+RENEW_AFTER = 0.02
+"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
 LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerSettings:
+    """When a tracker corrects, how it expects things to move, and when it admits that it does not know.
+
+    The defaults serve a hand that holds still or moves slowly.
+    """
+
+    rate: float | None = None
+    """Corrections a second while something is touched, whether or not anything changed; None: only when it did."""
+    moved: float = 0.001
+    """A contact that moved so far in the palm is a new one [m]."""
+    turned: float = np.deg2rad(5.0)
+    """Or whose normal turned so far [rad]."""
+    process_noise_position: float = 0.001
+    """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
+    of time."""
+    process_noise_rotation: float = np.deg2rad(3.0)
+    """[rad]; a box between three simulated tips crept by 5 mm and 10° while it was carried for 18 s."""
+    regrasp_position: float = 0.005
+    """How far it may be pushed when a finger comes or goes, per axis [m]."""
+    regrasp_rotation: float = np.deg2rad(3.0)
+    """[rad]"""
+    memory: float = 5.0
+    """How long a contact that was lifted is still believed [s]; 0: not at all."""
+    samples: int = 0
+    """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
+    outside: int = 0
+    """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
+
+    Off by itself because shapes in a hand's file are often larger than the hand. The points need the joints of all
+    links; where an observation lacks some, there are none."""
+    uncertain_position: float = 0.015
+    """Largest standard deviation of the position [m] that counts as tracking."""
+    lost_after: float = 10.0
+    """How long nothing may be touched and nothing seen [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """The answer of a correction, and what it was made from."""
+
+    estimate: PoseEstimate
+    contacts: Contacts
+    """Touched by `fingers` at `stamp` [s]."""
+    fingers: tuple[str, ...]
+    stamp: float
+    variance: float
+    """Of the position of the object's middle, its largest [m²]."""
 
 
 class Tracker:
@@ -61,7 +111,8 @@ class Tracker:
         self.settings = s = settings or TrackerSettings()
         self.state: State = "lost"
         self.reason = NO_POSE
-        self.stamp: float | None = None
+        self.stamp = -math.inf
+        """Of the last observation [s]."""
         self.fingertips = FingertipContacts((), None, {})
         self.T_world_palm: Array | None = None
         self.smoother: PoseBiasSmoother | None = None
@@ -69,20 +120,15 @@ class Tracker:
         self.corrections = self.late = 0
         """How often the pose was corrected, and how many observations came after a later one and were left out."""
         self.vision = VisionUpdate(rig, model)
-        self._sensors, self._memory, self._grasp = (
-            FingertipSensors(rig),
-            ContactMemory(s.memory),
-            GraspState(),
-        )
-        self._surface = rig.hand.surface(s.outside, without=self._sensors.frames) if s.outside else None
-        self._surface_joints = frozenset(self._surface.joints) if self._surface else frozenset()
+        self._sensors, self._grasp = FingertipSensors(rig), GraspState()
+        frames = [finger.frame for finger in rig.fingers.values()]
+        self._surface = rig.hand.surface(s.outside, without=frames) if s.outside else None
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
-        self._cosine_turned = math.cos(s.turned)
-        self._middle_object = model.center_object
+        self._memory = ContactMemory(s.memory, self._process_noise)
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
-        self._now = self._measured_at = self._fits_at = self._recovered_at = -math.inf
+        self._propagated_to = self._measured_at = self._fits_at = self._recovered_at = -math.inf
         if start is not None:
             self.smoother = self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
 
@@ -94,19 +140,31 @@ class Tracker:
         """
         stamp = observation.stamp
         if type(stamp) is not float or not math.isfinite(stamp):
-            stamp = float(checks.finite(stamp, "observation.stamp", ()))
-        if stamp < self._now:
+            stamp = float(checks.finite(observation.stamp, "observation.stamp", ()))
+        if stamp < self.stamp:
             self.late += 1
             return self.estimate
-        observation = self._with_palm(observation)
+        joints = observation.joint_positions
+        if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
+            observation = replace(observation, T_world_palm=self.rig.hand.T_world_palm(joints))
         self.fingertips = self._sensors.contacts(observation)
         self._predict(observation.T_world_palm, stamp)
-        vision = self._update_by_vision(observation)
+        before, touched = self.smoother, self.fingertips.contacts
+        self.smoother = self.vision.update(observation, before, self.T_world_palm)
+        vision = self.smoother is not before
+        if vision or touched is not None:
+            self._measured_at = stamp
         if self.smoother is None:
             return None
-        if self._due(vision=vision):
-            self._correct(self.smoother, observation, vision=vision)
-        self.estimate = self._propagated(self.smoother)
+        if touched is not None and self._due(touched, vision=vision):
+            self._correct(touched, self.smoother, observation, vision=vision)
+        last = self._correction
+        if self.estimate is None or last is None:  # the smoother's alone: contacts leave every direction open
+            now = self.smoother.now
+            self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
+        elif stamp - self._propagated_to > RENEW_AFTER:
+            self.estimate = propagated(last.estimate, self._process_noise * (stamp - last.stamp))
+            self._propagated_to = stamp
         self.state, self.reason = self._judged(self.estimate)
         return self.estimate
 
@@ -124,18 +182,12 @@ class Tracker:
     @property
     def sigma(self) -> float:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
-        if self._correction is not None:
-            return self._correction.sigma_of_point(self._now, self.model, self._middle_object)
+        last = self._correction
+        if last is not None:
+            return math.sqrt(last.variance + self._process_noise[0] * (self.stamp - last.stamp))
         if self.estimate is None:
             return math.inf
-        return sigma_of_point(self.estimate, self.model, self._middle_object)
-
-    def _with_palm(self, observation: Observation) -> Observation:
-        """The observation with the palm's pose in the world, by the arm in the hand's file if the rig says so."""
-        joints = observation.joint_positions
-        if self.rig.world_from != "joints" or observation.T_world_palm is not None or joints is None:
-            return observation
-        return replace(observation, T_world_palm=self.rig.hand.T_world_palm(joints))
+        return sigma_of_point(self.estimate, self.model, self.model.center_object)
 
     def _predict(self, T_world_palm: Array | None, stamp: float) -> None:
         """Propagates the smoother to `stamp`, and through what has become of the grasp since."""
@@ -143,15 +195,15 @@ class Tracker:
             if not self._grasp.grasped and T_world_palm is not None and self.T_world_palm is not None:
                 # Nothing holds it: it stays in the world while the palm goes.
                 self.smoother = self.smoother.transformed(se3.inverse(T_world_palm) @ self.T_world_palm)
-            if stamp > self._now > -math.inf:
-                self.smoother = self.smoother.inflated(self._process_noise * (stamp - self._now))
+            if stamp > self.stamp > -math.inf:
+                self.smoother = self.smoother.inflated(self._process_noise * (stamp - self.stamp))
         if T_world_palm is not None:
             self.T_world_palm = T_world_palm
-        self.stamp = self._now = stamp
-        self._memory.update(self.fingertips, stamp)
-        change = self._grasp.update(self.fingertips.fingers, stamp)
+        self.stamp, fingers = stamp, self.fingertips.fingers
+        self._memory.update(fingers, self.fingertips.contacts, stamp)
+        change = self._grasp.update(fingers, stamp)
         if change == "grasped":
-            self._memory.only(self.fingertips.fingers)
+            self._memory.only(fingers)
         if self.smoother is not None and change is not None:
             self.smoother = self._regrasped(self.smoother, change)
 
@@ -170,90 +222,59 @@ class Tracker:
             state = on_table(state, self.model, table, T) or state
         return smoother.restarted(state)
 
-    def _update_by_vision(self, observation: Observation) -> bool:
-        """Gives the smoother what vision measured; whether there was anything."""
-        before = self.smoother
-        self.smoother = self.vision.update(observation, before, self.T_world_palm)
-        if self.smoother is before:
-            return False
-        self._measured_at = self._now
-        return True
-
-    def _due(self, *, vision: bool) -> bool:
+    def _due(self, touched: Contacts, *, vision: bool) -> bool:
         """Whether vision or touch has something new to say, or touch has not been asked for long enough."""
-        now, last = self.fingertips.contacts, self._correction
-        if now is None:
-            return False
+        last = self._correction
         if last is None:
             return True
-        age, regrasped = self._now - last.stamp, self.fingertips.fingers != last.fingers
+        age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
         if vision or regrasped:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
-        then = last.contacts
-        shift = np.abs(now.points_palm - then.points_palm).max()
-        cosine = np.einsum("ij,ij->i", now.normals_palm, then.normals_palm).min()
-        return bool(shift > self.settings.moved or cosine < self._cosine_turned)
+        shift = np.abs(touched.points_palm - last.contacts.points_palm).max()
+        cosine = (touched.normals_palm * last.contacts.normals_palm).sum(axis=1).min()
+        return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
 
-    def _correct(self, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool) -> None:
+    def _correct(
+        self, touched: Contacts, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool
+    ) -> None:
         """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
-        touched, last = self.fingertips, self._correction
-        remembered = self._memory.of_others(touched)
-        contacts = with_remembered(touched, remembered, self._process_noise, self._now)
-        if contacts is None or touched.contacts is None:
-            return
+        fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
+        contacts, remembered = self._memory.added(fingers, touched, now)
         T, covariance = smoother.solved.T_palm_object, smoother.now.covariance[:6, :6]
-        near = None if vision or last is None or touched.fingers != last.fingers else last.estimate
-        outside = self._outside_points(observation)
-        estimate = self._solved(contacts, PosePrior.trusted(T, covariance), outside, near)
-        if not estimate.consistent and self._now - self._recovered_at >= RECOVERY_EVERY:
-            self._recovered_at = self._now
-            wider = self._solved(contacts, PosePrior.trusted(T, WIDER * covariance), outside)
+        outside, joints = None, observation.joint_positions
+        if self._surface is not None and joints is not None and joints.keys() >= set(self._surface.joints):
+            outside = self._surface.points_palm(joints)
+        samples, prior = self.settings.samples, PosePrior.trusted(T, covariance)
+        correct = partial(correct_pose, self.model, contacts, outside=outside, samples=samples)
+        near = None if vision or last is None or fingers != last.fingers else last.estimate
+        estimate = None
+        if near is not None and near.consistent and not near.outliers and not samples:
+            # Nothing new asks for another minimum than that answer's own, if it still fits.
+            estimate = refine_pose(self.model, contacts, prior, near.T_palm_object, outside)
+        if estimate is None:
+            estimate = correct(vision=prior)
+        if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
+            self._recovered_at = now
+            wider = correct(vision=PosePrior.trusted(T, WIDER * covariance))
             if wider.consistent:
                 estimate = wider
                 more = (WIDER - 1) * np.diag(covariance)
                 self.smoother = smoother.restarted(smoother.now.inflated(more))
         for i in estimate.outliers:
-            if i >= len(touched.contacts):
-                self._memory.forget(remembered[i - len(touched.contacts)].finger)
-        self._correction = Correction(
-            estimate, touched.contacts, touched.fingers, self._now, self._process_noise
-        )
+            if i >= len(touched):
+                self._memory.forget(remembered[i - len(touched)])
+        variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
+        self._correction = Correction(estimate, touched, fingers, now, variance)
+        self.estimate, self._propagated_to = estimate, now
         self.corrections += 1
-
-    def _solved(
-        self, contacts: Contacts, prior: PosePrior, outside: Array | None, near: PoseEstimate | None = None
-    ) -> PoseEstimate:
-        """The answer; with `near`, that estimate's own minimum if it still fits: nothing new asks for another."""
-        samples = self.settings.samples
-        if near is not None and near.consistent and not near.outliers and not samples:
-            refined = refine_pose(self.model, contacts, prior, near.T_palm_object, outside)
-            if refined is not None:
-                return refined
-        return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples)
-
-    def _outside_points(self, observation: Observation) -> Array | None:
-        """(m, 3) points of the hand in the palm [m]; None where none are asked for or joints are missing."""
-        joints = observation.joint_positions
-        if self._surface is None or joints is None or not self._surface_joints <= joints.keys():
-            return None
-        return self._surface.points_palm(joints)
-
-    def _propagated(self, smoother: PoseBiasSmoother) -> PoseEstimate:
-        """The last correction as it stands now; without one, the smoother's pose."""
-        if self._correction is not None:
-            return self._correction.at(self._now)
-        state = smoother.now
-        return estimate_without_contacts(state.T_palm_object, state.covariance[:6, :6])
 
     def _judged(self, estimate: PoseEstimate) -> tuple[State, str]:
         """How far the estimate is to be trusted, and why no further."""
-        now = self._now
-        if self.fingertips.contacts is not None:
-            self._measured_at = now
+        now = self.stamp
         if estimate.consistent or self._fits_at == -math.inf:
             self._fits_at = now
         if now - self._measured_at > self.settings.lost_after:

@@ -1,4 +1,4 @@
-"""Vision's poses as measurements: carried into the frame the camera is fixed to, gated, and given to the smoother."""
+"""What vision and a table measure of the object: each gated, and given to the smoother or its state."""
 
 from typing import Literal
 
@@ -10,12 +10,14 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.observation import Observation, PoseMeasurement
-from handsight.rig import Camera, Rig
-from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.rig import Camera, Rig, Table
+from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]
 GATE_CHI2 = 27.9
 """χ² of six numbers that one in ten thousand exceeds: such a measurement is wrong, or the object has moved."""
+TABLE_GATE_CHI2 = 16.3
+"""χ² of three numbers that one in a thousand exceeds: beyond it the object does not stand there."""
 REJECTED_UNTIL_RESTART = 5
 """So many of them in a row say that the object has moved."""
 UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
@@ -23,7 +25,10 @@ UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
 
 
 class VisionUpdate:
-    """A rig's camera as a sensor of poses, and what has become of its measurements."""
+    """A rig's camera as a sensor of poses, and what has become of its measurements.
+
+    They are carried into the frame the camera is fixed to, its mount: there its bias is constant.
+    """
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """`rig.camera` may be None: then poses come in the world or the palm."""
@@ -105,3 +110,28 @@ class VisionUpdate:
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
         self._rejected_in_a_row = 0
         return smoother.updated(T, covariance, T_mount_palm)
+
+
+def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
+    """The state given that the object stands on the table; None where that is beyond the gate.
+
+    It stands along the one of its six axes' directions that points up most.
+    """
+    R, T = T_world_palm[:3, :3], T_world_palm @ state.T_palm_object
+    up = int(np.argmax(np.abs(T[2, :3])))
+    sign = 1.0 if T[2, up] > 0 else -1.0
+    axis = sign * T[:3, up]
+    base = model.bounds_object[0, up] if sign > 0 else -model.bounds_object[1, up]
+    # The swing about the world's x and y that brings the axis upright; about z it says nothing.
+    swing = np.array([axis[1], -axis[0]])
+    sine = float(np.linalg.norm(swing))
+    if sine > 1e-9:
+        swing = swing / sine * np.arctan2(sine, axis[2])
+    H = np.zeros((3, 12))
+    H[0, :3], H[1:, 3:6] = R[2], R[:2]
+    innovation = np.concatenate([[table.height - base - T[2, 3]], swing])
+    noise = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
+    S = H @ state.covariance @ H.T + noise
+    if innovation @ np.linalg.solve(S, innovation) > TABLE_GATE_CHI2:
+        return None
+    return state.updated(H, innovation, noise)

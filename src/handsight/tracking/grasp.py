@@ -1,0 +1,93 @@
+"""The fingers over time: whether the hand grasps something, and where those that have let go felt it last."""
+
+from typing import Literal
+
+import numpy as np
+
+from handsight.checks import Array
+from handsight.contact import Contacts
+
+GraspChange = Literal["grasped", "regrasped", "released"]
+
+RELEASE_AFTER = 0.2
+"""Nothing may be touched for so long before the object counts as released [s]: contacts flicker as fingers close."""
+LIFTED = 0.005
+"""A palm that rose by so much since the grasp has lifted the object [m]."""
+ENOUGH_FINGERS = 2
+"""So many fingers that stay keep an object where it is while others come and go."""
+
+
+class GraspState:
+    """Whether one object is grasped, over time."""
+
+    def __init__(self) -> None:
+        """Nothing is grasped at first."""
+        self.grasped = False
+        self._fingers: frozenset[str] = frozenset()
+        self._touched_at = -float("inf")
+        self._height: float | None = None
+
+    def update(self, fingers: tuple[str, ...], stamp: float) -> GraspChange | None:
+        """What has changed: a grasp begun, ended, or its fingers so different that the object may have moved."""
+        now = frozenset(fingers)
+        if now:
+            self._touched_at = stamp
+        change: GraspChange | None = None
+        if self.grasped and stamp - self._touched_at > RELEASE_AFTER:
+            self.grasped, self._height, change = False, None, "released"
+        elif now and not self.grasped:
+            self.grasped, change = True, "grasped"
+        elif now and now != self._fingers and len(now & self._fingers) < ENOUGH_FINGERS:
+            change = "regrasped"
+        if now or change == "released":
+            self._fingers = now
+        return change
+
+    def on_table(self, height: float) -> bool:
+        """Whether an object that stood when it was grasped still does; `height` of the palm in the world [m]."""
+        if self._height is None:
+            self._height = height
+        return height < self._height + LIFTED
+
+
+class ContactMemory:
+    """The last contact of each finger that touches no more: the object is still there, for a while."""
+
+    def __init__(self, seconds: float, process_noise: Array) -> None:
+        """How long a contact is kept, 0: not at all; `process_noise` (6,): variance of the object's motion a second."""
+        self._seconds, self._process_noise = seconds, process_noise
+        self._last: dict[str, tuple[Contacts, int, float]] = {}
+        """By finger: the contacts its last one was among, in the palm frame, which of them it is, and when [s]."""
+
+    def update(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> None:
+        """Takes note of what is touched now; a finger's new contact replaces its old one, and the old expire."""
+        if not self._seconds:
+            return
+        if contacts is not None:
+            self._last |= {finger: (contacts, row, stamp) for row, finger in enumerate(fingers)}
+        for finger in [finger for finger, last in self._last.items() if stamp - last[2] > self._seconds]:
+            del self._last[finger]
+
+    def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
+        """The contacts of now and, after them, those of other fingers, whose names come too.
+
+        Remembered ones are less certain by what the object has moved since.
+        """
+        others = {finger: last for finger, last in self._last.items() if finger not in fingers}
+        if not others:
+            return contacts, []
+        parts = [contacts, *(then.select([row]) for then, row, _ in others.values())]
+        covariance = np.concatenate([part.covariance for part in parts])
+        ages = [max(stamp - then, 0.0) for _, _, then in others.values()]
+        covariance[len(contacts) :] += [np.diag(self._process_noise * age) for age in ages]
+        points = np.concatenate([part.points_palm for part in parts])
+        normals = np.concatenate([part.normals_palm for part in parts])
+        return Contacts(points, normals, covariance=covariance), list(others)
+
+    def forget(self, finger: str) -> None:
+        """Drops a contact that does not fit."""
+        self._last.pop(finger, None)
+
+    def only(self, fingers: tuple[str, ...]) -> None:
+        """Drops all contacts but those of some fingers: a new grasp."""
+        self._last = {finger: last for finger, last in self._last.items() if finger in fingers}
