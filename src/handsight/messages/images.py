@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.errors import MissingExtra
-from handsight.messages.report import MessageRejected
+from handsight.messages.topics import MessageRejected
 
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
