@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from handsight.messages import RawMessage
-from handsight.recording.chunks import Chunk, ChunkedSource, normal_type, seconds
+from handsight.recording.chunks import Chunk, ChunkedSource, seconds
 
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
@@ -25,7 +25,6 @@ class McapSource(ChunkedSource):
 
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, tuple[str, str, str]] = {}
         super().__init__(path)
 
     def _index(self) -> Iterator[Chunk]:
@@ -47,7 +46,7 @@ class McapSource(ChunkedSource):
             if op == MESSAGE and end - begin >= MESSAGE_HEAD.size:
                 run = self._extended(run, begin, end)
             elif op in (SCHEMA, CHANNEL):
-                self._define(op, self.data[begin:end])
+                self._take(op, self.data[begin:end])
         else:
             self.truncated = f"the file ends at byte {size} without MCAP's footer: it was not closed"
         if run is not None:
@@ -79,16 +78,16 @@ class McapSource(ChunkedSource):
                 break
             read = end
             if op != MESSAGE:
-                self._define(op, data[begin:end])
+                self._take(op, data[begin:end])
             elif end - begin >= MESSAGE_HEAD.size:
                 key, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
-                channel = self._channels.get(key)
+                channel = self.channels.get(key)
                 if channel is not None and channel[0] in wanted:
                     found.append(RawMessage(*channel, seconds(log), data[begin + MESSAGE_HEAD.size : end]))
         wrong = f"expected messages, got something else at {read} of {len(data)} bytes"
         return found, wrong if read < len(data) else None
 
-    def _define(self, op: int, data: bytes) -> None:
+    def _take(self, op: int, data: bytes) -> None:
         """Take in a schema or a channel; one that is no such thing is passed over, with its messages."""
         try:
             key = int.from_bytes(data[:2], "little")
@@ -99,9 +98,7 @@ class McapSource(ChunkedSource):
             encoding, _ = _text(data, at)
         except (struct.error, UnicodeDecodeError):
             return
-        kind = normal_type(self._schemas.get(int.from_bytes(data[2:4], "little"), ""))
-        self._channels[key] = (topic, kind, encoding)
-        self.topics[topic] = kind
+        self.define(key, topic, self._schemas.get(int.from_bytes(data[2:4], "little"), ""), encoding)
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:

@@ -2,18 +2,18 @@
 
 import re
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-from handsight.errors import InvalidFile, MissingExtra
+from handsight.errors import InvalidFile
 from handsight.messages import CameraIntrinsics, ObservationStream, RawMessage, Report
 from handsight.observation import Observation
-from handsight.recording.chunks import Source, normal_type, seconds
+from handsight.recording.chunks import Source
 from handsight.recording.mcap import McapSource
 from handsight.recording.rosbag1 import Rosbag1Source
-from handsight.recording.rosbag2_sqlite import SqliteSource
+from handsight.recording.rosbag2 import CompressedFolder, SqliteSource
 from handsight.rig import Rig
 
 KINDS: tuple[type[Source], ...] = (McapSource, Rosbag1Source, SqliteSource)
@@ -146,7 +146,7 @@ def _open_folder(path: Path) -> Source:
     """A rosbag 2: its files one after the other, the tenth after the ninth."""
     metadata = path / "metadata.yaml"
     if metadata.is_file() and COMPRESSED.search(metadata.read_bytes()[:MAX_METADATA]):
-        return _CompressedFolder(path)
+        return CompressedFolder(path)
     files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
     if not files:
         raise InvalidFile(f"{path}: {EXPECTED}, got a folder without .mcap or .db3 files")
@@ -158,17 +158,15 @@ class _SplitFiles(Source):
 
     def __init__(self, path: Path, files: list[Path]) -> None:
         super().__init__(path)
-        self._parts: list[Source] = []
         with ExitStack() as opened:
-            for file in files:
-                part = open_source(file)
-                opened.callback(part.close)
-                self._parts.append(part)
-                self.topics |= part.topics
+            self._parts = [opened.enter_context(closing(open_source(file))) for file in files]
             self._opened = opened.pop_all()
+        for part in self._parts:
+            self.topics |= part.topics
         self._gather()
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.messages`, of each file after the other."""
         for part in self._parts:
             yield from part.messages(wanted)
             self._gather()
@@ -182,31 +180,3 @@ class _SplitFiles(Source):
 
     def close(self) -> None:
         self._opened.close()
-
-
-class _CompressedFolder(Source):
-    """A rosbag 2 whose files or messages are compressed as wholes; rosbags unpacks it."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        try:
-            from rosbags.rosbag2 import Reader
-        except ImportError:
-            raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
-        try:
-            self._reader: Any = Reader(path)
-            self._reader.open()
-        except Exception as error:  # rosbags and what it is built on raise many kinds on a broken file
-            raise InvalidFile(f"{path}: {EXPECTED}, got: {error}") from None
-        self.topics = {c.topic: normal_type(c.msgtype) for c in self._reader.connections}
-
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        connections = [c for c in self._reader.connections if c.topic in wanted]
-        try:
-            for c, log, data in self._reader.messages(connections) if connections else ():
-                yield RawMessage(c.topic, normal_type(c.msgtype), "cdr", seconds(log), bytes(data))
-        except Exception as error:  # as above
-            self.truncated = f"it cannot be read to its end ({error})"
-
-    def close(self) -> None:
-        self._reader.close()

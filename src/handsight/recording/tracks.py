@@ -53,9 +53,8 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
     with McapFile(Path(path)) as file:
         for row in rows:
             if row.T_palm_object is not None:
-                pose = pose_with_covariance(row.T_palm_object, row.covariance)
-                fields = {"header": header(row.stamp, frame), "pose": pose}
-                file.write(TOPIC, POSE_COVARIANCE, row.stamp, fields)
+                top, pose = header(row.stamp, frame), pose_with_covariance(row.T_palm_object, row.covariance)
+                file.append(TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
 
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
