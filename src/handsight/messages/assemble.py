@@ -34,7 +34,6 @@ class ObservationAssembler:
         self._due: float | None = None  # stamp of joint states without an observation
         self.tree = TransformTree()
         self.truth: list[tuple[float, Array]] = []
-        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
 
     def put(self, measurement: Measurement) -> Observation | None:
         """The observation of the joint states before this measurement, if it completes it."""
@@ -96,22 +95,13 @@ class ObservationAssembler:
         sensor = self._sensors.setdefault(finger, WrenchSensor())
         sensor.read(measurement.value, stamp)
         full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
-        if full is not None and sensor.is_saturated(full):
-            sensor.saturated += 1
-            what = f"reads full scale ({full[0]:g} N, {full[1]:g} N m) in {sensor.saturated} messages"
-        elif sensor.is_constant(stamp) and any(
-            other.changed >= stamp - STUCK for other in self._sensors.values() if other is not sensor
-        ):
-            sensor.stuck += 1
-            what = (
-                f"reads the same six numbers beyond {STUCK} s while others change, in {sensor.stuck} messages"
-            )
-        else:
-            return
-        sensor.wrench = None
-        self._report.fingers[finger] = f"{what}: a dead sensor? left out"
-        measurement.topic.used -= 1
-        measurement.topic.stuck += 1
+        others = (each.changed for each in self._sensors.values() if each is not sensor)
+        fault = sensor.fault(full, others_change=any(changed >= stamp - STUCK for changed in others))
+        if fault is not None:
+            sensor.wrench = None
+            self._report.fingers[finger] = f"{fault}: a dead sensor? left out"
+            measurement.topic.used -= 1
+            measurement.topic.stuck += 1
 
 
 @dataclass(slots=True)
@@ -136,14 +126,19 @@ class WrenchSensor:
             self.reading, self.changed, self.repeated = reading, stamp, 0
         self.repeated += 1
 
-    def is_saturated(self, full_scale: tuple[float, float]) -> bool:
-        """Whether force or torque is as large as the sensor can read."""
+    def fault(self, full_scale: tuple[float, float] | None, *, others_change: bool) -> str | None:
+        """Why the newest reading cannot be used; None: it can."""
         force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
-        return force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]
-
-    def is_constant(self, stamp: float) -> bool:
-        """Whether it has read the same for long."""
-        return self.repeated >= MIN_STUCK_READINGS and stamp - self.changed > STUCK
+        force_scale, torque_scale = full_scale or (float("inf"), float("inf"))
+        if force >= AT_FULL_SCALE * force_scale or torque >= AT_FULL_SCALE * torque_scale:
+            self.saturated += 1
+            return f"reads full scale ({force_scale:g} N, {torque_scale:g} N m) in {self.saturated} messages"
+        if others_change and self.repeated >= MIN_STUCK_READINGS and self.stamp - self.changed > STUCK:
+            self.stuck += 1
+            return (
+                f"reads the same six numbers beyond {STUCK} s while others change, in {self.stuck} messages"
+            )
+        return None
 
 
 class TransformTree:

@@ -21,10 +21,8 @@ REORDER_WINDOW = 0.2
 """Of stamps, to put messages in order [s]."""
 MAX_JUMP = 1.0
 """Joint states that jump ahead by more must be confirmed by the next, and back by more are told [s]."""
-MAX_WAITING = 50_000
-"""Measurements."""
-MAX_WAITING_BYTES = 1 << 28
-MAX_PUBLISHERS = 1000
+MAX_WAITING, MAX_WAITING_BYTES, MAX_PUBLISHERS = 50_000, 1 << 28, 1000
+"""What is kept at most: measurements, and whose stamps are known."""
 
 
 class Clocks:
@@ -117,19 +115,13 @@ class ReorderBuffer:
         """Those that are in order with this one, without the late and the duplicated."""
         for each in self._confirmed(measurement) if measurement.topic.role == "joints" else (measurement,):
             self._push(each)
-        while self._waiting and (
-            self._waiting[0][0] <= self._edge()
-            or len(self._waiting) > MAX_WAITING
-            or self._bytes > MAX_WAITING_BYTES
-        ):
-            yield from self._pop()
+        yield from self._pop(self._edge())
 
     def finish(self) -> Iterator[Measurement]:
         """Those that wait."""
         if self._jumped is not None:
             self._push(self._jumped)
-        while self._waiting:
-            yield from self._pop()
+        yield from self._pop(float("inf"))
 
     def _edge(self) -> float:
         """Stamps up to this are in order."""
@@ -160,19 +152,22 @@ class ReorderBuffer:
         heapq.heappush(self._waiting, (measurement.stamp, next(self._count), measurement))
         self._bytes += measurement.size
 
-    def _pop(self) -> Iterator[Measurement]:
-        """The one with the earliest stamp, unless it is a duplicate."""
-        self._released, _, measurement = heapq.heappop(self._waiting)
-        self._bytes -= measurement.size
-        topic = measurement.topic
-        # Several may publish transforms, or joint states, with one stamp: each its own names.
-        if topic.role != "tf":
-            publisher = topic.topic, tuple(measurement.value) if topic.role == "joints" else ()
-            if self._last_stamps.get(publisher) == self._released:
-                topic.duplicated += 1
-                return
-            if len(self._last_stamps) > MAX_PUBLISHERS:
-                self._last_stamps.clear()
-            self._last_stamps[publisher] = self._released
-        topic.use(self._released)
-        yield measurement
+    def _pop(self, edge: float) -> Iterator[Measurement]:
+        """Those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
+        while self._waiting and (
+            self._waiting[0][0] <= edge or len(self._waiting) > MAX_WAITING or self._bytes > MAX_WAITING_BYTES
+        ):
+            self._released, _, measurement = heapq.heappop(self._waiting)
+            self._bytes -= measurement.size
+            topic = measurement.topic
+            # Several may publish transforms, or joint states, with one stamp: each its own names.
+            if topic.role != "tf":
+                publisher = topic.topic, tuple(measurement.value) if topic.role == "joints" else ()
+                if self._last_stamps.get(publisher) == self._released:
+                    topic.duplicated += 1
+                    continue
+                if len(self._last_stamps) > MAX_PUBLISHERS:
+                    self._last_stamps.clear()
+                self._last_stamps[publisher] = self._released
+            topic.use(self._released)
+            yield measurement

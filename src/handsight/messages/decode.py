@@ -46,40 +46,38 @@ class Measurement:
         return 500 + (self.value.nbytes if self.topic.role in ("color", "depth") else 0)
 
 
-class Decoder:
-    """Raw messages to measurements; `frames`: what messages call world, palm and camera."""
+def decode(
+    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastCdrReader
+) -> list[Measurement]:
+    """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
 
-    def __init__(self, frames: Mapping[str, str]) -> None:
-        self._frames, self._fast = frames, FastCdrReader()
+    Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: what messages
+    call world, palm and camera. `fast`: kept from message to message. Raises MissingExtra.
+    """
+    try:
+        if raw.type not in TYPES[topic.role]:
+            expected = " or ".join(TYPES[topic.role])
+            raise MessageRejected(f"expected {expected}, got {raw.type or 'no type'}")
+        if (found := _decode_fast(raw, topic.role, fast)) is None:
+            message = _deserialized(raw)
+            if topic.role in ("tf", "tf_static"):
+                return _transforms(message, raw, topic)
+            found = _stamp(message), READERS[topic.role](message, frames)
+        topic.messages += 1
+        return [Measurement(topic, found[0], raw.log_time, found[1])]
+    except MessageRejected as error:
+        topic.messages += 1
+        topic.reject(error)
+        return []
 
-    def decode(self, raw: RawMessage, topic: TopicReport) -> list[Measurement]:
-        """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
 
-        Each is counted as a message of the topic, and so is what was rejected, with its reason.
-        """
-        try:
-            if raw.type not in TYPES[topic.role]:
-                expected = " or ".join(TYPES[topic.role])
-                raise MessageRejected(f"expected {expected}, got {raw.type or 'no type'}")
-            if (found := self._decode_fast(raw, topic.role)) is None:
-                message = _deserialized(raw)
-                if topic.role in ("tf", "tf_static"):
-                    return _transforms(message, raw, topic)
-                found = _stamp(message), READERS[topic.role](message, self._frames)
-            topic.messages += 1
-            return [Measurement(topic, found[0], raw.log_time, found[1])]
-        except MessageRejected as error:
-            topic.messages += 1
-            topic.reject(error)
-            return []
-
-    def _decode_fast(self, raw: RawMessage, role: Role) -> tuple[float, Any] | None:
-        """Stamp and value."""
-        if raw.encoding == "cdr" and role == "wrench" and (wrench := self._fast.wrench(raw.data)):
-            return wrench[0], _wrench(wrench[1])
-        if raw.encoding == "cdr" and role == "joints" and (joints := self._fast.joints(raw.data)):
-            return joints[0], _positions(joints[1], joints[2])
-        return None
+def _decode_fast(raw: RawMessage, role: Role, fast: FastCdrReader) -> tuple[float, Any] | None:
+    """Stamp and value."""
+    if raw.encoding == "cdr" and role == "wrench" and (wrench := fast.wrench(raw.data)):
+        return wrench[0], _wrench(wrench[1])
+    if raw.encoding == "cdr" and role == "joints" and (joints := fast.joints(raw.data)):
+        return joints[0], _positions(joints[1], joints[2])
+    return None
 
 
 def _transforms(message: Any, raw: RawMessage, topic: TopicReport) -> list[Measurement]:
@@ -100,9 +98,7 @@ def _deserialized(raw: RawMessage) -> Any:
     store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
     try:
-        if raw.encoding == "ros1":
-            return store.deserialize_ros1(raw.data, kind)
-        return store.deserialize_cdr(raw.data, kind)
+        return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
         said = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
         raise MessageRejected(said) from None

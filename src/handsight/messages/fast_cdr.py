@@ -19,7 +19,6 @@ class FastCdrReader:
     """Reads JointState and WrenchStamped; remembers the names of the last, which seldom change."""
 
     def __init__(self) -> None:
-        """Without names yet."""
         self._named, self._names = b"", list[str]()
 
     def wrench(self, data: bytes) -> Wrench | None:

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 
-from handsight.checks import Array
 from handsight.messages.assemble import ObservationAssembler
 from handsight.messages.clocks import Clocks, ReorderBuffer
-from handsight.messages.decode import CameraIntrinsics, Decoder, Measurement
+from handsight.messages.decode import CameraIntrinsics, Measurement, decode
+from handsight.messages.fast_cdr import FastCdrReader
 from handsight.messages.report import Report, missing
 from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
@@ -30,41 +30,34 @@ class ObservationStream:
 
         `report`: a new one that is to be filled.
         """
-        self._rig, self._topics, known = rig, rig_topics(rig), topics or {}
+        self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
+        """What the rig listens to, by name; what is put in of others is passed over."""
         self.report = Report(rig.topics.joint_states) if report is None else report
         """Counts and sentences."""
         self.intrinsics: CameraIntrinsics | None = None
         """What CameraInfo says; None: nothing was heard of it."""
-        for name, topic in self._topics.items():
+        for name, topic in self.topics.items():
             if name in known:
                 topic.type = known[name]
                 self.report.topics[name] = topic
-        self.report.others |= {name: kind for name, kind in known.items() if name not in self._topics}
+        self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
-        self._decoder, self._clocks = Decoder(rig.frames), Clocks()
+        self._fast, self._clocks = FastCdrReader(), Clocks()
         self._order = ReorderBuffer(self.report, self._clocks)
         self._assembler = ObservationAssembler(rig, self.report)
-
-    @property
-    def truth(self) -> list[tuple[float, Array]]:
+        self.truth = self._assembler.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
-        return self._assembler.truth
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """Those that the rig listens to; what is put in of others is passed over."""
-        return frozenset(self._topics)
 
     def put(self, message: RawMessage) -> list[Observation]:
         """The observations that are complete with this message, in order of stamp; raises MissingExtra."""
-        topic = self._topics.get(message.topic)
+        topic = self.topics.get(message.topic)
         if topic is None:
             self.report.others.setdefault(message.topic, message.type)
             return []
         self.report.topics.setdefault(topic.topic, topic)
         topic.type = message.type  # rather than what was said beforehand: a damaged file contradicts itself
         found = []
-        for measurement in self._decoder.decode(message, topic):
+        for measurement in decode(message, topic, self._rig.frames, self._fast):
             if topic.role == "tf_static":
                 self._assembler.tree.put(measurement.value, float("inf"))
                 topic.used += 1

@@ -8,9 +8,8 @@ import sys
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 from zlib import crc32
 
 from handsight.messages import RawMessage
@@ -62,8 +61,7 @@ class Source(ABC):
         """Let go of the file."""
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """A stretch of the file that is read in one go."""
 
     start: int
@@ -127,7 +125,6 @@ class ChunkedSource(Source):
         return found
 
     def close(self) -> None:
-        """Let go of the file."""
         self.data.close()
 
 

@@ -3,7 +3,6 @@
 import mmap
 import struct
 from collections.abc import Collection, Iterator
-from dataclasses import replace
 
 from handsight.messages import RawMessage
 from handsight.recording.chunks import Chunk, ChunkedSource
@@ -37,9 +36,10 @@ class Rosbag1Source(ChunkedSource):
                 chunks.append(Chunk(start, begin, length, compression, unpacked))
                 starts.clear()
             elif op == INDEX and chunks and at <= size:
-                starts += _earliest(self.data[begin:at])
-                if starts:
-                    chunks[-1] = replace(chunks[-1], start=min(starts))
+                entries = ENTRY.iter_unpack(self.data[begin : at - (at - begin) % ENTRY.size])
+                times = (sec * 10**9 + nanosec for sec, nanosec, _ in entries)
+                starts.append(min(times, default=chunks[-1].start))
+                chunks[-1] = chunks[-1]._replace(start=min(starts))
             elif op == CONNECTION and at <= size:
                 self._take(fields, self.data[begin:at])
         if at != size:
@@ -95,11 +95,3 @@ def _fields(header: bytes) -> Fields:
         fields[name] = value
         at = end
     return fields
-
-
-def _earliest(index: bytes) -> list[int]:
-    """The earliest time [ns] in the index of a connection's messages in a chunk; empty: it has none."""
-    stop = len(index) - len(index) % ENTRY.size
-    times = (sec * 10**9 + nanosec for sec, nanosec, _ in ENTRY.iter_unpack(index[:stop]))
-    earliest = min(times, default=None)
-    return [] if earliest is None else [earliest]

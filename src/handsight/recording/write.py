@@ -1,11 +1,15 @@
-"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read."""
+"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read; what was tracked to MCAP, TUM or CSV."""
 
+import csv
 import math
 import shutil
 import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags asks only for its fields
-from typing import Any, Self
+from typing import Any, Self, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +24,9 @@ from handsight.rig import Rig
 
 LATEST = float(2**31)
 """Seconds are 32 bits in a message's stamp."""
+TOPIC = "/handsight/pose"
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z", "sigma_rx", "sigma_ry", "sigma_rz")
 
 
 class McapFile:
@@ -101,15 +108,17 @@ class RecordingWriter(McapFile):
         for finger, wrench in observation.wrenches.items():
             self._write_wrench(stamp, finger, wrench)
         if observation.T_world_palm is not None:
-            T = se3.check(observation.T_world_palm, "T_world_palm")
-            body = Message(translation=vector(T[:3, 3]), rotation=quaternion(T[:3, :3]))
-            top = header(stamp, frames["world"])
+            top, palm = (
+                header(stamp, frames["world"]),
+                pose(se3.check(observation.T_world_palm, "T_world_palm")),
+            )
+            body = Message(translation=palm.position, rotation=palm.orientation)
             link = Message(header=top, child_frame_id=frames["palm"], transform=body)
             self.append(_topic(topics.tf, "tf"), TF, stamp, transforms=[link])
         if (vision := observation.vision) is not None:
             top = header(stamp, frames[vision.frame])
-            pose = pose_with_covariance(vision.T_frame_object, vision.covariance)
-            self.append(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, header=top, pose=pose)
+            body = pose_with_covariance(vision.T_frame_object, vision.covariance)
+            self.append(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, header=top, pose=body)
         if observation.color is not None:
             color = np.asarray(observation.color, np.uint8)
             self._write_image(stamp, _topic(topics.color, "color"), "rgb8", color)
@@ -127,7 +136,7 @@ class RecordingWriter(McapFile):
         if finger not in topics:
             raise InvalidInput(f"wrenches: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
         value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
-        body = Message(force=vector(value[:3]), torque=vector(value[3:]))
+        body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
         # The sensor's own frame; none of the rig's frame ids.
         self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
 
@@ -153,19 +162,15 @@ def header(stamp: float, frame: str = "") -> Message:
     return Message(stamp=Message(sec=sec, nanosec=nanosec), frame_id=frame)
 
 
-def vector(xyz: Array) -> Message:
-    """A geometry_msgs/Vector3 or Point."""
-    return Message(**dict(zip("xyz", xyz.tolist(), strict=True)))
-
-
-def quaternion(R: Array) -> Message:
-    """A geometry_msgs/Quaternion."""
-    return Message(**dict(zip("xyzw", se3.quaternion_from_rotation(R).tolist(), strict=True)))
+def parts(names: str, values: Array) -> Message:
+    """A Vector3 or Point (of x, y, z), or a Quaternion (of x, y, z, w)."""
+    return Message(**dict(zip(names, values.tolist(), strict=True)))
 
 
 def pose(T: Array) -> Message:
     """A geometry_msgs/Pose."""
-    return Message(position=vector(T[:3, 3]), orientation=quaternion(T[:3, :3]))
+    rotation = se3.quaternion_from_rotation(T[:3, :3])
+    return Message(position=parts("xyz", T[:3, 3]), orientation=parts("xyzw", rotation))
 
 
 def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
@@ -194,3 +199,77 @@ def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
     with np.errstate(invalid="ignore"):
         known = (depth > 0) & (depth < 65.5)
     return np.where(known, np.round(np.where(known, depth, 0) * 1000), 0).astype("<u2")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackRow:
+    """Where the object was at one instant."""
+
+    stamp: float
+    """[s]"""
+    T_palm_object: Array | None
+    """(4, 4); None: not known."""
+    covariance: Array | None
+    """(6, 6) of (δp [m], δθ [rad]) along the palm's axes; None: unbounded in some direction, or not known."""
+    state: str
+    """tracking, uncertain or lost."""
+    reason: str = ""
+    """Why it is not tracking; empty: it is."""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.stamp):
+            raise InvalidInput(f"row.stamp: expected a finite number, got {self.stamp}")
+        if self.T_palm_object is not None:
+            object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "row.T_palm_object"))
+        if self.covariance is not None:
+            covariance = checks.covariance(self.covariance, "row.covariance", (6, 6))
+            object.__setattr__(self, "covariance", covariance)
+
+
+def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
+    """PoseWithCovarianceStamped on /handsight/pose, in the palm's frame id `frame`; no covariance is all zero.
+
+    Raises InvalidFile, and MissingExtra without rosbags.
+    """
+    with McapFile(Path(path)) as file:
+        for row in rows:
+            if row.T_palm_object is not None:
+                top, pose = header(row.stamp, frame), pose_with_covariance(row.T_palm_object, row.covariance)
+                file.append(TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
+
+
+def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
+    """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
+    with _writing(path) as file:
+        for row in rows:
+            if row.T_palm_object is not None:
+                file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
+
+
+def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
+    """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m], [rad]; unknown is empty.
+
+    Raises InvalidFile.
+    """
+    with _writing(path) as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
+        for row in rows:
+            pose = [""] * 7 if row.T_palm_object is None else _pose(row.T_palm_object)
+            sigmas = [""] * 6
+            if row.covariance is not None:
+                sigmas = [f"{x:.6g}" for x in np.sqrt(np.diagonal(row.covariance))]
+            table.writerow([f"{row.stamp:.9f}", row.state, row.reason, *pose, *sigmas])
+
+
+@contextmanager
+def _writing(path: str | Path) -> Iterator[TextIO]:
+    try:
+        with Path(path).open("w", encoding="utf-8", newline="") as file:
+            yield file
+    except OSError as error:
+        raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _pose(T: Array) -> list[str]:
+    return [f"{x:.9f}" for x in (*T[:3, 3], *se3.quaternion_from_rotation(T[:3, :3]))]
