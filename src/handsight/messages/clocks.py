@@ -101,10 +101,10 @@ class Clocks:
 
 
 class ReorderBuffer:
-    """Measurements in order of stamp, through a window that the joint states move on; the report counts the rest."""
+    """Measurements on one clock, in order of stamp, through a window that the joint states move on."""
 
-    def __init__(self, report: Report, clocks: Clocks) -> None:
-        self._report, self._clocks = report, clocks
+    def __init__(self, report: Report) -> None:
+        self._report, self._clocks = report, Clocks()
         self._waiting: list[tuple[float, int, Measurement]] = []
         self._bytes, self._count = 0, itertools.count()
         self._newest, self._released = -float("inf"), -float("inf")
@@ -113,15 +113,21 @@ class ReorderBuffer:
 
     def put(self, measurement: Measurement) -> Iterator[Measurement]:
         """Those that are in order with this one, without the late and the duplicated."""
-        for each in self._confirmed(measurement) if measurement.topic.role == "joints" else (measurement,):
-            self._push(each)
-        yield from self._pop(self._edge())
+        for aligned in self._clocks.put(measurement):
+            yield from self._insert(aligned)
 
     def finish(self) -> Iterator[Measurement]:
-        """Those that wait."""
+        """Those that wait: no more come."""
+        for aligned in self._clocks.finish():
+            yield from self._insert(aligned)
         if self._jumped is not None:
             self._push(self._jumped)
         yield from self._pop(float("inf"))
+
+    def _insert(self, measurement: Measurement) -> Iterator[Measurement]:
+        for each in self._confirmed(measurement) if measurement.topic.role == "joints" else (measurement,):
+            self._push(each)
+        yield from self._pop(self._edge())
 
     def _edge(self) -> float:
         """Stamps up to this are in order."""

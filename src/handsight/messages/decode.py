@@ -13,7 +13,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import images
 from handsight.messages.fast_cdr import FastCdrReader
-from handsight.messages.topics import TF, TF_ROS1, TYPES, MessageRejected, RawMessage, Role, TopicReport
+from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 
 
@@ -55,9 +55,8 @@ def decode(
     call world, palm and camera. `fast`: kept from message to message. Raises MissingExtra.
     """
     try:
-        if raw.type not in TYPES[topic.role]:
-            expected = " or ".join(TYPES[topic.role])
-            raise MessageRejected(f"expected {expected}, got {raw.type or 'no type'}")
+        if raw.type not in topic.expected:
+            raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}")
         if (found := _decode_fast(raw, topic.role, fast)) is None:
             message = _deserialized(raw)
             if topic.role in ("tf", "tf_static"):
@@ -183,14 +182,14 @@ def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
     if covariance is not None and not covariance.any():
         covariance = None  # what drivers send that do not know it
     named = message.header.frame_id.lstrip("/")
-    for role in VISION_FRAMES:
-        if frames.get(role, "").lstrip("/") == named:
-            try:
-                return PoseMeasurement(T, role, covariance)
-            except InvalidInput as error:
-                raise MessageRejected(str(error)) from None
-    known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
-    raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
+    roles = {frames[role].lstrip("/"): role for role in reversed(VISION_FRAMES) if role in frames}
+    if named not in roles:
+        known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
+        raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
+    try:
+        return PoseMeasurement(T, roles[named], covariance)
+    except InvalidInput as error:
+        raise MessageRejected(str(error)) from None
 
 
 def _truth(message: Any, frames: Mapping[str, str]) -> Array:

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from handsight.messages.topics import MAX_GAP, TYPES, WRENCH, TopicReport
+from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
 from handsight.rig import Rig
 
 
@@ -85,9 +85,8 @@ def _missing_topic(report: Report, topic: str, what: str) -> list[str]:
     there = report.topics.get(topic)
     if there is None:
         return [f"{what} on {topic}{_nearest(topic, report.others)}"]
-    expected = TYPES[there.role]
-    if there.type not in expected:
-        return [f"{what} on {topic}: expected {' or '.join(expected)}, got {there.type or 'no type'}"]
+    if there.type not in there.expected:
+        return [f"{what} on {topic}: expected {' or '.join(there.expected)}, got {there.type or 'no type'}"]
     return [f"{what} on {topic}: no message"] if report.ended and not there.messages else []
 
 

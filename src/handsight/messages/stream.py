@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from handsight.messages.assemble import ObservationAssembler
-from handsight.messages.clocks import Clocks, ReorderBuffer
+from handsight.messages.clocks import ReorderBuffer
 from handsight.messages.decode import CameraIntrinsics, Measurement, decode
 from handsight.messages.fast_cdr import FastCdrReader
 from handsight.messages.report import Report, missing
@@ -42,8 +42,7 @@ class ObservationStream:
                 self.report.topics[name] = topic
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
-        self._fast, self._clocks = FastCdrReader(), Clocks()
-        self._order = ReorderBuffer(self.report, self._clocks)
+        self._fast, self._order = FastCdrReader(), ReorderBuffer(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
@@ -67,19 +66,14 @@ class ObservationStream:
             else:
                 if topic.role == "joints":
                     self._joint_names.update(measurement.value)
-                found += self._observations(self._clocks.put(measurement))
+                found += self._assembled(self._order.put(measurement))
         return found
 
     def finish(self) -> list[Observation]:
         """The last observations: no message comes any more."""
-        found = self._observations(self._clocks.finish())
-        found += self._assembled(self._order.finish())
-        last = self._assembler.finish()
+        found, last = self._assembled(self._order.finish()), self._assembler.finish()
         self.report.ended = True
         return found if last is None else [*found, last]
-
-    def _observations(self, aligned: Iterable[Measurement]) -> list[Observation]:
-        return [done for each in aligned for done in self._assembled(self._order.put(each))]
 
     def _assembled(self, ordered: Iterable[Measurement]) -> list[Observation]:
         return [done for each in ordered if (done := self._assembler.put(each)) is not None]

@@ -13,17 +13,7 @@ JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 TF, TF_ROS1 = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
-TYPES: dict[Role, tuple[str, ...]] = {
-    "joints": (JOINTS,),
-    "wrench": (WRENCH,),
-    "vision": (POSE, POSE_COVARIANCE),
-    "truth": (POSE, POSE_COVARIANCE),
-    "color": (IMAGE, COMPRESSED),
-    "depth": (IMAGE, COMPRESSED),
-    "tf": (TF, TF_ROS1),
-    "tf_static": (TF, TF_ROS1),
-    "info": (INFO,),
-}
+POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, TF_ROS1)
 
 MAX_GAP = 0.1
 """Joint states farther apart are counted as a gap [s]."""
@@ -61,6 +51,8 @@ class TopicReport:
     topic: str
     role: Role
     """What it is to the rig."""
+    expected: tuple[str, ...]
+    """Types that it may have."""
     finger: str = ""
     """Of a wrench."""
     type: str = ""
@@ -128,16 +120,17 @@ class TopicReport:
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     """What the rig listens to, by name; nothing came yet."""
     topics = rig.topics
-    found = [TopicReport(topics.joint_states, "joints")]
-    found += [TopicReport(topic, "wrench", finger) for finger, topic in topics.wrenches.items()]
-    if topics.tf is not None and rig.world_from == "tf":
-        found += [TopicReport(topics.tf, "tf"), TopicReport(f"{topics.tf}_static", "tf_static")]
-    others: dict[Role, str | None] = {
-        "vision": topics.vision,
-        "truth": topics.truth,
-        "color": topics.color,
-        "depth": topics.depth,
-        "info": topics.camera_info,
-    }
-    found += [TopicReport(topic, role) for role, topic in others.items() if topic is not None]
+    found = [TopicReport(topics.joint_states, "joints", (JOINTS,))]
+    found += [TopicReport(topic, "wrench", (WRENCH,), finger) for finger, topic in topics.wrenches.items()]
+    with_tf = topics.tf is not None and rig.world_from == "tf"
+    others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
+        ("tf", topics.tf if with_tf else None, TRANSFORMS),
+        ("tf_static", f"{topics.tf}_static" if with_tf else None, TRANSFORMS),
+        ("vision", topics.vision, POSES),
+        ("truth", topics.truth, POSES),
+        ("color", topics.color, IMAGES),
+        ("depth", topics.depth, IMAGES),
+        ("info", topics.camera_info, (INFO,)),
+    )
+    found += [TopicReport(topic, role, types) for role, topic, types in others if topic is not None]
     return {each.topic: each for each in found}

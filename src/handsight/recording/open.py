@@ -39,21 +39,17 @@ class RecordingReport(Report):
     """What a recording held, as far as it was read."""
 
     source: Source
-    """The file."""
+    """The file; what of it could not be read is in its `damage`."""
 
     @property
     def truncated(self) -> str | None:
         """Where the file ends too early; None: it is complete."""
         return self.source.truncated
 
-    @property
-    def damage(self) -> tuple[str, ...]:
-        """What in the file could not be read."""
-        return tuple(said for _, said in sorted(self.source.damage.items()))
-
     def sentences(self) -> list[str]:
         """All that is worth telling a user, worst first; empty: nothing is wrong."""
-        path, damage, said = self.source.path, self.damage, list[str]()
+        path, said = self.source.path, list[str]()
+        damage = [what for _, what in sorted(self.source.damage.items())]
         if self.truncated:
             said.append(f"{path}: cut: {self.truncated}; what lies before was read")
         said += [f"{path}: damaged: {part}" for part in damage[:MAX_DAMAGE_TOLD]]
@@ -98,10 +94,7 @@ class Recording:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """What the rig needs and this recording has not, a sentence each; empty: nothing.
-
-        Of what was read so far: topics are known from the beginning, joints and frames once `observations` has run.
-        """
+        """What the rig needs and was not met so far, a sentence each; joints and frames after `observations` only."""
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:

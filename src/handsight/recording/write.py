@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags asks only for its fields
-from typing import Any, Self, TextIO
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,15 +38,13 @@ class McapFile:
         self._path = path
         if path.is_dir():
             raise InvalidFile(f"{path}: expected a file to write, got a folder")
-        try:
+        with _writing(path):
             # rosbags writes a folder with the file in it: beside the file, so that it need only be renamed.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
             plugin, mode = rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE
             self._writer = rosbag2.Writer(self._folder / "bag", version=9, storage_plugin=plugin)
             self._writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
             self._writer.open()
-        except OSError as error:
-            raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
         self._connections: dict[str, Any] = {}
         self._open = True
 
@@ -66,10 +64,9 @@ class McapFile:
             return
         self._open = False
         try:
-            self._writer.close()
-            (self._folder / "bag" / "bag.mcap").replace(self._path)
-        except OSError as error:
-            raise InvalidFile(f"{self._path}: cannot be written: {error.strerror}") from None
+            with _writing(self._path):
+                self._writer.close()
+                (self._folder / "bag" / "bag.mcap").replace(self._path)
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -203,7 +200,7 @@ def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackRow:
-    """Where the object was at one instant."""
+    """Where the object was at one instant; a row without a pose is in the CSV only."""
 
     stamp: float
     """[s]"""
@@ -240,7 +237,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
-    with _writing(path) as file:
+    with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         for row in rows:
             if row.T_palm_object is not None:
                 file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
@@ -251,7 +248,7 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
     Raises InvalidFile.
     """
-    with _writing(path) as file:
+    with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
         for row in rows:
@@ -263,10 +260,10 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 
 @contextmanager
-def _writing(path: str | Path) -> Iterator[TextIO]:
+def _writing(path: str | Path) -> Iterator[None]:
+    """Raises InvalidFile where the path cannot be written."""
     try:
-        with Path(path).open("w", encoding="utf-8", newline="") as file:
-            yield file
+        yield
     except OSError as error:
         raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
 
