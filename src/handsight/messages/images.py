@@ -67,14 +67,10 @@ def _metres(pixels: NDArray[Any]) -> Depth:
     sample = metres[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan
-    if integers and median < MIN_MEDIAN_MM:
-        raise MessageRejected(
-            f"expected depth in millimetres (16UC1), got a median of {median:g} (another unit?)"
-        )
-    if not integers and median > MAX_MEDIAN_M:
-        raise MessageRejected(
-            f"expected depth in metres (32FC1), got a median of {median:.4g} (millimetres?)"
-        )
+    if median < MIN_MEDIAN_MM if integers else median > MAX_MEDIAN_M:
+        unit = "millimetres (16UC1)" if integers else "metres (32FC1)"
+        guess = "another unit?" if integers else "millimetres?"
+        raise MessageRejected(f"expected depth in {unit}, got a median of {median:.4g} ({guess})")
     return metres * np.float32(1e-3) if integers else metres
 
 

@@ -95,20 +95,15 @@ class RecordingWriter(McapFile):
         stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
         top = header(stamp)
         if observation.joint_positions is not None:
-            names, position = list(observation.joint_positions), [*observation.joint_positions.values()]
-            fields = {
-                "position": np.array(position, np.float64),
-                "velocity": np.zeros(0),
-                "effort": np.zeros(0),
-            }
-            self.append(topics.joint_states, JOINTS, stamp, header=top, name=names, **fields)
+            names, none = list(observation.joint_positions), np.zeros(0)
+            position = np.array([*observation.joint_positions.values()], np.float64)
+            joints = {"name": names, "position": position, "velocity": none, "effort": none}
+            self.append(topics.joint_states, JOINTS, stamp, header=top, **joints)
         for finger, wrench in observation.wrenches.items():
             self._write_wrench(stamp, finger, wrench)
         if observation.T_world_palm is not None:
-            top, palm = (
-                header(stamp, frames["world"]),
-                pose(se3.check(observation.T_world_palm, "T_world_palm")),
-            )
+            palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
+            top = header(stamp, frames["world"])
             body = Message(translation=palm.position, rotation=palm.orientation)
             link = Message(header=top, child_frame_id=frames["palm"], transform=body)
             self.append(_topic(topics.tf, "tf"), TF, stamp, transforms=[link])
@@ -195,7 +190,7 @@ def _split(stamp: float) -> tuple[int, int]:
 def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
     with np.errstate(invalid="ignore"):
         known = (depth > 0) & (depth < 65.5)
-    return np.where(known, np.round(np.where(known, depth, 0) * 1000), 0).astype("<u2")
+    return np.round(np.where(known, depth, 0) * 1000).astype("<u2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
