@@ -64,11 +64,9 @@ class Clocks:
     def finish(self) -> list[Measurement]:
         """Those that wait, as `put`: nothing more comes in the first second."""
         begun, self._begun = self._begun or (), None
-        by_topic: dict[str, list[Measurement]] = {}
-        for measurement in sorted(begun, key=lambda each: each.topic.role != "joints"):
-            by_topic.setdefault(measurement.topic.topic, []).append(measurement)
-        for first in by_topic.values():
-            self._learn(first)
+        topics = {each.topic.topic: each.topic for each in begun}
+        for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
+            self._learn([each for each in begun if each.topic is topic])
         return [self._aligned(measurement) for measurement in begun]
 
     def _aligned(self, measurement: Measurement) -> Measurement:

@@ -28,7 +28,7 @@ class McapSource(ChunkedSource):
         super().__init__(path)
 
     def _index(self) -> Iterator[Chunk]:
-        size, run = len(self.data), None
+        size, run = len(self.data), None  # of messages outside chunks
         for op, begin, end in _records(self.data, len(self.MAGIC), size):
             if run is not None and (op != MESSAGE or begin - run.offset > MAX_RUN):
                 yield run
@@ -44,20 +44,16 @@ class McapSource(ChunkedSource):
             if op == FOOTER:
                 break
             if op == MESSAGE and end - begin >= MESSAGE_HEAD.size:
-                run = self._extended(run, begin, end)
+                log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
+                run = run or Chunk(log, begin - RECORD.size, 0)
+                length = end - run.offset
+                run = run._replace(start=min(run.start, log), length=length, size=length)
             elif op in (SCHEMA, CHANNEL):
                 self._take(op, self.data[begin:end])
         else:
             self.truncated = f"the file ends at byte {size} without MCAP's footer: it was not closed"
         if run is not None:
             yield run
-
-    def _extended(self, run: Chunk | None, begin: int, end: int) -> Chunk:
-        """The run of messages outside chunks with one more."""
-        log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
-        offset = begin - RECORD.size if run is None else run.offset
-        start = log if run is None else min(run.start, log)
-        return Chunk(start, offset, end - offset, size=end - offset)
 
     def _chunk(self, begin: int, end: int) -> Iterator[Chunk]:
         """The chunk, what there is of it."""

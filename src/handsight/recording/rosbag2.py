@@ -32,23 +32,20 @@ class SqliteSource(Source):
             self.truncated = f"the file ends at byte {size} of {expected}"
         self._base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
         try:
-            self._open()
+            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
+            self._base.text_factory = lambda data: data.decode("utf-8", "replace")
+            self._base.execute("PRAGMA trusted_schema = OFF")
+            if self.truncated:
+                # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
+                self._base.execute("PRAGMA writable_schema = ON")
+            tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
+            if not {"topics", "messages"} <= tables:
+                raise InvalidFile(f"the tables {', '.join(sorted(tables)) or '(none)'}")
+            for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
+                self.define(key, *map(str, about))
         except (*BROKEN, InvalidFile) as error:
             self._base.close()
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
-
-    def _open(self) -> None:
-        self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
-        self._base.text_factory = lambda data: data.decode("utf-8", "replace")
-        self._base.execute("PRAGMA trusted_schema = OFF")
-        if self.truncated:
-            # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
-            self._base.execute("PRAGMA writable_schema = ON")
-        tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
-        if not {"topics", "messages"} <= tables:
-            raise InvalidFile(f"the tables {', '.join(sorted(tables)) or '(none)'}")
-        for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
-            self.define(key, *map(str, about))
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.messages`; of a cut file in the order in which they were written."""

@@ -219,9 +219,9 @@ class TrackRow:
 
 
 def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
-    """PoseWithCovarianceStamped on /handsight/pose, in the palm's frame id `frame`; no covariance is all zero.
+    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id; no covariance is all zero.
 
-    Raises InvalidFile, and MissingExtra without rosbags.
+    Raises InvalidFile, MissingExtra.
     """
     with McapFile(Path(path)) as file:
         for row in rows:
@@ -239,10 +239,7 @@ def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
-    """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m], [rad]; unknown is empty.
-
-    Raises InvalidFile.
-    """
+    """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises InvalidFile."""
     with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
