@@ -64,7 +64,7 @@ class Clocks:
     def finish(self) -> list[Measurement]:
         """Those that wait, as `put`: nothing more comes in the first second."""
         begun, self._begun = self._begun or (), None
-        topics = {each.topic.topic: each.topic for each in begun}
+        topics = {each.topic.name: each.topic for each in begun}
         for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
             self._learn([each for each in begun if each.topic is topic])
         return [self._aligned(measurement) for measurement in begun]
@@ -72,7 +72,7 @@ class Clocks:
     def _aligned(self, measurement: Measurement) -> Measurement:
         topic = measurement.topic
         # What begins later is compared with the joint states of its own time: a simulator's clock may drift.
-        if topic.topic not in self._known:
+        if topic.name not in self._known:
             self._learn([measurement])
         if topic.unstamped:
             measurement.stamp = measurement.log_time
@@ -88,7 +88,7 @@ class Clocks:
         offset = 0.0 if topic.unstamped else median(each.log_time - each.stamp for each in first)
         if topic.role == "joints":
             self._joint_offsets.append(offset)
-        self._known.add(topic.topic)
+        self._known.add(topic.name)
         if not self._joint_offsets:
             return
         topic.difference = offset - median(self._joint_offsets)
@@ -166,7 +166,7 @@ class ReorderBuffer:
             topic = measurement.topic
             # Several may publish transforms, or joint states, with one stamp: each its own names.
             if topic.role != "tf":
-                publisher = topic.topic, tuple(measurement.value) if topic.role == "joints" else ()
+                publisher = topic.name, tuple(measurement.value) if topic.role == "joints" else ()
                 if self._last_stamps.get(publisher) == self._released:
                     topic.duplicated += 1
                     continue

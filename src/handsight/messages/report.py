@@ -48,7 +48,7 @@ class Report:
         joints = self.topics.get(self.joint_states)
         if joints is not None and joints.gaps:
             said.append(
-                f"{joints.topic}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
+                f"{joints.name}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
             )
         for finger, count in self.without.items():
             said.append(f"finger {finger}: no wrench in {count} of {self.observations} observations")

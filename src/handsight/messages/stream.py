@@ -53,7 +53,7 @@ class ObservationStream:
         if topic is None:
             self.report.others.setdefault(message.topic, message.type)
             return []
-        self.report.topics.setdefault(topic.topic, topic)
+        self.report.topics.setdefault(topic.name, topic)
         topic.type = message.type  # rather than what was said beforehand: a damaged file contradicts itself
         found = []
         for measurement in decode(message, topic, self._rig.frames, self._fast):

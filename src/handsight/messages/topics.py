@@ -48,7 +48,7 @@ class MessageRejected(Exception):
 class TopicReport:
     """One topic. `messages` is the sum of the counts from `used` to `stuck`; /tf is counted by transforms."""
 
-    topic: str
+    name: str
     role: Role
     """What it is to the rig."""
     expected: tuple[str, ...]
@@ -109,12 +109,12 @@ class TopicReport:
             *((count, f"left out: {reason}") for reason, count in self.reasons.items()),
         ):
             if count:
-                yield f"{self.topic}: {count} of {self.messages} messages {said}"
+                yield f"{self.name}: {count} of {self.messages} messages {said}"
         if self.unstamped:
-            yield f"{self.topic}: no stamps (all 0); timed by when it was recorded"
+            yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
         if abs(self.difference) > MAX_QUIET_DIFFERENCE:
             what = "shifted by that: another clock" if self.shifted else "left as they are"
-            yield f"{self.topic}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
+            yield f"{self.name}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
 
 
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
@@ -133,4 +133,4 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
         ("info", topics.camera_info, (INFO,)),
     )
     found += [TopicReport(topic, role, types) for role, topic, types in others if topic is not None]
-    return {each.topic: each for each in found}
+    return {each.name: each for each in found}
