@@ -1,5 +1,6 @@
 """Measurements in order of stamp to Observations."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,8 +96,7 @@ class ObservationAssembler:
         sensor = self._sensors.setdefault(finger, WrenchSensor())
         sensor.read(measurement.value, stamp)
         full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
-        others = (each.changed for each in self._sensors.values() if each is not sensor)
-        fault = sensor.fault(full, others_change=any(changed >= stamp - STUCK for changed in others))
+        fault = sensor.fault(full, self._sensors.values())
         if fault is not None:
             sensor.wrench = None
             self._report.fingers[finger] = f"{fault}: a dead sensor? left out"
@@ -126,14 +126,18 @@ class WrenchSensor:
             self.reading, self.changed, self.repeated = reading, stamp, 0
         self.repeated += 1
 
-    def fault(self, full_scale: tuple[float, float] | None, *, others_change: bool) -> str | None:
-        """Why the newest reading cannot be used; None: it can."""
-        force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
-        force_scale, torque_scale = full_scale or (float("inf"), float("inf"))
-        if force >= AT_FULL_SCALE * force_scale or torque >= AT_FULL_SCALE * torque_scale:
-            self.saturated += 1
-            return f"reads full scale ({force_scale:g} N, {torque_scale:g} N m) in {self.saturated} messages"
-        if others_change and self.repeated >= MIN_STUCK_READINGS and self.stamp - self.changed > STUCK:
+    def fault(self, full_scale: tuple[float, float] | None, sensors: Iterable["WrenchSensor"]) -> str | None:
+        """Why the newest reading cannot be used; None: it can. `sensors`: all of the hand."""
+        if full_scale is not None:
+            force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
+            if force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]:
+                self.saturated += 1
+                force_scale, torque_scale = full_scale
+                return (
+                    f"reads full scale ({force_scale:g} N, {torque_scale:g} N m) in {self.saturated} messages"
+                )
+        constant = self.repeated >= MIN_STUCK_READINGS and self.stamp - self.changed > STUCK
+        if constant and any(other.changed >= self.stamp - STUCK for other in sensors):
             self.stuck += 1
             return (
                 f"reads the same six numbers beyond {STUCK} s while others change, in {self.stuck} messages"

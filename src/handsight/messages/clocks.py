@@ -112,20 +112,21 @@ class ReorderBuffer:
     def put(self, measurement: Measurement) -> Iterator[Measurement]:
         """Those that are in order with this one, without the late and the duplicated."""
         for aligned in self._clocks.put(measurement):
-            yield from self._insert(aligned)
+            self._insert(aligned)
+            yield from self._pop(self._edge())
 
     def finish(self) -> Iterator[Measurement]:
         """Those that wait: no more come."""
         for aligned in self._clocks.finish():
-            yield from self._insert(aligned)
+            self._insert(aligned)
+            yield from self._pop(self._edge())
         if self._jumped is not None:
             self._push(self._jumped)
         yield from self._pop(float("inf"))
 
-    def _insert(self, measurement: Measurement) -> Iterator[Measurement]:
+    def _insert(self, measurement: Measurement) -> None:
         for each in self._confirmed(measurement) if measurement.topic.role == "joints" else (measurement,):
             self._push(each)
-        yield from self._pop(self._edge())
 
     def _edge(self) -> float:
         """Stamps up to this are in order."""
