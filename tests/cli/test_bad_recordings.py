@@ -88,13 +88,13 @@ def test_stamps_that_go_back_are_told_and_what_came_before_is_tracked(grasp, tmp
     seen = observations(grasp)
     shift = 10 - seen[0].stamp
     looped = [dataclasses.replace(s, stamp=s.stamp + shift) for s in seen]
-    logged, original = itertools.count(1), McapFile.write
+    logged, original = itertools.count(1), McapFile.append
 
-    def write_in_turn(self, topic, kind, stamp, fields):
-        original(self, topic, kind, next(logged) / 200, fields)
+    def append_in_turn(self, topic, kind, stamp, **fields):
+        original(self, topic, kind, next(logged) / 200, **fields)
 
     with monkeypatch.context() as patch:  # when it was recorded goes on
-        patch.setattr(McapFile, "write", write_in_turn)
+        patch.setattr(McapFile, "append", append_in_turn)
         again = [dataclasses.replace(s, stamp=s.stamp - 5) for s in looped]
         path = recorded(tmp_path / "a.mcap", [*looped, *again], rig)
     ended = assert_tracked(

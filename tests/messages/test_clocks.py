@@ -86,15 +86,6 @@ def test_a_pose_from_within_a_gap_of_the_joints_is_stale():
     assert "/joint_states: 1 gaps of more than 0.1 s, the longest 4.810 s" in stream.report.sentences()
 
 
-def test_rate_and_ends_are_told():
-    _, stream = heard(touched(201))
-    report = stream.report
-    assert report.first == pytest.approx(START)
-    assert report.last == pytest.approx(START + 2)
-    assert report.topics["/joint_states"].rate == pytest.approx(100)
-    assert report.topics["/joint_states"].gap == pytest.approx(0.01, abs=1e-6)
-
-
 @pytest.mark.parametrize("difference", [-300.0, -3.0, 2.5, 1e9])
 def test_another_clock_is_told_and_shifted(difference):
     """The wrench's stamps lag behind (positive) or run ahead: log minus stamp differs."""

@@ -151,7 +151,7 @@ def test_a_damaged_chunk_is_told_and_the_others_are_read(tmp_path):
     path.write_bytes(spoilt)
     observations, recording = read(path)
     assert len(observations) < before
-    assert len(recording.report.damage) == 1
+    assert len(recording.report.files[0].damage) == 1
     assert any("damaged: chunk at byte" in said for said in recording.report.sentences())
 
 

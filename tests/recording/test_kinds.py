@@ -193,7 +193,7 @@ def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
     from handsight.messages import decode
 
     path = save(tmp_path, everything(Messages()))
-    decode._typestore.cache_clear()
+    decode.typestore.cache_clear()
     for name in ("rosbags.typesys", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
     with told(), open_recording(path, rig()) as recording:

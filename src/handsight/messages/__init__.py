@@ -23,8 +23,8 @@ Every message on a topic of the rig is in exactly one count of `report.topics[na
 """
 
 from handsight.messages.decode import CameraIntrinsics
-from handsight.messages.report import Report, TopicReport
+from handsight.messages.report import Report
 from handsight.messages.stream import ObservationStream
-from handsight.messages.topics import RawMessage
+from handsight.messages.topics import RawMessage, TopicReport
 
 __all__ = ["CameraIntrinsics", "ObservationStream", "RawMessage", "Report", "TopicReport"]

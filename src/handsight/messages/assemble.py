@@ -1,47 +1,52 @@
 """Measurements in order of stamp to Observations."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
+from handsight import se3
 from handsight.checks import Array
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
-from handsight.messages.transforms import TransformTree
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-MAX_AGE_JOINTS, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.05, 0.2
+MAX_AGE_JOINTS, MAX_AGE_TRANSFORM, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.1, 0.05, 0.2
 """Oldest that still counts as now [s]."""
 STUCK = 0.5
 """A sensor that reads the same for longer, while another's changes, is dead [s]."""
 MIN_STUCK_READINGS = 5
 """A slow topic says little about itself."""
 AT_FULL_SCALE = 0.999
+MAX_DEPTH = 64
+"""Transforms from world to palm; beyond it the tree is a circle."""
+MAX_FRAMES = 10_000
 
 
 class ObservationAssembler:
-    """What the next observation is made of."""
+    """What the next observation is made of; what is left out is counted in the report."""
 
-    def __init__(self, rig: Rig, report: Report, tree: TransformTree) -> None:
-        """What is left out is counted in the report."""
-        self._rig, self._report, self._tree = rig, report, tree
+    def __init__(self, rig: Rig, report: Report) -> None:
+        self._rig, self._report = rig, report
         self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
         self._sensors: dict[str, WrenchSensor] = {}
         self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
         self._due: float | None = None  # stamp of joint states without an observation
+        self.tree = TransformTree()
         self.truth: list[tuple[float, Array]] = []
-        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
 
     def put(self, measurement: Measurement) -> Observation | None:
         """The observation of the joint states before this measurement, if it completes it."""
         done = self.finish() if self._due is not None and measurement.stamp > self._due else None
-        role = measurement.channel.role
+        role = measurement.topic.role
         if role == "joints":
             self._joints[tuple(measurement.value)] = measurement
             self._due = measurement.stamp
         elif role == "wrench":
             self._take_wrench(measurement)
         elif role == "tf":
-            self._tree.put(measurement.value, measurement.stamp)
+            self.tree.put(measurement.value, measurement.stamp)
         elif role == "truth":
             self.truth.append((measurement.stamp, measurement.value))
         else:
@@ -62,7 +67,7 @@ class ObservationAssembler:
         vision = {role: each.value for role, each in self._vision.items() if self._is_fresh(each, stamp)}
         self._vision.clear()
         world, palm = (self._rig.frames[role].lstrip("/") for role in ("world", "palm"))
-        T_world_palm = self._tree.lookup(world, palm, stamp)
+        T_world_palm = self.tree.lookup(world, palm, stamp)
         self._report.observations += 1
         self._report.placed += T_world_palm is not None
         return Observation(
@@ -70,11 +75,10 @@ class ObservationAssembler:
         )
 
     def _is_fresh(self, measurement: Measurement, stamp: float) -> bool:
-        if stamp - measurement.stamp <= MAX_AGE_VISION:
-            return True
-        measurement.report.used -= 1
-        measurement.report.stale += 1
-        return False
+        stale = stamp - measurement.stamp > MAX_AGE_VISION
+        measurement.topic.used -= stale
+        measurement.topic.stale += stale
+        return not stale
 
     def _wrenches(self, stamp: float) -> dict[str, Array]:
         found = {}
@@ -83,31 +87,21 @@ class ObservationAssembler:
             if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= MAX_AGE_WRENCH:
                 found[finger] = sensor.wrench
             else:
-                self._report.without[finger] = self._report.without.get(finger, 0) + 1
+                self._report.without[finger] += 1
         return found
 
     def _take_wrench(self, measurement: Measurement) -> None:
         """Keep a wrench, unless its sensor is at full scale or stuck."""
-        finger, stamp = measurement.channel.finger, measurement.stamp
+        finger, stamp = measurement.topic.finger, measurement.stamp
         sensor = self._sensors.setdefault(finger, WrenchSensor())
         sensor.read(measurement.value, stamp)
         full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
-        if full is not None and sensor.is_saturated(full):
-            sensor.saturated += 1
-            what = f"reads full scale ({full[0]:g} N, {full[1]:g} N m) in {sensor.saturated} messages"
-        elif sensor.is_constant(stamp) and any(
-            other.changed >= stamp - STUCK for other in self._sensors.values() if other is not sensor
-        ):
-            sensor.stuck += 1
-            what = (
-                f"reads the same six numbers beyond {STUCK} s while others change, in {sensor.stuck} messages"
-            )
-        else:
-            return
-        sensor.wrench = None
-        self._report.fingers[finger] = f"{what}: a dead sensor? left out"
-        measurement.report.used -= 1
-        measurement.report.stuck += 1
+        fault = sensor.fault(full, self._sensors.values())
+        if fault is not None:
+            sensor.wrench = None
+            self._report.fingers[finger] = f"{fault}: a dead sensor? left out"
+            measurement.topic.used -= 1
+            measurement.topic.stuck += 1
 
 
 @dataclass(slots=True)
@@ -132,11 +126,59 @@ class WrenchSensor:
             self.reading, self.changed, self.repeated = reading, stamp, 0
         self.repeated += 1
 
-    def is_saturated(self, full_scale: tuple[float, float]) -> bool:
-        """Whether force or torque is as large as the sensor can read."""
-        force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
-        return force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]
+    def fault(self, full_scale: tuple[float, float] | None, sensors: Iterable["WrenchSensor"]) -> str | None:
+        """Why the newest reading cannot be used; None: it can. `sensors`: all of the hand."""
+        if full_scale is not None:
+            force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
+            if force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]:
+                self.saturated += 1
+                force_scale, torque_scale = full_scale
+                return (
+                    f"reads full scale ({force_scale:g} N, {torque_scale:g} N m) in {self.saturated} messages"
+                )
+        constant = self.repeated >= MIN_STUCK_READINGS and self.stamp - self.changed > STUCK
+        if constant and any(other.changed >= self.stamp - STUCK for other in sensors):
+            self.stuck += 1
+            return (
+                f"reads the same six numbers beyond {STUCK} s while others change, in {self.stuck} messages"
+            )
+        return None
 
-    def is_constant(self, stamp: float) -> bool:
-        """Whether it has read the same for long."""
-        return self.repeated >= MIN_STUCK_READINGS and stamp - self.changed > STUCK
+
+class TransformTree:
+    """The newest transform to each frame of /tf."""
+
+    def __init__(self) -> None:
+        self._to_child: dict[str, tuple[str, Array, float]] = {}
+
+    def put(self, transform: tuple[str, str, Array], stamp: float) -> None:
+        """Take in parent, child and `T_parent_child` (4, 4); what is static is of infinite stamp."""
+        parent, child, T_parent_child = transform
+        if child in self._to_child or len(self._to_child) < MAX_FRAMES:
+            self._to_child[child] = parent, T_parent_child, stamp
+
+    @property
+    def frames(self) -> set[str]:
+        """All that were named."""
+        return {parent for parent, _, _ in self._to_child.values()} | self._to_child.keys()
+
+    def lookup(self, target: str, source: str, stamp: float) -> Array | None:
+        """`T_target_source` (4, 4) at that time; None where the frames are not connected, or by old transforms."""
+        above_source, above_target = self._ancestors(source, stamp), self._ancestors(target, stamp)
+        common = next((frame for frame in above_source if frame in above_target), None)
+        if common is None:
+            return None
+        T = above_source[common]
+        return T if common == target else se3.inverse(above_target[common]) @ T
+
+    def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
+        """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""
+        T = np.eye(4)
+        found = {frame: T}
+        while frame in self._to_child and len(found) < MAX_DEPTH:
+            parent, T_parent_frame, measured = self._to_child[frame]
+            if stamp - measured > MAX_AGE_TRANSFORM or parent in found:
+                break
+            frame, T = parent, T_parent_frame @ T
+            found[frame] = T
+        return found

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from statistics import median
 
 from handsight.messages.decode import Measurement
-from handsight.messages.report import MessageRejected, Report
+from handsight.messages.report import Report
+from handsight.messages.topics import MessageRejected
 
 COMPARED = 1.0
 """From the first joint states on, clocks are compared over [s]."""
@@ -20,26 +21,21 @@ REORDER_WINDOW = 0.2
 """Of stamps, to put messages in order [s]."""
 MAX_JUMP = 1.0
 """Joint states that jump ahead by more must be confirmed by the next, and back by more are told [s]."""
-MAX_WAITING = 50_000
-"""Measurements."""
-MAX_WAITING_BYTES = 1 << 28
-MAX_PUBLISHERS = 1000
+MAX_WAITING, MAX_WAITING_BYTES, MAX_PUBLISHERS = 50_000, 1 << 28, 1000
+"""What is kept at most: measurements, and whose stamps are known."""
 
 
 class Clocks:
-    """By topic, what brings its stamps to the clock of the joint states."""
+    """By topic, what brings its stamps to the clock of the joint states; the differences are in the reports."""
 
     def __init__(self) -> None:
-        """Offsets are written into the topics' reports."""
-        self._shifts: dict[str, float] = {}
+        self._known = set[str]()
         self._joint_offsets: deque[float] = deque(maxlen=15)
         self._begun: deque[Measurement] | None = deque()
         self._begun_bytes = 0
         self._first_joints: Measurement | None = None
-        self.least = 0.0
-        """Difference of offset that was left as it is, the least [s]."""
-        self.most = 0.0
-        """The most [s]."""
+        self.least = self.most = 0.0
+        """Of the differences of offset that were left as they are [s]."""
 
     def put(self, measurement: Measurement) -> Iterable[Measurement]:
         """Those whose clock is known with this one, their stamps in the clock of the joint states.
@@ -50,94 +46,87 @@ class Clocks:
             return (self._aligned(measurement),)
         self._begun.append(measurement)
         self._begun_bytes += measurement.size
-        is_joints = measurement.channel.role == "joints"
+        full = self._begun_bytes > MAX_WAITING_BYTES or len(self._begun) > MAX_WAITING
+        is_joints = measurement.topic.role == "joints"
         if self._first_joints is None and is_joints:
             self._first_joints = measurement
         first = self._first_joints
-        full = self._begun_bytes > MAX_WAITING_BYTES or len(self._begun) > MAX_WAITING
         if first is None:
             if full:
                 oldest = self._begun.popleft()
                 self._begun_bytes -= oldest.size
-                oldest.report.stale += 1
+                oldest.topic.stale += 1
             return ()
-        late = measurement.log_time > first.log_time + COMPARED
-        return (
-            self.finish()
-            if full or late or (is_joints and measurement.stamp > first.stamp + COMPARED)
-            else ()
-        )
+        over = measurement.log_time > first.log_time + COMPARED
+        over = over or (is_joints and measurement.stamp > first.stamp + COMPARED)
+        return self.finish() if full or over else ()
 
     def finish(self) -> list[Measurement]:
         """Those that wait, as `put`: nothing more comes in the first second."""
         begun, self._begun = self._begun or (), None
-        by_topic: dict[str, list[Measurement]] = {}
-        for measurement in sorted(begun, key=lambda each: each.channel.role != "joints"):
-            by_topic.setdefault(measurement.channel.topic, []).append(measurement)
-        for first in by_topic.values():
-            self._learn(first)
+        topics = {each.topic.name: each.topic for each in begun}
+        for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
+            self._learn([each for each in begun if each.topic is topic])
         return [self._aligned(measurement) for measurement in begun]
 
     def _aligned(self, measurement: Measurement) -> Measurement:
-        topic = measurement.channel.topic
+        topic = measurement.topic
         # What begins later is compared with the joint states of its own time: a simulator's clock may drift.
-        if topic not in self._shifts:
+        if topic.name not in self._known:
             self._learn([measurement])
-        if measurement.report.unstamped:
+        if topic.unstamped:
             measurement.stamp = measurement.log_time
-        elif measurement.channel.role == "joints":
+        elif topic.role == "joints":
             self._joint_offsets.append(measurement.log_time - measurement.stamp)
-        measurement.stamp += self._shifts[topic]
+        measurement.stamp += topic.difference if topic.shifted else 0.0
         return measurement
 
     def _learn(self, first: list[Measurement]) -> None:
-        """Offset and shift of a topic from the first of it."""
-        channel, report = first[0].channel, first[0].report
-        report.unstamped = all(each.stamp == 0 for each in first)
-        report.offset = 0.0 if report.unstamped else median(each.log_time - each.stamp for each in first)
-        if channel.role == "joints":
-            self._joint_offsets.append(report.offset)
-        self._shifts[channel.topic] = 0.0
+        """Difference and shift of a topic from the first of it."""
+        topic = first[0].topic
+        topic.unstamped = all(each.stamp == 0 for each in first)
+        offset = 0.0 if topic.unstamped else median(each.log_time - each.stamp for each in first)
+        if topic.role == "joints":
+            self._joint_offsets.append(offset)
+        self._known.add(topic.name)
         if not self._joint_offsets:
             return
-        report.difference = report.offset - median(self._joint_offsets)
-        latency = MAX_LATENCY if channel.role in SLOW else OTHER_CLOCK
-        if -OTHER_CLOCK <= report.difference <= latency:
-            self.least, self.most = min(self.least, report.difference), max(self.most, report.difference)
-        else:
-            report.shifted = True
-            self._shifts[channel.topic] = report.difference
+        topic.difference = offset - median(self._joint_offsets)
+        latency = MAX_LATENCY if topic.role in SLOW else OTHER_CLOCK
+        topic.shifted = not -OTHER_CLOCK <= topic.difference <= latency
+        if not topic.shifted:
+            self.least, self.most = min(self.least, topic.difference), max(self.most, topic.difference)
 
 
 class ReorderBuffer:
-    """Measurements in order of stamp, through a window that the joint states move on."""
+    """Measurements on one clock, in order of stamp, through a window that the joint states move on."""
 
-    def __init__(self, report: Report, clocks: Clocks) -> None:
-        """What is left out is counted in the report."""
-        self._report, self._clocks = report, clocks
+    def __init__(self, report: Report) -> None:
+        self._report, self._clocks = report, Clocks()
         self._waiting: list[tuple[float, int, Measurement]] = []
         self._bytes, self._count = 0, itertools.count()
         self._newest, self._released = -float("inf"), -float("inf")
         self._jumped: Measurement | None = None
-        self._last_stamps: dict[object, float] = {}
+        self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
 
     def put(self, measurement: Measurement) -> Iterator[Measurement]:
         """Those that are in order with this one, without the late and the duplicated."""
-        for each in self._confirmed(measurement) if measurement.channel.role == "joints" else (measurement,):
-            self._push(each)
-        while self._waiting and (
-            self._waiting[0][0] <= self._edge()
-            or len(self._waiting) > MAX_WAITING
-            or self._bytes > MAX_WAITING_BYTES
-        ):
-            yield from self._pop()
+        for aligned in self._clocks.put(measurement):
+            self._insert(aligned)
+            yield from self._pop(self._edge())
 
     def finish(self) -> Iterator[Measurement]:
-        """Those that wait."""
+        """Those that wait: no more come."""
+        for aligned in self._clocks.finish():
+            self._insert(aligned)
+            yield from self._pop(self._edge())
         if self._jumped is not None:
             self._push(self._jumped)
-        while self._waiting:
-            yield from self._pop()
+        yield from self._pop(float("inf"))
+
+    def _insert(self, measurement: Measurement) -> None:
+        for each in self._confirmed(measurement) if measurement.topic.role == "joints" else (measurement,):
+            self._push(each)
 
     def _edge(self) -> float:
         """Stamps up to this are in order."""
@@ -151,7 +140,7 @@ class ReorderBuffer:
             if ahead and abs(joints.stamp - jumped.stamp) <= MAX_JUMP:
                 self._newest = max(joints.stamp, jumped.stamp)
                 return jumped, joints
-            joints.report.reject(MessageRejected("stamp far ahead of those before and after"))
+            joints.topic.reject(MessageRejected("stamp far ahead of those before and after"))
         if ahead:
             self._jumped = joints
             return ()
@@ -163,24 +152,27 @@ class ReorderBuffer:
 
     def _push(self, measurement: Measurement) -> None:
         if measurement.stamp < max(self._released, self._edge()):
-            measurement.report.late += 1
+            measurement.topic.late += 1
             return
         heapq.heappush(self._waiting, (measurement.stamp, next(self._count), measurement))
         self._bytes += measurement.size
 
-    def _pop(self) -> Iterator[Measurement]:
-        """The one with the earliest stamp, unless it is a duplicate."""
-        self._released, _, measurement = heapq.heappop(self._waiting)
-        self._bytes -= measurement.size
-        topic, role = measurement.channel.topic, measurement.channel.role
-        # Several may publish transforms, or joint states, with one stamp: each its own names.
-        if role != "tf":
-            publisher = (topic, tuple(measurement.value)) if role == "joints" else topic
-            if self._last_stamps.get(publisher) == self._released:
-                measurement.report.duplicated += 1
-                return
-            if len(self._last_stamps) > MAX_PUBLISHERS:
-                self._last_stamps.clear()
-            self._last_stamps[publisher] = self._released
-        measurement.report.use(self._released)
-        yield measurement
+    def _pop(self, edge: float) -> Iterator[Measurement]:
+        """Those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
+        while self._waiting and (
+            self._waiting[0][0] <= edge or len(self._waiting) > MAX_WAITING or self._bytes > MAX_WAITING_BYTES
+        ):
+            self._released, _, measurement = heapq.heappop(self._waiting)
+            self._bytes -= measurement.size
+            topic = measurement.topic
+            # Several may publish transforms, or joint states, with one stamp: each its own names.
+            if topic.role != "tf":
+                publisher = topic.name, tuple(measurement.value) if topic.role == "joints" else ()
+                if self._last_stamps.get(publisher) == self._released:
+                    topic.duplicated += 1
+                    continue
+                if len(self._last_stamps) > MAX_PUBLISHERS:
+                    self._last_stamps.clear()
+                self._last_stamps[publisher] = self._released
+            topic.use(self._released)
+            yield measurement

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite
+from importlib import import_module
+from math import hypot, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +13,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import images
 from handsight.messages.fast_cdr import FastCdrReader
-from handsight.messages.report import MessageRejected, TopicReport
-from handsight.messages.topics import TF, TF_ROS1, TYPES, Channel, RawMessage, Role
-from handsight.messages.transforms import frame_transform, rigid_transform
+from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 
 
@@ -31,97 +30,98 @@ class CameraIntrinsics(NamedTuple):
 class Measurement:
     """What one message, or one transform of /tf, says."""
 
-    channel: Channel
-    report: TopicReport
-    """Its topic's, where it is counted."""
+    topic: TopicReport
+    """Where it is counted."""
     stamp: float
     """As the message says it; later, in the clock of the joint states [s]."""
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
-    """By role: dict of positions; (6,); PoseMeasurement; (4, 4); image; FrameTransform; CameraIntrinsics."""
+    """By role: dict of positions; (6,); PoseMeasurement; (4, 4); image; CameraIntrinsics;
+    parent, child and `T_parent_child` (4, 4)."""
 
     @property
     def size(self) -> int:
         """About how many bytes it holds."""
-        return 500 + (self.value.nbytes if self.channel.role in ("color", "depth") else 0)
+        return 500 + (self.value.nbytes if self.topic.role in ("color", "depth") else 0)
 
 
-class Decoder:
-    """Raw messages to measurements."""
+def decode(
+    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastCdrReader
+) -> list[Measurement]:
+    """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
 
-    def __init__(self, frames: Mapping[str, str]) -> None:
-        """`frames`: what messages call world, palm and camera."""
-        self._frames, self._fast = frames, FastCdrReader()
-
-    def decode(self, raw: RawMessage, channel: Channel, report: TopicReport) -> list[Measurement]:
-        """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
-
-        Each is counted in the report as a message, and so is what was rejected, with its reason.
-        """
-        try:
-            if raw.type not in TYPES[channel.role]:
-                expected = " or ".join(TYPES[channel.role])
-                raise MessageRejected(f"expected {expected}, got {raw.type or 'no type'}")
-            if (found := self._decode_fast(raw, channel)) is None:
-                message = _deserialized(raw)
-                if channel.role in ("tf", "tf_static"):
-                    return _transforms(message, raw, channel, report)
-                found = _stamp(message), READERS[channel.role](message, self._frames)
-            report.messages += 1
-            return [Measurement(channel, report, found[0], raw.log_time, found[1])]
-        except MessageRejected as error:
-            report.messages += 1
-            report.reject(error)
-            return []
-
-    def _decode_fast(self, raw: RawMessage, channel: Channel) -> tuple[float, Any] | None:
-        """Stamp and value."""
-        if raw.encoding == "cdr" and channel.role == "wrench" and (wrench := self._fast.wrench(raw.data)):
-            return wrench[0], _wrench(wrench[1])
-        if raw.encoding == "cdr" and channel.role == "joints" and (joints := self._fast.joints(raw.data)):
-            return joints[0], _positions(joints[1], joints[2])
-        return None
+    Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: what messages
+    call world, palm and camera. `fast`: kept from message to message. Raises MissingExtra.
+    """
+    try:
+        if raw.type not in topic.expected:
+            raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}")
+        if (found := _decode_fast(raw, topic.role, fast)) is None:
+            message = _deserialized(raw)
+            if topic.role in ("tf", "tf_static"):
+                return _transforms(message, raw, topic)
+            found = _stamp(message), READERS[topic.role](message, frames)
+        topic.messages += 1
+        return [Measurement(topic, found[0], raw.log_time, found[1])]
+    except MessageRejected as error:
+        topic.messages += 1
+        topic.reject(error)
+        return []
 
 
-def _transforms(message: Any, raw: RawMessage, channel: Channel, report: TopicReport) -> list[Measurement]:
+def _decode_fast(raw: RawMessage, role: Role, fast: FastCdrReader) -> tuple[float, Any] | None:
+    """Stamp and value."""
+    if raw.encoding == "cdr" and role == "wrench" and (wrench := fast.wrench(raw.data)):
+        return wrench[0], _wrench(wrench[1])
+    if raw.encoding == "cdr" and role == "joints" and (joints := fast.joints(raw.data)):
+        return joints[0], _positions(joints[1], joints[2])
+    return None
+
+
+def _transforms(message: Any, raw: RawMessage, topic: TopicReport) -> list[Measurement]:
     """Each transform by itself: one that cannot be used does not spoil the others."""
     found = []
     for each in message.transforms:
-        report.messages += 1
+        topic.messages += 1
+        parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
         try:
-            value = frame_transform(each)
-            found.append(Measurement(channel, report, _stamp(each), raw.log_time, value))
+            T = _rigid_transform(each.transform.translation, each.transform.rotation)
+            found.append(Measurement(topic, _stamp(each), raw.log_time, (parent, child, T)))
         except MessageRejected as error:
-            report.reject(error)
+            topic.reject(MessageRejected(f"transform to {child[:60]!r}: {error}", nan=error.nan))
     return found
 
 
 def _deserialized(raw: RawMessage) -> Any:
-    store = _typestore(raw.encoding)
+    store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
     try:
-        if raw.encoding == "ros1":
-            return store.deserialize_ros1(raw.data, kind)
-        return store.deserialize_cdr(raw.data, kind)
+        return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
         said = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
         raise MessageRejected(said) from None
 
 
 @lru_cache
-def _typestore(encoding: str) -> Any:
-    try:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError:
-        raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
-    stores = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
+def typestore(encoding: str) -> Any:
+    """What rosbags knows of the messages so encoded, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
+    typesys = rosbags_module("rosbags.typesys")
+    stores = {"cdr": typesys.Stores.ROS2_HUMBLE, "ros1": typesys.Stores.ROS1_NOETIC}
     if encoding not in stores:
         raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
-    store = get_typestore(stores[encoding])
+    store = typesys.get_typestore(stores[encoding])
     if TF not in store.types:  # ROS 1's own messages have only its forerunner
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
     return store
+
+
+def rosbags_module(name: str) -> Any:
+    """The module of rosbags, or of what it brings, loaded when it is needed; raises MissingExtra."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
 
 
 def _stamp(message: Any) -> float:
@@ -153,25 +153,43 @@ def _wrench_message(message: Any, _: Mapping[str, str]) -> Array:
     return _wrench((force.x, force.y, force.z, torque.x, torque.y, torque.z))
 
 
+def _rigid_transform(position: Any, orientation: Any) -> Array:
+    """(4, 4); raises MessageRejected. In plain floats: for one pose NumPy is ten times slower."""
+    p, x, y, z, w = position, orientation.x, orientation.y, orientation.z, orientation.w
+    length = hypot(x, y, z, w)
+    if not isfinite(length + abs(p.x) + abs(p.y) + abs(p.z)):
+        raise MessageRejected("position or orientation is not finite", nan=True)
+    if length < 1e-6:
+        raise MessageRejected("expected an orientation, got a quaternion of length 0")
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), p.x],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), p.y],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), p.z],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
 def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
     pose, covariance = message.pose, None
     if hasattr(pose, "covariance"):
         covariance, pose = np.array(pose.covariance, dtype=np.float64).reshape(6, 6), pose.pose
-    p, q = pose.position, pose.orientation
-    T = rigid_transform((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    T = _rigid_transform(pose.position, pose.orientation)
     if covariance is not None and not np.isfinite(covariance).all():
         raise MessageRejected("covariance is not finite", nan=True)
     if covariance is not None and not covariance.any():
         covariance = None  # what drivers send that do not know it
     named = message.header.frame_id.lstrip("/")
-    for role in VISION_FRAMES:
-        if frames.get(role, "").lstrip("/") == named:
-            try:
-                return PoseMeasurement(T, role, covariance)
-            except InvalidInput as error:
-                raise MessageRejected(str(error)) from None
-    known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
-    raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
+    roles = {frames[role].lstrip("/"): role for role in reversed(VISION_FRAMES) if role in frames}
+    if named not in roles:
+        known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
+        raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
+    try:
+        return PoseMeasurement(T, roles[named], covariance)
+    except InvalidInput as error:
+        raise MessageRejected(str(error)) from None
 
 
 def _truth(message: Any, frames: Mapping[str, str]) -> Array:

@@ -11,18 +11,14 @@ _LITTLE_ENDIAN = b"\0\1"
 _COUNT, _STAMP, _WRENCH = struct.Struct("<I"), struct.Struct("<iI"), struct.Struct("<6d")
 _MOST_NAMES = 1000
 
-Joints = tuple[float, Sequence[str], Sequence[float]]
-Wrench = tuple[float, Sequence[float]]
-
 
 class FastCdrReader:
     """Reads JointState and WrenchStamped; remembers the names of the last, which seldom change."""
 
     def __init__(self) -> None:
-        """Without names yet."""
         self._named, self._names = b"", list[str]()
 
-    def wrench(self, data: bytes) -> Wrench | None:
+    def wrench(self, data: bytes) -> tuple[float, Sequence[float]] | None:
         """Stamp [s], and force and torque; None: rosbags must read it."""
         try:
             at = _aligned(16 + _COUNT.unpack_from(data, 12)[0], 8)
@@ -32,7 +28,7 @@ class FastCdrReader:
         except struct.error:
             return None
 
-    def joints(self, data: bytes) -> Joints | None:
+    def joints(self, data: bytes) -> tuple[float, Sequence[str], Sequence[float]] | None:
         """Stamp [s], names and positions; None: rosbags must read it."""
         try:
             if data[:2] != _LITTLE_ENDIAN:

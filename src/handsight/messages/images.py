@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.errors import MissingExtra
-from handsight.messages.report import MessageRejected
+from handsight.messages.topics import MessageRejected
 
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
@@ -23,13 +23,8 @@ MIN_MEDIAN_MM = 20
 COMPRESSED_DEPTH = struct.Struct("<iff")
 """What `compressed_depth_image_transport` puts before the PNG: a format, and A, B of depth = A / (value - B)."""
 
-_LAYOUTS: dict[str, tuple[str, int]] = {
-    "rgb8": ("u1", 3),
-    "bgr8": ("u1", 3),
-    "16UC1": ("u2", 1),
-    "mono16": ("u2", 1),
-    "32FC1": ("f4", 1),
-}
+LAYOUTS = {"rgb8": ("u1", 3), "bgr8": ("u1", 3), "16UC1": ("u2", 1), "mono16": ("u2", 1), "32FC1": ("f4", 1)}
+"""Type and channels of a pixel, by encoding."""
 
 
 def color(message: Any) -> Color:
@@ -44,15 +39,14 @@ def depth(message: Any) -> Depth:
     """The depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
     if hasattr(message, "format"):
         return _compressed_depth(bytes(message.data), str(message.format))
-    pixels = _pixels(message, ("16UC1", "mono16", "32FC1"))[..., 0]
-    return _metres(pixels)
+    return _metres(_pixels(message, ("16UC1", "mono16", "32FC1"))[..., 0])
 
 
 def _pixels(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
     """(h, w, channels) as the encoding says, rows padded to `step`."""
     if message.encoding not in expected:
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
-    kind, channels = _LAYOUTS[message.encoding]
+    kind, channels = LAYOUTS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     h, w, step = int(message.height), int(message.width), int(message.step)
     row = w * channels * dtype.itemsize
@@ -60,9 +54,8 @@ def _pixels(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
         raise MessageRejected(
             f"expected {h} rows of {step} bytes for {w} x {h} {message.encoding}, got {len(message.data)} bytes"
         )
-    data = np.frombuffer(message.data, dtype=np.uint8)
-    rows = np.lib.stride_tricks.as_strided(data, (h, row), (step, 1), writeable=False)
-    return np.ascontiguousarray(rows).view(dtype).reshape(h, w, channels)
+    strides = step, channels * dtype.itemsize, dtype.itemsize
+    return np.ascontiguousarray(np.ndarray((h, w, channels), dtype, message.data, strides=strides))
 
 
 def _metres(pixels: NDArray[Any]) -> Depth:
@@ -72,16 +65,12 @@ def _metres(pixels: NDArray[Any]) -> Depth:
     with np.errstate(invalid="ignore"):
         metres[~((metres > 0) & np.isfinite(metres))] = np.nan
     sample = metres[::4, ::4]
-    sample = sample[~np.isnan(sample)]
-    median = float(np.median(sample)) if sample.size else None
-    if median is not None and integers and median < MIN_MEDIAN_MM:
-        raise MessageRejected(
-            f"expected depth in millimetres (16UC1), got a median of {median:g} (another unit?)"
-        )
-    if median is not None and not integers and median > MAX_MEDIAN_M:
-        raise MessageRejected(
-            f"expected depth in metres (32FC1), got a median of {median:.4g} (millimetres?)"
-        )
+    known = sample[~np.isnan(sample)]
+    median = float(np.median(known)) if known.size else np.nan
+    if median < MIN_MEDIAN_MM if integers else median > MAX_MEDIAN_M:
+        unit = "millimetres (16UC1)" if integers else "metres (32FC1)"
+        guess = "another unit?" if integers else "millimetres?"
+        raise MessageRejected(f"expected depth in {unit}, got a median of {median:.4g} ({guess})")
     return metres * np.float32(1e-3) if integers else metres
 
 
@@ -120,7 +109,7 @@ def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
                 if image.width * image.height > MAX_PIXELS:
                     raise MessageRejected(f"expected at most {MAX_PIXELS} pixels, got {image.size}")
                 return read(image)
-    except (MessageRejected, MissingExtra):
+    except MessageRejected:
         raise
     except Exception as error:  # pillow's plugins raise many kinds; each says that the bytes are no image
         raise MessageRejected(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None

@@ -1,109 +1,12 @@
-"""What messages came and what of them was used, as numbers and as sentences for the user."""
+"""What was heard of a robot and what its rig needs and did not hear, as numbers and as sentences for the user."""
 
-from collections.abc import Iterator
+import difflib
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from handsight.messages.topics import WRENCH
-
-MAX_GAP = 0.1
-"""Joint states farther apart are counted as a gap [s]."""
-MAX_QUIET_DIFFERENCE = 0.1
-"""Clocks farther apart are told [s]."""
-MAX_REASONS = 8
-"""Different reasons that are kept for a topic; a message's own words may be among them."""
-
-
-class MessageRejected(Exception):
-    """A message that is not used, and why; never leaves this package."""
-
-    def __init__(self, reason: str, *, nan: bool = False) -> None:
-        """`nan`: it is one that holds NaN or infinity."""
-        super().__init__(reason)
-        self.nan = nan
-
-
-@dataclass(slots=True)
-class TopicReport:
-    """One topic. `messages` is the sum of the counts from `used` to `stuck`; /tf is counted by transforms."""
-
-    topic: str
-    type: str = ""
-    messages: int = 0
-    used: int = 0
-    """Taken, in order of stamp; of several between two joint states the newest is in the observation."""
-    duplicated: int = 0
-    """Of the same topic and stamp as one before."""
-    nan: int = 0
-    """With NaN or infinity in it."""
-    late: int = 0
-    """Beyond the reorder window."""
-    bad: int = 0
-    """Could not be read as what the topic should be."""
-    stale: int = 0
-    """Too old when the next joint states came."""
-    stuck: int = 0
-    """Of a sensor that is stuck or at full scale."""
-    reasons: dict[str, int] = field(default_factory=dict)
-    """Why messages were not used, with how many."""
-    first: float | None = None
-    """Earliest stamp that was used, in the clock of the joint states [s]."""
-    last: float | None = None
-    """Latest [s]."""
-    gap: float = 0.0
-    """Longest time between two that were used [s]."""
-    gaps: int = 0
-    """How many were longer than 0.1 s."""
-    offset: float | None = None
-    """Log time minus stamp, median of the first second [s]; None: not known."""
-    difference: float = 0.0
-    """Of `offset` from the joint states' [s]."""
-    shifted: bool = False
-    """Whether the stamps were shifted by the difference: it is another clock."""
-    unstamped: bool = False
-    """Whether its stamps are all 0, and log time was taken."""
-
-    @property
-    def rate(self) -> float | None:
-        """Of those used [Hz]; None: fewer than two."""
-        if self.first is None or self.last is None or self.last <= self.first:
-            return None
-        return (self.used + self.stale - 1) / (self.last - self.first)
-
-    def reject(self, error: MessageRejected) -> None:
-        """Count a message as nan or bad, and why."""
-        self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
-        reason = str(error)
-        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
-            reason = "other reasons"
-        self.reasons[reason] = self.reasons.get(reason, 0) + 1
-
-    def use(self, stamp: float) -> None:
-        """Count a message as used."""
-        self.used += 1
-        if self.last is None or self.first is None:
-            self.first = self.last = stamp
-            return
-        gap = stamp - self.last
-        self.gap = max(self.gap, gap)
-        self.gaps += gap > MAX_GAP
-        self.last = max(self.last, stamp)
-
-    def sentences(self) -> Iterator[str]:
-        """What of this topic is worth telling."""
-        for count, said in (
-            (self.duplicated, "came twice with one stamp and were used once"),
-            (self.late, "came too late to be put in order of stamp and were left out"),
-            (self.stale, "were too old when the next joint states came and were left out"),
-        ):
-            if count:
-                yield f"{self.topic}: {count} of {self.messages} messages {said}"
-        for reason, count in self.reasons.items():
-            yield f"{self.topic}: {count} of {self.messages} messages left out: {reason}"
-        if self.unstamped:
-            yield f"{self.topic}: no stamps (all 0); timed by when it was recorded"
-        if abs(self.difference) > MAX_QUIET_DIFFERENCE:
-            what = "shifted by that: another clock" if self.shifted else "left as they are"
-            yield f"{self.topic}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
+from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
+from handsight.rig import Rig
 
 
 @dataclass(slots=True)
@@ -120,7 +23,7 @@ class Report:
     """How many were made."""
     placed: int = 0
     """How many have `T_world_palm`."""
-    without: dict[str, int] = field(default_factory=dict)
+    without: Counter[str] = field(default_factory=Counter)
     """By finger: observations without its wrench."""
     fingers: dict[str, str] = field(default_factory=dict)
     """By finger: what is wrong with its sensor."""
@@ -130,42 +33,80 @@ class Report:
     ended: bool = False
     """Whether all messages have come."""
 
-    @property
-    def unknown_wrenches(self) -> tuple[str, ...]:
-        """Topics of wrenches that belong to no finger of the rig."""
-        return tuple(sorted(topic for topic, kind in self.others.items() if kind == WRENCH))
-
-    @property
-    def first(self) -> float | None:
-        """Stamp of the first joint states [s]."""
-        return self._joints.first
-
-    @property
-    def last(self) -> float | None:
-        """Stamp of the last joint states [s]."""
-        return self._joints.last
-
-    @property
-    def _joints(self) -> TopicReport:
-        return self.topics.get(self.joint_states) or TopicReport(self.joint_states)
-
     def sentences(self) -> list[str]:
         """All that is worth telling a user, worst first; empty: nothing is wrong."""
-        said, joints = [], self._joints
+        said = []
         if self.backwards:
             count, far, stamp = self.backwards
             said.append(
-                f"{joints.topic}: stamps go back by up to {far:.3f} s from "
+                f"{self.joint_states}: stamps go back by up to {far:.3f} s from "
                 f"{stamp:.3f} s on ({count} messages; played in a loop, or a clock that was set back?)"
             )
         said += [f"finger {finger}: {what}" for finger, what in self.fingers.items()]
         for topic in self.topics.values():
             said += topic.sentences()
-        if joints.gaps:
+        joints = self.topics.get(self.joint_states)
+        if joints is not None and joints.gaps:
             said.append(
-                f"{joints.topic}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
+                f"{joints.name}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
             )
         for finger, count in self.without.items():
             said.append(f"finger {finger}: no wrench in {count} of {self.observations} observations")
-        said += [f"{topic}: wrenches of no finger of the rig; not used" for topic in self.unknown_wrenches]
+        for name in sorted(name for name, kind in self.others.items() if kind == WRENCH):
+            said.append(f"{name}: wrenches of no finger of the rig; not used")
         return said
+
+
+def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
+    """A sentence for each topic, frame and joint of the rig that was not heard; empty: nothing is missing.
+
+    `frames`, `joint_names`: those that were heard.
+    """
+    topics, lacking = rig.topics, list[str]()
+    calibrated = rig.camera is not None and rig.camera.intrinsics is not None
+    for what, topic in (
+        *((f"finger {finger}: no wrench", topic) for finger, topic in topics.wrenches.items()),
+        ("no vision", topics.vision),
+        ("no color images", topics.color),
+        ("no depth images", topics.depth),
+        ("no camera info", None if calibrated else topics.camera_info),
+    ):
+        lacking += [] if topic is None else _missing_topic(report, topic, what)
+    if rig.world_from == "tf" and topics.tf is not None:
+        lacking += _missing_frames(rig, report, topics.tf, frames)
+    for joint in rig.hand.moving if report.observations else ():
+        if joint not in joint_names:
+            near = _nearest(joint, joint_names)
+            lacking.append(f"joint {joint!r}: never on {topics.joint_states}{near}")
+    return lacking
+
+
+def _missing_topic(report: Report, topic: str, what: str) -> list[str]:
+    there = report.topics.get(topic)
+    if there is None:
+        return [f"{what} on {topic}{_nearest(topic, report.others)}"]
+    if there.type not in there.expected:
+        return [f"{what} on {topic}: expected {' or '.join(there.expected)}, got {there.type or 'no type'}"]
+    return [f"{what} on {topic}: no message"] if report.ended and not there.messages else []
+
+
+def _missing_frames(rig: Rig, report: Report, topic: str, frames: set[str]) -> list[str]:
+    if not {topic, f"{topic}_static"} & report.topics.keys():
+        return _missing_topic(report, topic, "no transforms")
+    if not report.ended:
+        return []
+    world, palm = (rig.frames[role].lstrip("/") for role in ("world", "palm"))
+    unknown = [name for name in (world, palm) if name not in frames]
+    if unknown:
+        near = _nearest(unknown[0], frames)
+        return [f"no transform of {' and '.join(map(repr, unknown))} on {topic}{near}"]
+    if not report.placed:
+        return [f"no transforms that lead from {world!r} to {palm!r} on {topic}"]
+    absent = report.observations - report.placed
+    said = f"no transform from {world!r} to {palm!r} in {absent} of {report.observations} observations"
+    return [said] if absent else []
+
+
+def _nearest(name: str, there: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, sorted(there), n=1, cutoff=0.5)
+    return f"; the nearest is {near[0]!r}" if near else ""

@@ -2,14 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 
-from handsight.checks import Array
 from handsight.messages.assemble import ObservationAssembler
-from handsight.messages.clocks import Clocks, ReorderBuffer
-from handsight.messages.decode import CameraIntrinsics, Decoder, Measurement
-from handsight.messages.missing import missing
-from handsight.messages.report import Report, TopicReport
-from handsight.messages.topics import RawMessage, channels
-from handsight.messages.transforms import TransformTree
+from handsight.messages.clocks import ReorderBuffer
+from handsight.messages.decode import CameraIntrinsics, Measurement, decode
+from handsight.messages.fast_cdr import FastCdrReader
+from handsight.messages.report import Report, missing
+from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -32,66 +30,50 @@ class ObservationStream:
 
         `report`: a new one that is to be filled.
         """
-        self._rig, self._channels = rig, channels(rig)
+        self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
+        """What the rig listens to, by name; what is put in of others is passed over."""
         self.report = Report(rig.topics.joint_states) if report is None else report
         """Counts and sentences."""
         self.intrinsics: CameraIntrinsics | None = None
         """What CameraInfo says; None: nothing was heard of it."""
-        for topic in self._channels:
-            if topics is not None and topic in topics:
-                self.report.topics[topic] = TopicReport(topic, topics[topic])
-        self.report.others |= {
-            topic: kind for topic, kind in (topics or {}).items() if topic not in self._channels
-        }
-        self._tree, self._joint_names = TransformTree(), set[str]()
-        self._decoder, self._clocks = Decoder(rig.frames), Clocks()
-        self._order = ReorderBuffer(self.report, self._clocks)
-        self._assembler = ObservationAssembler(rig, self.report, self._tree)
-
-    @property
-    def truth(self) -> list[tuple[float, Array]]:
+        for name, topic in self.topics.items():
+            if name in known:
+                topic.type = known[name]
+                self.report.topics[name] = topic
+        self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
+        self._joint_names = set[str]()
+        self._fast, self._order = FastCdrReader(), ReorderBuffer(self.report)
+        self._assembler = ObservationAssembler(rig, self.report)
+        self.truth = self._assembler.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
-        return self._assembler.truth
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """Those that the rig listens to; what is put in of others is passed over."""
-        return frozenset(self._channels)
 
     def put(self, message: RawMessage) -> list[Observation]:
         """The observations that are complete with this message, in order of stamp; raises MissingExtra."""
-        channel = self._channels.get(message.topic)
-        if channel is None:
+        topic = self.topics.get(message.topic)
+        if topic is None:
             self.report.others.setdefault(message.topic, message.type)
             return []
-        report = self.report.topics.get(message.topic)
-        if report is None:
-            report = self.report.topics[message.topic] = TopicReport(message.topic)
-        report.type = message.type  # rather than what was said beforehand: a damaged file contradicts itself
+        self.report.topics.setdefault(topic.name, topic)
+        topic.type = message.type  # rather than what was said beforehand: a damaged file contradicts itself
         found = []
-        for measurement in self._decoder.decode(message, channel, report):
-            if channel.role == "tf_static":
-                self._tree.put(measurement.value, float("inf"))
-                report.used += 1
-            elif channel.role == "info":
+        for measurement in decode(message, topic, self._rig.frames, self._fast):
+            if topic.role == "tf_static":
+                self._assembler.tree.put(measurement.value, float("inf"))
+                topic.used += 1
+            elif topic.role == "info":
                 self.intrinsics = measurement.value
-                report.used += 1
+                topic.used += 1
             else:
-                if channel.role == "joints":
+                if topic.role == "joints":
                     self._joint_names.update(measurement.value)
-                found += self._observations(self._clocks.put(measurement))
+                found += self._assembled(self._order.put(measurement))
         return found
 
     def finish(self) -> list[Observation]:
         """The last observations: no message comes any more."""
-        found = self._observations(self._clocks.finish())
-        found += self._assembled(self._order.finish())
-        last = self._assembler.finish()
+        found, last = self._assembled(self._order.finish()), self._assembler.finish()
         self.report.ended = True
         return found if last is None else [*found, last]
-
-    def _observations(self, aligned: Iterable[Measurement]) -> list[Observation]:
-        return [done for each in aligned for done in self._assembled(self._order.put(each))]
 
     def _assembled(self, ordered: Iterable[Measurement]) -> list[Observation]:
         return [done for each in ordered if (done := self._assembler.put(each)) is not None]
@@ -101,4 +83,4 @@ class ObservationStream:
 
         Topics are known from the beginning where they were given, joints and frames after the first observations.
         """
-        return missing(self._rig, self.report, self._tree.frames, self._joint_names)
+        return missing(self._rig, self.report, self._assembler.tree.frames, self._joint_names)

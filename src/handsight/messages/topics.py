@@ -1,5 +1,8 @@
-"""Messages as bytes, and what each topic is to a rig."""
+"""Messages as bytes, what each topic is to a rig, and what came of its messages."""
 
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from handsight.rig import Rig
@@ -10,17 +13,14 @@ JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 TF, TF_ROS1 = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
-TYPES: dict[Role, tuple[str, ...]] = {
-    "joints": (JOINTS,),
-    "wrench": (WRENCH,),
-    "vision": (POSE, POSE_COVARIANCE),
-    "truth": (POSE, POSE_COVARIANCE),
-    "color": (IMAGE, COMPRESSED),
-    "depth": (IMAGE, COMPRESSED),
-    "tf": (TF, TF_ROS1),
-    "tf_static": (TF, TF_ROS1),
-    "info": (INFO,),
-}
+POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, TF_ROS1)
+
+MAX_GAP = 0.1
+"""Joint states farther apart are counted as a gap [s]."""
+MAX_QUIET_DIFFERENCE = 0.1
+"""Clocks farther apart are told [s]."""
+MAX_REASONS = 8
+"""Different reasons that are kept for a topic; a message's own words may be among them."""
 
 
 class RawMessage(NamedTuple):
@@ -36,28 +36,101 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-class Channel(NamedTuple):
-    """What a topic is to the rig."""
+class MessageRejected(Exception):
+    """A message that is not used, and why; `nan`: for it holds NaN or infinity. Never leaves this package."""
 
-    topic: str
+    def __init__(self, reason: str, *, nan: bool = False) -> None:
+        super().__init__(reason)
+        self.nan = nan
+
+
+@dataclass(slots=True)
+class TopicReport:
+    """One topic. `messages` is the sum of the counts from `used` to `stuck`; /tf is counted by transforms."""
+
+    name: str
     role: Role
+    """What it is to the rig."""
+    expected: tuple[str, ...]
+    """Types that it may have."""
     finger: str = ""
     """Of a wrench."""
+    type: str = ""
+    messages: int = 0
+    used: int = 0
+    """Taken, in order of stamp; of several between two joint states the newest is in the observation."""
+    duplicated: int = 0
+    """Of the same topic and stamp as one before."""
+    nan: int = 0
+    """With NaN or infinity in it."""
+    late: int = 0
+    """Beyond the reorder window."""
+    bad: int = 0
+    """Could not be read as what the topic should be."""
+    stale: int = 0
+    """Too old when the next joint states came."""
+    stuck: int = 0
+    """Of a sensor that is stuck or at full scale."""
+    reasons: Counter[str] = field(default_factory=Counter)
+    """Why messages were not used, with how many."""
+    last: float | None = None
+    """Latest stamp that was used, in the clock of the joint states [s]."""
+    gap: float = 0.0
+    """Longest time between two that were used [s]."""
+    gaps: int = 0
+    """How many were longer than 0.1 s."""
+    difference: float = 0.0
+    """Of its clock from the joint states': log time minus stamp, median of the first second [s]."""
+    shifted: bool = False
+    """Whether the stamps were shifted by the difference: it is another clock."""
+    unstamped: bool = False
+    """Whether its stamps are all 0, and log time was taken."""
+
+    def reject(self, error: MessageRejected) -> None:
+        """Count a message as nan or bad, and why."""
+        self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
+        reason = str(error)
+        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
+            reason = "other reasons"
+        self.reasons[reason] += 1
+
+    def use(self, stamp: float) -> None:
+        """Count a message as used, in order of stamp."""
+        self.used += 1
+        gap = 0.0 if self.last is None else stamp - self.last
+        self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > MAX_GAP), stamp
+
+    def sentences(self) -> Iterator[str]:
+        """What of this topic is worth telling."""
+        for count, said in (
+            (self.duplicated, "came twice with one stamp and were used once"),
+            (self.late, "came too late to be put in order of stamp and were left out"),
+            (self.stale, "were too old when the next joint states came and were left out"),
+            *((count, f"left out: {reason}") for reason, count in self.reasons.items()),
+        ):
+            if count:
+                yield f"{self.name}: {count} of {self.messages} messages {said}"
+        if self.unstamped:
+            yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
+        if abs(self.difference) > MAX_QUIET_DIFFERENCE:
+            what = "shifted by that: another clock" if self.shifted else "left as they are"
+            yield f"{self.name}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
 
 
-def channels(rig: Rig) -> dict[str, Channel]:
-    """What the rig listens to, by topic."""
+def rig_topics(rig: Rig) -> dict[str, TopicReport]:
+    """What the rig listens to, by name; nothing came yet."""
     topics = rig.topics
-    heard = [Channel(topics.joint_states, "joints")]
-    heard += [Channel(topic, "wrench", finger) for finger, topic in topics.wrenches.items()]
-    if topics.tf is not None and rig.world_from == "tf":
-        heard += [Channel(topics.tf, "tf"), Channel(f"{topics.tf}_static", "tf_static")]
-    others: dict[Role, str | None] = {
-        "vision": topics.vision,
-        "truth": topics.truth,
-        "color": topics.color,
-        "depth": topics.depth,
-        "info": topics.camera_info,
-    }
-    heard += [Channel(topic, role) for role, topic in others.items() if topic is not None]
-    return {channel.topic: channel for channel in heard}
+    found = [TopicReport(topics.joint_states, "joints", (JOINTS,))]
+    found += [TopicReport(topic, "wrench", (WRENCH,), finger) for finger, topic in topics.wrenches.items()]
+    with_tf = topics.tf is not None and rig.world_from == "tf"
+    others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
+        ("tf", topics.tf if with_tf else None, TRANSFORMS),
+        ("tf_static", f"{topics.tf}_static" if with_tf else None, TRANSFORMS),
+        ("vision", topics.vision, POSES),
+        ("truth", topics.truth, POSES),
+        ("color", topics.color, IMAGES),
+        ("depth", topics.depth, IMAGES),
+        ("info", topics.camera_info, (INFO,)),
+    )
+    found += [TopicReport(topic, role, types) for role, topic, types in others if topic is not None]
+    return {each.name: each for each in found}

@@ -5,8 +5,13 @@ file gives what can be read of it; `report.truncated` and `report.sentences()` s
 """
 
 from handsight.recording.open import Recording, RecordingReport, open_recording
-from handsight.recording.tracks import TrackRow, write_track_csv, write_track_mcap, write_track_tum
-from handsight.recording.write import RecordingWriter
+from handsight.recording.write import (
+    RecordingWriter,
+    TrackRow,
+    write_track_csv,
+    write_track_mcap,
+    write_track_tum,
+)
 
 __all__ = [
     "Recording",

@@ -7,14 +7,13 @@ import mmap
 import sys
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar, NamedTuple
 from zlib import crc32
 
-from handsight.errors import MissingExtra
 from handsight.messages import RawMessage
+from handsight.messages.decode import rosbags_module
 
 MAX_UNPACKED = 1 << 27
 """Bytes that a chunk may unpack to; recorders write 1 to 16 MiB."""
@@ -22,6 +21,12 @@ MAX_WAITING_BYTES = 1 << 28
 """Bytes that overlapping chunks may hold back until their turn."""
 PIECE = 1 << 16
 """Bytes unpacked at a time: what came before a fault is kept."""
+UNPACKERS = {
+    "zstd": ("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd", "ZstdDecompressor"),
+    "lz4": ("lz4.frame", "LZ4FrameDecompressor"),
+    "bz2": ("bz2", "BZ2Decompressor"),
+}
+"""Module and class, each with `decompress(data, max_length)`, `eof` and `unused_data`."""
 
 
 class Source(ABC):
@@ -31,14 +36,21 @@ class Source(ABC):
     """What such a file begins with."""
 
     def __init__(self, path: Path) -> None:
-        """Nothing known of it yet but its name."""
         self.path = path
         self.topics: dict[str, str] = {}
         """Type by topic, of all that was recorded."""
+        self.channels: dict[object, tuple[str, str, str]] = {}
+        """Topic, type and encoding by what the file calls them."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
         self.damage: dict[int, str] = {}
         """By byte: what of it could not be read."""
+
+    def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
+        """Take in what the file calls `key`; `kind`: as ROS 1 or ROS 2 writes it."""
+        package, _, rest = kind.partition("/")
+        self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
+        self.channels[key] = topic, self.topics[topic], encoding
 
     @abstractmethod
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
@@ -49,8 +61,7 @@ class Source(ABC):
         """Let go of the file."""
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """A stretch of the file that is read in one go."""
 
     start: int
@@ -114,7 +125,6 @@ class ChunkedSource(Source):
         return found
 
     def close(self) -> None:
-        """Let go of the file."""
         self.data.close()
 
 
@@ -124,21 +134,16 @@ def seconds(nanoseconds: int) -> float:
     return sec + rest * 1e-9
 
 
-def normal_type(name: str) -> str:
-    """The type's name as ROS 2 writes it."""
-    package, _, rest = name.partition("/")
-    return f"{package}/msg/{rest}" if rest and "/" not in rest else name
-
-
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
-    """At most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing)."""
+    """At most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing); raises MissingExtra."""
     if size > MAX_UNPACKED:
         return b"", f"says it unpacks to {size} bytes, at most {MAX_UNPACKED} are read"
     if compression in ("", "none"):
         return data[:size], None if len(data) >= size else f"expected {size} bytes, got {len(data)}"
-    new = _unpacker(compression)
-    if new is None:
+    if compression not in UNPACKERS:
         return b"", f"expected compression none, lz4, zstd or bz2, got {compression[:20]!r}"
+    module, name = UNPACKERS[compression]
+    new = getattr(rosbags_module(module), name)
     out, packed, unpacker = bytearray(), memoryview(data), new()
     try:
         for at in range(0, len(data), PIECE):
@@ -151,25 +156,3 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     except Exception as error:  # each library has errors of its own on broken bytes; what came before is kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
-
-
-def _unpacker(compression: str) -> Callable[[], Any] | None:
-    """What makes a decompressor with `decompress(data, max_length)`, `eof` and `unused_data`."""
-    try:
-        if compression == "zstd":
-            if sys.version_info >= (3, 14):
-                from compression import zstd
-            else:
-                from backports import zstd
-            return zstd.ZstdDecompressor
-        if compression == "lz4":
-            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
-            return LZ4FrameDecompressor  # type: ignore[no-any-return]
-    except ImportError:
-        raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
-    if compression == "bz2":
-        from bz2 import BZ2Decompressor
-
-        return BZ2Decompressor
-    return None

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from handsight.messages import RawMessage
-from handsight.recording.chunks import Chunk, ChunkedSource, normal_type, seconds
+from handsight.recording.chunks import Chunk, ChunkedSource, seconds
 
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
@@ -25,11 +25,10 @@ class McapSource(ChunkedSource):
 
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, tuple[str, str, str]] = {}
         super().__init__(path)
 
     def _index(self) -> Iterator[Chunk]:
-        size, run = len(self.data), None
+        size, run = len(self.data), None  # of messages outside chunks
         for op, begin, end in _records(self.data, len(self.MAGIC), size):
             if run is not None and (op != MESSAGE or begin - run.offset > MAX_RUN):
                 yield run
@@ -45,20 +44,16 @@ class McapSource(ChunkedSource):
             if op == FOOTER:
                 break
             if op == MESSAGE and end - begin >= MESSAGE_HEAD.size:
-                run = self._extended(run, begin, end)
+                log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
+                run = run or Chunk(log, begin - RECORD.size, 0)
+                length = end - run.offset
+                run = run._replace(start=min(run.start, log), length=length, size=length)
             elif op in (SCHEMA, CHANNEL):
-                self._define(op, self.data[begin:end])
+                self._take(op, self.data[begin:end])
         else:
             self.truncated = f"the file ends at byte {size} without MCAP's footer: it was not closed"
         if run is not None:
             yield run
-
-    def _extended(self, run: Chunk | None, begin: int, end: int) -> Chunk:
-        """The run of messages outside chunks with one more."""
-        log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
-        offset = begin - RECORD.size if run is None else run.offset
-        start = log if run is None else min(run.start, log)
-        return Chunk(start, offset, end - offset, size=end - offset)
 
     def _chunk(self, begin: int, end: int) -> Iterator[Chunk]:
         """The chunk, what there is of it."""
@@ -79,16 +74,16 @@ class McapSource(ChunkedSource):
                 break
             read = end
             if op != MESSAGE:
-                self._define(op, data[begin:end])
+                self._take(op, data[begin:end])
             elif end - begin >= MESSAGE_HEAD.size:
                 key, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
-                channel = self._channels.get(key)
+                channel = self.channels.get(key)
                 if channel is not None and channel[0] in wanted:
                     found.append(RawMessage(*channel, seconds(log), data[begin + MESSAGE_HEAD.size : end]))
         wrong = f"expected messages, got something else at {read} of {len(data)} bytes"
         return found, wrong if read < len(data) else None
 
-    def _define(self, op: int, data: bytes) -> None:
+    def _take(self, op: int, data: bytes) -> None:
         """Take in a schema or a channel; one that is no such thing is passed over, with its messages."""
         try:
             key = int.from_bytes(data[:2], "little")
@@ -99,9 +94,7 @@ class McapSource(ChunkedSource):
             encoding, _ = _text(data, at)
         except (struct.error, UnicodeDecodeError):
             return
-        kind = normal_type(self._schemas.get(int.from_bytes(data[2:4], "little"), ""))
-        self._channels[key] = (topic, kind, encoding)
-        self.topics[topic] = kind
+        self.define(key, topic, self._schemas.get(int.from_bytes(data[2:4], "little"), ""), encoding)
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:

@@ -1,19 +1,19 @@
 """A path to a recording as a stream of Observations: what kind it is, its first bytes tell, not its name."""
 
 import re
-from collections.abc import Collection, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-from handsight.errors import InvalidFile, MissingExtra
-from handsight.messages import CameraIntrinsics, ObservationStream, RawMessage, Report
+from handsight.errors import InvalidFile
+from handsight.messages import CameraIntrinsics, ObservationStream, Report
 from handsight.observation import Observation
-from handsight.recording.chunks import Source, normal_type, seconds
+from handsight.recording.chunks import Source
 from handsight.recording.mcap import McapSource
 from handsight.recording.rosbag1 import Rosbag1Source
-from handsight.recording.rosbag2_sqlite import SqliteSource
+from handsight.recording.rosbag2 import CompressedFolder, SqliteSource
 from handsight.rig import Rig
 
 KINDS: tuple[type[Source], ...] = (McapSource, Rosbag1Source, SqliteSource)
@@ -38,27 +38,24 @@ def open_recording(path: str | Path, rig: Rig) -> "Recording":
 class RecordingReport(Report):
     """What a recording held, as far as it was read."""
 
-    source: Source
-    """The file."""
+    files: Sequence[Source]
+    """One, or several as a recorder splits them; what could not be read is in the `damage` of each."""
 
     @property
     def truncated(self) -> str | None:
-        """Where the file ends too early; None: it is complete."""
-        return self.source.truncated
-
-    @property
-    def damage(self) -> tuple[str, ...]:
-        """What in the file could not be read."""
-        return tuple(said for _, said in sorted(self.source.damage.items()))
+        """Where a file ends too early; None: all are complete."""
+        return next((file.truncated for file in self.files if file.truncated), None)
 
     def sentences(self) -> list[str]:
         """All that is worth telling a user, worst first; empty: nothing is wrong."""
-        path, damage, said = self.source.path, self.damage, list[str]()
-        if self.truncated:
-            said.append(f"{path}: cut: {self.truncated}; what lies before was read")
-        said += [f"{path}: damaged: {part}" for part in damage[:MAX_DAMAGE_TOLD]]
+        said, damage = list[str](), list[str]()
+        for file in self.files:
+            if file.truncated:
+                said.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
+            damage += [f"{file.path}: damaged: {what}" for _, what in sorted(file.damage.items())]
+        said += damage[:MAX_DAMAGE_TOLD]
         if len(damage) > MAX_DAMAGE_TOLD:
-            said.append(f"{path}: damaged in {len(damage) - MAX_DAMAGE_TOLD} more places")
+            said.append(f"{self.files[0].path}: damaged in {len(damage) - MAX_DAMAGE_TOLD} more places")
         return said + Report.sentences(self)  # a dataclass with slots knows no bare super()
 
 
@@ -66,16 +63,20 @@ class Recording:
     """A recording, open; what was met so far is in `report`, `truth` and `intrinsics`."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
-        self._rig, self._source = rig, open_source(path)
-        self._begin()
-        if rig.topics.joint_states not in self._source.topics:
-            self.close()
-            raise self._without_joints()
+        self._path, self._rig, self._topics = path, rig, dict[str, str]()
+        with ExitStack() as opened:
+            self._files = [opened.enter_context(closing(file)) for file in open_files(path)]
+            for file in self._files:
+                self._topics |= file.topics
+            self._begin()
+            if rig.topics.joint_states not in self._topics:
+                raise self._without_joints()
+            self._opened = opened.pop_all()
 
     def _begin(self) -> None:
-        self.report = RecordingReport(self._rig.topics.joint_states, source=self._source)
+        self.report = RecordingReport(self._rig.topics.joint_states, files=self._files)
         """Counts and sentences."""
-        self._stream = ObservationStream(self._rig, self._source.topics, report=self.report)
+        self._stream = ObservationStream(self._rig, self._topics, report=self.report)
         self.truth = self._stream.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
 
@@ -91,31 +92,29 @@ class Recording:
         InvalidFile at the end if there were no joint states.
         """
         self._begin()
-        for message in self._source.messages(self._stream.topics):
-            yield from self._stream.put(message)
+        for file in self._files:
+            for message in file.messages(self._stream.topics):
+                yield from self._stream.put(message)
         yield from self._stream.finish()
         if not self.report.topics[self._rig.topics.joint_states].messages:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """What the rig needs and this recording has not, a sentence each; empty: nothing.
-
-        Of what was read so far: topics are known from the beginning, joints and frames once `observations` has run.
-        """
+        """What the rig needs and was not met so far, a sentence each; joints and frames after `observations` only."""
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
-        topic, there = self._rig.topics.joint_states, sorted(self._source.topics)
+        topic, there = self._rig.topics.joint_states, sorted(self._topics)
         more = f" and {len(there) - MAX_NAMED} more" if len(there) > MAX_NAMED else ""
-        cut = f" ({self._source.truncated})" if self._source.truncated else ""
+        cut = f" ({self.report.truncated})" if self.report.truncated else ""
         return InvalidFile(
-            f"{self._source.path}: expected joint states on {topic}, got none; "
+            f"{self._path}: expected joint states on {topic}, got none; "
             f"topics there: {', '.join(there[:MAX_NAMED]) or 'none'}{more}{cut}"
         )
 
     def close(self) -> None:
         """Let go of the file."""
-        self._source.close()
+        self._opened.close()
 
     def __enter__(self) -> Self:
         return self
@@ -124,89 +123,30 @@ class Recording:
         self.close()
 
 
-def open_source(path: Path) -> Source:
-    """The messages of a recording; raises InvalidFile where there is none."""
+def open_files(path: Path) -> Iterator[Source]:
+    """The files of a recording, one after the other, the tenth after the ninth; raises InvalidFile, MissingExtra."""
     try:
-        if path.is_dir():
-            return _open_folder(path)
-        if not path.is_file():
-            raise InvalidFile(f"{path}: {EXPECTED}, got no file")
-        with path.open("rb") as file:
-            first = file.read(16)
-        for kind in KINDS:
-            if first.startswith(kind.MAGIC):
-                return kind(path)
+        metadata = path / "metadata.yaml"
+        if not path.is_dir():
+            yield _open_file(path)
+        elif metadata.is_file() and COMPRESSED.search(metadata.read_bytes()[:MAX_METADATA]):
+            yield CompressedFolder(path)
+        else:
+            files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
+            if not files:
+                raise InvalidFile(f"{path}: {EXPECTED}, got a folder without .mcap or .db3 files")
+            yield from map(_open_file, sorted(files, key=lambda file: (len(file.name), file.name)))
     except OSError as error:
-        raise InvalidFile(f"{path}: {error.strerror or error}") from None
+        raise InvalidFile(f"{error.filename or path}: {error.strerror or error}") from None
+
+
+def _open_file(path: Path) -> Source:
+    if not path.is_file():
+        raise InvalidFile(f"{path}: {EXPECTED}, got no file")
+    with path.open("rb") as file:
+        first = file.read(16)
+    for kind in KINDS:
+        if first.startswith(kind.MAGIC):
+            return kind(path)
     came = f"a file that begins with {first!r}" if first else "an empty file"
     raise InvalidFile(f"{path}: {EXPECTED}, got {came}")
-
-
-def _open_folder(path: Path) -> Source:
-    """A rosbag 2: its files one after the other, the tenth after the ninth."""
-    metadata = path / "metadata.yaml"
-    if metadata.is_file() and COMPRESSED.search(metadata.read_bytes()[:MAX_METADATA]):
-        return _CompressedFolder(path)
-    files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
-    if not files:
-        raise InvalidFile(f"{path}: {EXPECTED}, got a folder without .mcap or .db3 files")
-    return _SplitFiles(path, sorted(files, key=lambda file: (len(file.name), file.name)))
-
-
-class _SplitFiles(Source):
-    """Several files, as a recorder splits them."""
-
-    def __init__(self, path: Path, files: list[Path]) -> None:
-        super().__init__(path)
-        self._parts: list[Source] = []
-        with ExitStack() as opened:
-            for file in files:
-                part = open_source(file)
-                opened.callback(part.close)
-                self._parts.append(part)
-                self.topics |= part.topics
-            self._opened = opened.pop_all()
-        self._gather()
-
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        for part in self._parts:
-            yield from part.messages(wanted)
-            self._gather()
-
-    def _gather(self) -> None:
-        for i, part in enumerate(self._parts):
-            if part.truncated and self.truncated is None:
-                self.truncated = f"{part.path.name}: {part.truncated}"
-            for at, said in part.damage.items():
-                self.damage[(i << 64) + at] = f"{part.path.name}: {said}"
-
-    def close(self) -> None:
-        self._opened.close()
-
-
-class _CompressedFolder(Source):
-    """A rosbag 2 whose files or messages are compressed as wholes; rosbags unpacks it."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        try:
-            from rosbags.rosbag2 import Reader
-        except ImportError:
-            raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
-        try:
-            self._reader: Any = Reader(path)
-            self._reader.open()
-        except Exception as error:  # rosbags and what it is built on raise many kinds on a broken file
-            raise InvalidFile(f"{path}: {EXPECTED}, got: {error}") from None
-        self.topics = {c.topic: normal_type(c.msgtype) for c in self._reader.connections}
-
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        connections = [c for c in self._reader.connections if c.topic in wanted]
-        try:
-            for c, log, data in self._reader.messages(connections) if connections else ():
-                yield RawMessage(c.topic, normal_type(c.msgtype), "cdr", seconds(log), bytes(data))
-        except Exception as error:  # as above
-            self.truncated = f"it cannot be read to its end ({error})"
-
-    def close(self) -> None:
-        self._reader.close()

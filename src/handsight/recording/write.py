@@ -1,10 +1,14 @@
-"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read."""
+"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read; what was tracked to MCAP, TUM or CSV."""
 
+import csv
 import math
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags asks only for its fields
 from typing import Any, Self
 
 import numpy as np
@@ -12,16 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight.checks import Array
-from handsight.errors import InvalidFile, InvalidInput, MissingExtra
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.messages.decode import rosbags_module, typestore
 from handsight.messages.topics import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.observation import Observation
 from handsight.rig import Rig
 
 LATEST = float(2**31)
 """Seconds are 32 bits in a message's stamp."""
-
-Fields = dict[str, Any]
-"""A message, or a part of one, by the names of its fields."""
+TOPIC = "/handsight/pose"
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z", "sigma_rx", "sigma_ry", "sigma_rz")
 
 
 class McapFile:
@@ -29,45 +34,29 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         """Raises InvalidFile where nothing can be written, MissingExtra without rosbags."""
-        try:
-            from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError:
-            raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
+        self._store, rosbag2 = typestore("cdr"), rosbags_module("rosbags.rosbag2")
         self._path = path
-        self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         if path.is_dir():
             raise InvalidFile(f"{path}: expected a file to write, got a folder")
-        try:
+        with _writing(path):
             # rosbags writes a folder with the file in it: beside the file, so that it need only be renamed.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-            self._writer: Any = Writer(self._folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            plugin, mode = rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE
+            self._writer = rosbag2.Writer(self._folder / "bag", version=9, storage_plugin=plugin)
+            self._writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
             self._writer.open()
-        except OSError as error:
-            raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
         self._connections: dict[str, Any] = {}
         self._open = True
 
-    def write(self, topic: str, kind: str, stamp: float, fields: Mapping[str, Any]) -> None:
-        """Append a message of that type, logged at its stamp; its parts are dicts of their fields."""
+    def append(self, topic: str, kind: str, stamp: float, **fields: Any) -> None:
+        """Append a message of that type, logged at its stamp; its parts are `Message`s too."""
         if not self._open:
             raise InvalidInput(f"{self._path}: expected an open file to write to, got a closed one")
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
-        data = self._store.serialize_cdr(self._made(kind, fields), kind)
+        data = self._store.serialize_cdr(Message(**fields), kind)
         sec, nanosec = _split(stamp)
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
-
-    def _made(self, kind: str, fields: Mapping[str, Any]) -> Any:
-        """The message; its field definitions say (name, (node, type's name)), of lists (node, ((node, name), _))."""
-        made, definitions = dict(fields), self._store.fielddefs[kind][1]
-        for name, (_, kind_of_part) in definitions:
-            if isinstance(made[name], dict):
-                made[name] = self._made(kind_of_part, made[name])
-            elif isinstance(made[name], list) and made[name] and isinstance(made[name][0], dict):
-                made[name] = [self._made(kind_of_part[0][1], part) for part in made[name]]
-        return self._store.types[kind](**made)
 
     def close(self) -> None:
         """Bring the file to its place; a second time does nothing."""
@@ -75,97 +64,11 @@ class McapFile:
             return
         self._open = False
         try:
-            self._writer.close()
-            (self._folder / "bag" / "bag.mcap").replace(self._path)
-        except OSError as error:
-            raise InvalidFile(f"{self._path}: cannot be written: {error.strerror}") from None
+            with _writing(self._path):
+                self._writer.close()
+                (self._folder / "bag" / "bag.mcap").replace(self._path)
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class RecordingWriter:
-    """What a rig measured, as one MCAP file; topics and frame ids are the rig's."""
-
-    def __init__(self, path: str | Path, rig: Rig) -> None:
-        """The file is at `path` once it is closed; what was there is replaced. Raises InvalidFile, MissingExtra."""
-        self._rig, self._file = rig, McapFile(Path(path))
-
-    def write(self, observation: Observation) -> None:
-        """Append all that the observation has, logged at its stamp.
-
-        Depth is kept in whole millimetres (16UC1), as RGB-D cameras give it; beyond 65 m there is none. Raises
-        InvalidInput where the rig has no topic for something, and for stamps that a message cannot hold.
-        """
-        stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
-        top, fields = header(stamp), Fields()
-        if observation.joint_positions is not None:
-            names, position = list(observation.joint_positions), [*observation.joint_positions.values()]
-            fields = {
-                "position": np.array(position, np.float64),
-                "velocity": np.zeros(0),
-                "effort": np.zeros(0),
-            }
-            self._file.write(topics.joint_states, JOINTS, stamp, {"header": top, "name": names, **fields})
-        for finger, wrench in observation.wrenches.items():
-            self._write_wrench(stamp, finger, wrench)
-        if observation.T_world_palm is not None:
-            T = se3.check(observation.T_world_palm, "T_world_palm")
-            body = {"translation": vector(T[:3, 3]), "rotation": quaternion(T[:3, :3])}
-            named = {"header": header(stamp, frames["world"]), "child_frame_id": frames["palm"]}
-            fields = {"transforms": [{**named, "transform": body}]}
-            self._file.write(_topic(topics.tf, "tf"), TF, stamp, fields)
-        if observation.vision is not None:
-            pose = pose_with_covariance(observation.vision.T_frame_object, observation.vision.covariance)
-            fields = {"header": header(stamp, frames[observation.vision.frame]), "pose": pose}
-            self._file.write(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, fields)
-        if observation.color is not None:
-            color = np.asarray(observation.color, np.uint8)
-            self._write_image(stamp, _topic(topics.color, "color"), "rgb8", color)
-        if observation.depth is not None:
-            depth = _millimetres(observation.depth)
-            self._write_image(stamp, _topic(topics.depth, "depth"), "16UC1", depth)
-
-    def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
-        """Append where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
-        T = se3.check(T_palm_object, "T_palm_object")
-        fields = {"header": header(stamp, self._rig.frames["palm"]), "pose": pose(T)}
-        self._file.write(_topic(self._rig.topics.truth, "truth"), POSE, stamp, fields)
-
-    def _write_wrench(self, stamp: float, finger: str, wrench: Array) -> None:
-        topics = self._rig.topics.wrenches
-        if finger not in topics:
-            raise InvalidInput(f"wrenches: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
-        value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
-        body = {"force": vector(value[:3]), "torque": vector(value[3:])}
-        # The sensor's own frame; none of the rig's frame ids.
-        fields = {"header": header(stamp, f"{finger}_sensor"), "wrench": body}
-        self._file.write(topics[finger], WRENCH, stamp, fields)
-
-    def _write_image(self, stamp: float, topic: str, encoding: str, pixels: NDArray[Any]) -> None:
-        top = {"header": header(stamp, self._rig.frames["camera"])}
-        top |= {"height": pixels.shape[0], "width": pixels.shape[1]}
-        data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
-        fields = {"encoding": encoding, "is_bigendian": 0, "step": len(data) // len(pixels), "data": data}
-        self._file.write(topic, IMAGE, stamp, top | fields)
-        camera, info = self._rig.camera, self._rig.topics.camera_info
-        if camera is None or camera.intrinsics is None or info is None:
-            return
-        K = np.asarray(camera.intrinsics, dtype=np.float64)
-        P = np.hstack([K, np.zeros((3, 1))])
-        fields = {"distortion_model": "plumb_bob", "d": np.zeros(5), "binning_x": 0, "binning_y": 0}
-        fields |= {"k": K.ravel(), "r": np.eye(3).ravel(), "p": P.ravel()}
-        fields["roi"] = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
-        self._file.write(info, INFO, stamp, top | fields)
-
-    def close(self) -> None:
-        """Bring the file to its place; raises InvalidFile where it cannot be written."""
-        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -175,31 +78,97 @@ class RecordingWriter:
         self.close()
 
 
-def header(stamp: float, frame: str = "") -> Fields:
+class RecordingWriter(McapFile):
+    """What a rig measured, as one MCAP file; topics and frame ids are the rig's."""
+
+    def __init__(self, path: str | Path, rig: Rig) -> None:
+        """The file is at `path` once it is closed; what was there is replaced. Raises InvalidFile, MissingExtra."""
+        super().__init__(Path(path))
+        self._rig = rig
+
+    def write(self, observation: Observation) -> None:
+        """Append all that the observation has, logged at its stamp.
+
+        Depth is kept in whole millimetres (16UC1), as RGB-D cameras give it; beyond 65 m there is none. Raises
+        InvalidInput where the rig has no topic for something, and for stamps that a message cannot hold.
+        """
+        stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
+        top = header(stamp)
+        if observation.joint_positions is not None:
+            names, none = list(observation.joint_positions), np.zeros(0)
+            position = np.array([*observation.joint_positions.values()], np.float64)
+            joints = {"name": names, "position": position, "velocity": none, "effort": none}
+            self.append(topics.joint_states, JOINTS, stamp, header=top, **joints)
+        for finger, wrench in observation.wrenches.items():
+            self._write_wrench(stamp, finger, wrench)
+        if observation.T_world_palm is not None:
+            palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
+            top = header(stamp, frames["world"])
+            body = Message(translation=palm.position, rotation=palm.orientation)
+            link = Message(header=top, child_frame_id=frames["palm"], transform=body)
+            self.append(_topic(topics.tf, "tf"), TF, stamp, transforms=[link])
+        if (vision := observation.vision) is not None:
+            top = header(stamp, frames[vision.frame])
+            body = pose_with_covariance(vision.T_frame_object, vision.covariance)
+            self.append(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, header=top, pose=body)
+        if observation.color is not None:
+            color = np.asarray(observation.color, np.uint8)
+            self._write_image(stamp, _topic(topics.color, "color"), "rgb8", color)
+        if observation.depth is not None:
+            depth = _millimetres(observation.depth)
+            self._write_image(stamp, _topic(topics.depth, "depth"), "16UC1", depth)
+
+    def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
+        """Append where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
+        truth, top = pose(se3.check(T_palm_object, "T_palm_object")), header(stamp, self._rig.frames["palm"])
+        self.append(_topic(self._rig.topics.truth, "truth"), POSE, stamp, header=top, pose=truth)
+
+    def _write_wrench(self, stamp: float, finger: str, wrench: Array) -> None:
+        topics = self._rig.topics.wrenches
+        if finger not in topics:
+            raise InvalidInput(f"wrenches: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
+        value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
+        body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
+        # The sensor's own frame; none of the rig's frame ids.
+        self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
+
+    def _write_image(self, stamp: float, topic: str, encoding: str, pixels: NDArray[Any]) -> None:
+        height, width = pixels.shape[:2]
+        top = {"header": header(stamp, self._rig.frames["camera"]), "height": height, "width": width}
+        data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
+        fields = {"encoding": encoding, "is_bigendian": 0, "step": len(data) // height, "data": data}
+        self.append(topic, IMAGE, stamp, **top, **fields)
+        camera, info = self._rig.camera, self._rig.topics.camera_info
+        if camera is None or camera.intrinsics is None or info is None:
+            return
+        K = np.asarray(camera.intrinsics, dtype=np.float64)
+        matrices = {"k": K.ravel(), "r": np.eye(3).ravel(), "p": np.pad(K, ((0, 0), (0, 1))).ravel()}
+        lens = {"distortion_model": "plumb_bob", "d": np.zeros(5), "binning_x": 0, "binning_y": 0}
+        roi = Message(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+        self.append(info, INFO, stamp, **top, **matrices, **lens, roi=roi)
+
+
+def header(stamp: float, frame: str = "") -> Message:
     """A std_msgs/Header; raises InvalidInput for a stamp that it cannot hold."""
     sec, nanosec = _split(stamp)
-    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame}
+    return Message(stamp=Message(sec=sec, nanosec=nanosec), frame_id=frame)
 
 
-def vector(xyz: Array) -> Fields:
-    """A geometry_msgs/Vector3 or Point."""
-    return dict(zip("xyz", xyz.tolist(), strict=True))
+def parts(names: str, values: Array) -> Message:
+    """A Vector3 or Point (of x, y, z), or a Quaternion (of x, y, z, w)."""
+    return Message(**dict(zip(names, values.tolist(), strict=True)))
 
 
-def quaternion(R: Array) -> Fields:
-    """A geometry_msgs/Quaternion."""
-    return dict(zip("xyzw", se3.quaternion_from_rotation(R).tolist(), strict=True))
-
-
-def pose(T: Array) -> Fields:
+def pose(T: Array) -> Message:
     """A geometry_msgs/Pose."""
-    return {"position": vector(T[:3, 3]), "orientation": quaternion(T[:3, :3])}
+    rotation = se3.quaternion_from_rotation(T[:3, :3])
+    return Message(position=parts("xyz", T[:3, 3]), orientation=parts("xyzw", rotation))
 
 
-def pose_with_covariance(T: Array, covariance: Array | None) -> Fields:
+def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
     """A geometry_msgs/PoseWithCovariance; without covariance it is all zero."""
     flat = np.zeros(36) if covariance is None else np.asarray(covariance, dtype=np.float64).ravel()
-    return {"pose": pose(T), "covariance": flat}
+    return Message(pose=pose(T), covariance=flat)
 
 
 def _topic(topic: str | None, name: str) -> str:
@@ -221,4 +190,75 @@ def _split(stamp: float) -> tuple[int, int]:
 def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
     with np.errstate(invalid="ignore"):
         known = (depth > 0) & (depth < 65.5)
-    return np.where(known, np.round(np.where(known, depth, 0) * 1000), 0).astype("<u2")
+    return np.round(np.where(known, depth, 0) * 1000).astype("<u2")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackRow:
+    """Where the object was at one instant; a row without a pose is in the CSV only."""
+
+    stamp: float
+    """[s]"""
+    T_palm_object: Array | None
+    """(4, 4); None: not known."""
+    covariance: Array | None
+    """(6, 6) of (δp [m], δθ [rad]) along the palm's axes; None: unbounded in some direction, or not known."""
+    state: str
+    """tracking, uncertain or lost."""
+    reason: str = ""
+    """Why it is not tracking; empty: it is."""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.stamp):
+            raise InvalidInput(f"row.stamp: expected a finite number, got {self.stamp}")
+        if self.T_palm_object is not None:
+            object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "row.T_palm_object"))
+        if self.covariance is not None:
+            covariance = checks.covariance(self.covariance, "row.covariance", (6, 6))
+            object.__setattr__(self, "covariance", covariance)
+
+
+def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
+    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id; no covariance is all zero.
+
+    Raises InvalidFile, MissingExtra.
+    """
+    with McapFile(Path(path)) as file:
+        for row in rows:
+            if row.T_palm_object is not None:
+                top, pose = header(row.stamp, frame), pose_with_covariance(row.T_palm_object, row.covariance)
+                file.append(TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
+
+
+def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
+    """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
+    with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+        for row in rows:
+            if row.T_palm_object is not None:
+                file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
+
+
+def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
+    """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises InvalidFile."""
+    with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
+        for row in rows:
+            pose = [""] * 7 if row.T_palm_object is None else _pose(row.T_palm_object)
+            sigmas = [""] * 6
+            if row.covariance is not None:
+                sigmas = [f"{x:.6g}" for x in np.sqrt(np.diagonal(row.covariance))]
+            table.writerow([f"{row.stamp:.9f}", row.state, row.reason, *pose, *sigmas])
+
+
+@contextmanager
+def _writing(path: str | Path) -> Iterator[None]:
+    """Raises InvalidFile where the path cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _pose(T: Array) -> list[str]:
+    return [f"{x:.9f}" for x in (*T[:3, 3], *se3.quaternion_from_rotation(T[:3, :3]))]

@@ -1,0 +1,93 @@
+"""Rosbag 2's own storage: sqlite3 files (`.db3`), complete or cut, and folders that are compressed as wholes."""
+
+import sqlite3
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+from handsight.errors import InvalidFile
+from handsight.messages import RawMessage
+from handsight.messages.decode import rosbags_module
+from handsight.recording.chunks import MAX_UNPACKED, Source, seconds
+
+BROKEN = (sqlite3.Error, UnicodeDecodeError)
+"""What a damaged file raises; its error messages may themselves be no text."""
+REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+"""A view or a virtual table may compute for ever."""
+
+
+class SqliteSource(Source):
+    """One `.db3` file."""
+
+    MAGIC = b"SQLite format 3\0"
+
+    def __init__(self, path: Path) -> None:
+        """Its topics; raises InvalidFile where its tables are not rosbag 2's."""
+        super().__init__(path)
+        with path.open("rb") as file:
+            header = file.read(32)
+        page, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+        size, expected = path.stat().st_size, (65536 if page == 1 else page) * pages
+        if expected > size:
+            self.truncated = f"the file ends at byte {size} of {expected}"
+        self._base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+        try:
+            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
+            self._base.text_factory = lambda data: data.decode("utf-8", "replace")
+            self._base.execute("PRAGMA trusted_schema = OFF")
+            if self.truncated:
+                # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
+                self._base.execute("PRAGMA writable_schema = ON")
+            tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
+            if not {"topics", "messages"} <= tables:
+                raise InvalidFile(f"the tables {', '.join(sorted(tables)) or '(none)'}")
+            for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
+                self.define(key, *map(str, about))
+        except (*BROKEN, InvalidFile) as error:
+            self._base.close()
+            raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
+
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.messages`; of a cut file in the order in which they were written."""
+        keys = [key for key, about in self.channels.items() if about[0] in wanted and isinstance(key, int)]
+        # The index by time lies all over the file: of a cut one, the rows as they were written.
+        rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
+        chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
+        query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"
+        try:
+            for key, log, data in self._base.execute(query):
+                if isinstance(log, int) and isinstance(data, bytes):
+                    yield RawMessage(*self.channels[key], seconds(log), data)
+        except BROKEN as error:
+            self.truncated = self.truncated or f"the file cannot be read to its end ({error})"
+
+    def close(self) -> None:
+        self._base.close()
+
+
+class CompressedFolder(Source):
+    """A rosbag 2 whose files or messages are compressed as wholes; rosbags unpacks it."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises InvalidFile where rosbags cannot open it, MissingExtra."""
+        super().__init__(path)
+        rosbag2 = rosbags_module("rosbags.rosbag2")
+        try:
+            self._reader: Any = rosbag2.Reader(path)
+            self._reader.open()
+        except Exception as error:  # rosbags and what it is built on raise many kinds on a broken file
+            raise InvalidFile(f"{path}: expected a rosbag 2, got: {error}") from None
+        for c in self._reader.connections:
+            self.define(c.id, c.topic, c.msgtype, "cdr")
+
+    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.messages`."""
+        connections = [c for c in self._reader.connections if c.topic in wanted]
+        try:
+            for c, log, data in self._reader.messages(connections) if connections else ():
+                yield RawMessage(*self.channels[c.id], seconds(log), bytes(data))
+        except Exception as error:  # as above
+            self.truncated = f"it cannot be read to its end ({error})"
+
+    def close(self) -> None:
+        self._reader.close()
