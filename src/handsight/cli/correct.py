@@ -15,7 +15,8 @@ from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.batch.run import Answered, Source
+    from handsight.batch.run import Source
+    from handsight.batch.workers import Answers
 
 MOST_PANELS = 6
 """Problems that a picture has room for."""
@@ -30,20 +31,17 @@ class Written:
     first: list[tuple[bytes, str]] = field(default_factory=list)
     """Lines and answers that a picture can show."""
 
-    def write(self, answered: "Answered", sink: IO[str]) -> None:
+    def write(self, lines: list[bytes], answers: "Answers", sink: IO[str]) -> None:
         """Writes answers, and says what workers warned of."""
-        from handsight.batch.run import is_error
-
-        for warning in answered.warnings:
+        for warning in answers.warnings:
             warn(warning)
-        sink.write("".join(f"{text}\n" for text in answered.texts))
+        sink.write("".join(f"{text}\n" for text in answers.texts))
+        good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
         # Before the flush: once in the buffer, answers are written whatever interrupts us.
-        self.done += len(answered.texts)
-        self.failed += sum(map(is_error, answered.texts))
+        self.done += len(lines)
+        self.failed += len(lines) - len(good)
         sink.flush()
-        if len(self.first) < MOST_PANELS:
-            pairs = zip(answered.lines, answered.texts, strict=True)
-            self.first += [pair for pair in pairs if not is_error(pair[1])][: MOST_PANELS - len(self.first)]
+        self.first += good[: MOST_PANELS - len(self.first)]
 
 
 def correct(
@@ -131,17 +129,17 @@ def _answer(problems: str, output: Path | None, workers: int, cluster: str | Non
     from handsight.batch.run import answering
 
     source, whole = _opened_input(problems), problems.endswith(".json")
-    answers = answering(
+    run = answering(
         source, _folder(problems), whole=whole, workers=workers, cluster=cluster, first=announce_compiling
     )
     with (
-        answers as all_answered,
+        run as answered,
         _opened_output(output, problems) as sink,
         progress(problems, show=output is not None) as advance,
     ):
-        for answered in all_answered:
-            written.write(answered, sink)
-            advance(len(answered.texts), sum(len(line) + 1 for line in answered.lines))
+        for lines, answers in answered:
+            written.write(lines, answers, sink)
+            advance(len(lines), sum(len(line) + 1 for line in lines))
 
 
 def _folder(problems: str) -> Path:
