@@ -180,6 +180,6 @@ def test_every_command_that_computes_announces_compiling(command, monkeypatch, t
     def announced():
         raise SystemExit("announced")
 
-    for module in ("correct", "contact", "track", "calibrate", "demo", "simulate"):
+    for module in ("correct", "contact", "track", "rig", "demo", "simulate"):
         monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
     assert called(monkeypatch, tmp_path, *command.split()) == "announced"

@@ -4,17 +4,19 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated
+from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, progress, say, warn
+from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, bar, naming, say, warn
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
+    from handsight.batch.problems import Problem
     from handsight.batch.run import Source
     from handsight.batch.workers import Answers
 
@@ -110,7 +112,11 @@ def correct(
             announce_compiling()
         _answer(problems, output, workers, cluster, written)
         if plot is not None and written.first:
-            _draw(written.first, _folder(problems), plot)
+            from handsight.batch.problems import Reader
+
+            reader = Reader(_folder(problems))
+            draw(((reader.read(line), json.loads(text)) for line, text in written.first), plot)
+            say(f"wrote {plot}")
     except KeyboardInterrupt:
         say(f"handsight: stopped after {written.done} answers; they are written")
         raise typer.Exit(INTERRUPTED) from None
@@ -129,17 +135,21 @@ def _answer(problems: str, output: Path | None, workers: int, cluster: str | Non
     from handsight.batch.run import answering
 
     source, whole = _opened_input(problems), problems.endswith(".json")
+    size = 0 if problems == "-" else os.path.getsize(problems)  # pipes have none either
     run = answering(
         source, _folder(problems), whole=whole, workers=workers, cluster=cluster, first=announce_compiling
     )
+    began, read = time.monotonic(), 0
     with (
         run as answered,
         _opened_output(output, problems) as sink,
-        progress(problems, show=output is not None) as advance,
+        bar("correcting", show=output is not None) as move,
     ):
         for lines, answers in answered:
             written.write(lines, answers, sink)
-            advance(len(lines), sum(len(line) + 1 for line in lines))
+            read += sum(len(line) + 1 for line in lines)
+            rate = written.done / (time.monotonic() - began)
+            move(read / size if size else None, f"{written.done} answers, {rate:.0f}/s")
 
 
 def _folder(problems: str) -> Path:
@@ -149,33 +159,23 @@ def _folder(problems: str) -> Path:
 
 def _opened_input(name: str) -> "Source":
     """The problems; stdin as a file of its own, so that no thread holds the interpreter's when it ends."""
-    try:
+    with naming(name):
         return open(sys.stdin.fileno(), "rb", closefd=False) if name == "-" else open(name, "rb")
-    except OSError as error:
-        raise InvalidFile(f"{name}: {error.strerror}") from None
 
 
-@contextlib.contextmanager
-def _opened_output(output: Path | None, source: str) -> Iterator[IO[str]]:
+def _opened_output(output: Path | None, source: str) -> contextlib.AbstractContextManager[IO[str]]:
     """Where answers go: a file, or stdout; never the file they answer."""
     if output is None or str(output) == "-":
-        yield sys.stdout
-        return
+        return contextlib.nullcontext(sys.stdout)
     if source != "-" and output.exists() and output.samefile(source):
         raise InvalidFile(f"{output}: the answers would overwrite the problems")
-    try:
-        handle = open(output, "w", encoding="utf-8")  # noqa: SIM115
-    except OSError as error:
-        raise InvalidFile(f"{output}: {error.strerror}") from None
-    with handle:
-        yield handle
+    with naming(output):
+        return open(output, "w", encoding="utf-8")
 
 
-def _draw(pairs: list[tuple[bytes, str]], folder: Path, plot: Path) -> None:
-    from handsight.batch.problems import Reader
+def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
+    """Writes a picture of problems and their answers."""
     from handsight.viewer.corrections import Panel, draw_corrections
 
-    reader = Reader(folder)
-    problems = [(reader.read(line), json.loads(text)) for line, text in pairs]
-    draw_corrections([Panel(p.model, p.contacts, p.vision, answer) for p, answer in problems], plot)
-    say(f"wrote {plot}")
+    panels = [Panel(problem.model, problem.contacts, problem.vision, answer) for problem, answer in answered]
+    draw_corrections(panels, plot)
