@@ -132,7 +132,7 @@ class Reader:
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """The answer to a problem as plain JSON values, the keys in the contract's order."""
+    """The answer to a problem as JSON has it, its lists of numbers as arrays, the keys in the contract's order."""
     began = time.perf_counter()
     estimate = correct_pose(
         problem.model,
@@ -146,17 +146,17 @@ def answer(problem: Problem) -> dict[str, Any]:
     normal_deg = [None if np.isnan(a) else float(np.rad2deg(a)) for a in estimate.residuals.normal]
     return {
         **_pose(estimate.T_palm_object),
-        "covariance": _nested(estimate.covariance),
-        "information": _nested(estimate.information),
+        "covariance": estimate.covariance,
+        "information": estimate.information,
         "converged": estimate.converged,
         "iterations": estimate.iterations,
         "seconds": seconds,
-        "residuals": {"distance": estimate.residuals.distance.tolist(), "normal_deg": normal_deg},
-        "unobservable": estimate.unobservable.tolist(),
+        "residuals": {"distance": estimate.residuals.distance, "normal_deg": normal_deg},
+        "unobservable": estimate.unobservable,
         "consistent": estimate.consistent,
         "outliers": list(estimate.outliers),
         "hypotheses": [
-            {**_pose(h.T_palm_object), "covariance": _nested(h.covariance), "weight": h.weight}
+            {**_pose(h.T_palm_object), "covariance": h.covariance, "weight": h.weight}
             for h in estimate.hypotheses
         ],
     }
@@ -165,7 +165,7 @@ def answer(problem: Problem) -> dict[str, Any]:
 def answer_text(reader: Reader, line: bytes) -> str:
     """The answer to a line as one line of JSON, without its end; `{"error": ...}` where there is none."""
     try:
-        return json.dumps(answer(reader.read(line)), allow_nan=False)
+        return json.dumps(answer(reader.read(line)), allow_nan=False, default=np.ndarray.tolist)
     except HandsightError as error:
         said = str(error)
     except MemoryError:
@@ -257,12 +257,5 @@ def _positive(value: Any, name: str, default: float | None = None) -> float:
     return default
 
 
-def _pose(T: Array) -> dict[str, list[float]]:
-    return {
-        "position": T[:3, 3].tolist(),
-        "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
-    }
-
-
-def _nested(matrix: Array | None) -> list[list[float]] | None:
-    return None if matrix is None else matrix.tolist()
+def _pose(T: Array) -> dict[str, Array]:
+    return {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])}

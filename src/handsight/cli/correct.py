@@ -17,7 +17,6 @@ from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
     from handsight.batch.problems import Problem
-    from handsight.batch.run import Source
     from handsight.batch.workers import Answers
 
 MOST_PANELS = 6
@@ -134,15 +133,19 @@ def _answer(problems: str, output: Path | None, workers: int, cluster: str | Non
     """Answers and writes line by line; `written` tells how far it came."""
     from handsight.batch.run import answering
 
-    source, whole = _opened_input(problems), problems.endswith(".json")
-    size = 0 if problems == "-" else os.path.getsize(problems)  # pipes have none either
-    run = answering(
-        source, _folder(problems), whole=whole, workers=workers, cluster=cluster, first=announce_compiling
-    )
+    with naming(problems):
+        if output is not None and problems != "-" and output.exists() and output.samefile(problems):
+            raise InvalidFile(f"{output}: the answers would overwrite the problems")
+        # Stdin as a file of its own, so that no thread holds the interpreter's when it ends.
+        place = sys.stdin.fileno() if problems == "-" else problems
+        source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
+    size = os.fstat(source.fileno()).st_size  # a pipe has none
+    whole, folder = problems.endswith(".json"), _folder(problems)
+    run = answering(source, folder, whole=whole, workers=workers, cluster=cluster, first=announce_compiling)
     began, read = time.monotonic(), 0
     with (
         run as answered,
-        _opened_output(output, problems) as sink,
+        _opened(output) as sink,
         bar("correcting", show=output is not None) as move,
     ):
         for lines, answers in answered:
@@ -157,18 +160,10 @@ def _folder(problems: str) -> Path:
     return Path.cwd() if problems == "-" else Path(problems).parent.absolute()
 
 
-def _opened_input(name: str) -> "Source":
-    """The problems; stdin as a file of its own, so that no thread holds the interpreter's when it ends."""
-    with naming(name):
-        return open(sys.stdin.fileno(), "rb", closefd=False) if name == "-" else open(name, "rb")
-
-
-def _opened_output(output: Path | None, source: str) -> contextlib.AbstractContextManager[IO[str]]:
-    """Where answers go: a file, or stdout; never the file they answer."""
+def _opened(output: Path | None) -> contextlib.AbstractContextManager[IO[str]]:
+    """Where answers go: a file, or stdout."""
     if output is None or str(output) == "-":
         return contextlib.nullcontext(sys.stdout)
-    if source != "-" and output.exists() and output.samefile(source):
-        raise InvalidFile(f"{output}: the answers would overwrite the problems")
     with naming(output):
         return open(output, "w", encoding="utf-8")
 

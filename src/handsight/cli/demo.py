@@ -1,6 +1,5 @@
 """`handsight demo`: a can and a box held by five fingers, vision 8 cm off, and a recording of each (all synthetic)."""
 
-import contextlib
 import json
 import math
 import sys
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
     from handsight.evaluation import CorrectionErrors
 
 NAMES = ("can", "box")
+DATA = Path(__file__).parents[1] / "data"
+"""Built-in problems, a line for each name, and recordings, each with its rig beside it."""
 
 
 def demo(
@@ -51,8 +52,7 @@ def demo(
     except MissingExtra as error:
         out.print(f"no picture: {error}")
     try:
-        with _data() as folder:
-            runs = [_replayed(name, folder / f"{name}.mcap", plot, out) for name in NAMES]
+        runs = [_replayed(name, plot, out) for name in NAMES]
     except MissingExtra as error:
         out.print(f"no recordings replayed: {error}")
         return
@@ -78,10 +78,7 @@ def examples() -> Iterator[Comparison]:
     from handsight.batch.problems import Reader, answer
     from handsight.evaluation import correction_errors
 
-    with _data() as folder:
-        lines, truths = (
-            (folder / file).read_bytes().splitlines() for file in ("demo.jsonl", "demo_truth.jsonl")
-        )
+    lines, truths = ((DATA / file).read_bytes().splitlines() for file in ("demo.jsonl", "demo_truth.jsonl"))
     reader = Reader(Path.cwd())
     for name, line, truth in zip(NAMES, lines, truths, strict=True):
         problem = reader.read(line)
@@ -96,15 +93,6 @@ def examples() -> Iterator[Comparison]:
             for T in (T_vision, T_corrected)
         )
         yield Comparison(name, problem, answered, vision, corrected)
-
-
-@contextlib.contextmanager
-def _data() -> Iterator[Path]:
-    """The folder of the built-in problems and recordings, each with its rig beside it."""
-    from importlib import resources
-
-    with resources.as_file(resources.files("handsight").joinpath("data")) as folder:
-        yield folder
 
 
 def _corrections(found: Sequence[Comparison]) -> "Table":
@@ -123,16 +111,16 @@ def _corrections(found: Sequence[Comparison]) -> "Table":
     return table(columns, rows, title="Error against the truth, vision → corrected (synthetic example)")
 
 
-def _replayed(name: str, path: Path, plot: Path, out: "Console") -> "Run":
+def _replayed(name: str, plot: Path, out: "Console") -> "Run":
     """A recording tracked, and drawn where that can be."""
     from handsight.cli.track import draw, progress, run
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
-    rig = Rig.from_file(path.with_suffix(".rig.yaml"))
+    rig = Rig.from_file(DATA / f"{name}.rig.yaml")
     model = rig.objects[name].model()
-    with live_rows(path.name, progress) as watch:
-        ended = run(path, rig, model, TrackerSettings(outside=500), watch)
+    with live_rows(f"{name}.mcap", progress) as watch:
+        ended = run(DATA / f"{name}.mcap", rig, model, TrackerSettings(outside=500), watch)
     out.print(draw(ended, model, plot.with_name(f"{plot.stem}-{name}{plot.suffix}")))
     return ended
 

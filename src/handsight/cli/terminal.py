@@ -40,11 +40,6 @@ def warn(message: str) -> None:
     say(f"handsight: {message}")
 
 
-def one_line_warning(message: Any, *_: Any, **__: Any) -> None:
-    """A warning in one line, for `warnings.showwarning`."""
-    warn(str(message))
-
-
 def announce_compiling() -> None:
     """On a terminal, has it said when a kernel is about to be compiled, once: nothing else would be for long."""
     if not sys.stderr.isatty():

@@ -138,11 +138,11 @@ def _frame(axes: Any, points: Array) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low).max() / 2
     middle = (low + high) / 2
-    for set_limits, value in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
-        set_limits(value - half, value + half)
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=22, azim=-58)
-    for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
+    for name, value in zip("xyz", middle, strict=True):
+        axes.set(**{f"{name}lim": (value - half, value + half)})
+        axis = getattr(axes, f"{name}axis")
         axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")
         axis.set_tick_params(labelsize=7)
         axis.set_label_text(f"palm {name} [mm]", fontsize=8)
