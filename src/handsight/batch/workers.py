@@ -14,6 +14,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from handsight.errors import HandsightError, MissingExtra
@@ -163,13 +164,16 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
     """A Dask cluster's workers; use it in `with`. Dask runs a chunk again whose worker died; that changes no answer."""
 
     chunk_seconds = 0.5
-    room = 512
+    room = 128
     """Dask spreads the chunks over its workers, which may come and go."""
 
     def __init__(self, address: str, work: Work) -> None:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
         self._address, self._work = address, work
         self._client = _connected(address)
+        self._ended: SimpleQueue[tuple[Any, Future[Answers]]] = SimpleQueue()
+        # A daemon of our own: whoever fetches from a cluster that is lost may wait forever.
+        threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
         """Drops what is not yet answered."""
@@ -184,7 +188,7 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         except Exception as error:
             raise self._lost(error) from None
         answers: Future[Answers] = Future()
-        there.add_done_callback(functools.partial(_fetch, answers))
+        there.add_done_callback(lambda there: self._ended.put((there, answers)))
         return answers
 
     def answers(self, future: Future[Answers]) -> Answers | None:
@@ -198,18 +202,19 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         except Exception as error:
             raise self._lost(error) from None
 
+    def _fetch(self) -> None:
+        while True:
+            there, answers = self._ended.get()
+            try:
+                answers.set_result(Answers(*there.result()))
+            except BaseException as error:
+                answers.set_exception(error)
+
     def _lost(self, error: Exception) -> WorkerFailure:
         said = f"the cluster was lost ({type(error).__name__}: {error})"
         if isinstance(error, ModuleNotFoundError):
             said = f"the workers have no module {error.name!r}; install handsight there"
         return WorkerFailure(f"{self._address}: {said}")
-
-
-def _fetch(answers: Future[Answers], there: Any) -> None:
-    try:
-        answers.set_result(Answers(*there.result()))
-    except BaseException as error:
-        answers.set_exception(error)
 
 
 def _connected(address: str) -> Any:
