@@ -68,20 +68,16 @@ class Truths:
 
     def __init__(self, stamped: Iterable[tuple[float, Array]]) -> None:
         """`stamped`: (stamp [s], T_palm_object (4, 4)), in any order."""
-        rows = sorted(stamped, key=lambda row: row[0])
-        self._stamps = np.array([stamp for stamp, _ in rows])
-        self._poses = [T for _, T in rows]
-
-    def __len__(self) -> int:
-        return len(self._poses)
+        self._rows = sorted(stamped, key=lambda row: row[0])
+        stamps = np.array([stamp for stamp, _ in self._rows])
+        self._between = (stamps[:-1] + stamps[1:]) / 2
 
     def at(self, stamp: float) -> Array | None:
         """The truth nearest in time; None where there is none near enough."""
-        if not self._poses:
+        if not self._rows:
             return None
-        after = int(np.searchsorted(self._stamps, stamp))
-        near = max(0, after - 1) + int(np.abs(self._stamps[max(0, after - 1) : after + 1] - stamp).argmin())
-        return self._poses[near] if abs(self._stamps[near] - stamp) <= TRUTH_APART else None
+        nearest_stamp, T = self._rows[np.searchsorted(self._between, stamp)]
+        return T if abs(nearest_stamp - stamp) <= TRUTH_APART else None
 
 
 def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, vision: bool) -> TrackErrors:

@@ -33,14 +33,14 @@ def run(*arguments, stdin="", cwd=None, expect=0, columns=100):
     return done.stdout.decode(), done.stderr.decode()
 
 
-def called(monkeypatch, folder, *arguments):
+def called(monkeypatch, folder, *arguments, columns=80):
     """The exit code of a command that runs in this process."""
     monkeypatch.chdir(folder)
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(sys, "argv", ["handsight", *arguments])
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr(sys, "argv", ["handsight", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
         main()
-    return ended.value.code
+    return ended.value.code or 0
 
 
 def corrected(*problems, expect=0):

@@ -1,5 +1,18 @@
 import pytest
 
+from cli.commands import called
+
+
+@pytest.fixture
+def asked(monkeypatch, capsys, tmp_path):
+    """`asked(*arguments)`: stdout and stderr of a command that runs in this process and ends as expected."""
+
+    def ask(*arguments, cwd=tmp_path, expect=0, columns=100):
+        assert called(monkeypatch, cwd, *arguments, columns=columns) == expect
+        return capsys.readouterr()
+
+    return ask
+
 
 @pytest.fixture(scope="session")
 def grasp():

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from cli.commands import called, run
+from cli.commands import called
 from cli.tracks import recorded, recorded_observations
 from handsight import se3
 from handsight.errors import InvalidInput
@@ -47,10 +47,10 @@ def test_the_cameras_displacement_is_found_where_the_palm_turned(moved):
     np.testing.assert_allclose(T @ rig.camera.T_mount_camera, found.T_mount_camera, atol=1e-9)
 
 
-def test_calibrate_camera_prints_what_the_rig_file_takes(moved, tmp_path):
+def test_calibrate_camera_prints_what_the_rig_file_takes(moved, asked, tmp_path):
     _, rig, path = moved
     write_rig(rig, tmp_path / "rig.yaml")
-    out, err = run("calibrate", "camera", path, "--rig", "rig.yaml", "--object", "box", cwd=tmp_path)
+    out, err = asked("calibrate", "camera", path, "--rig", "rig.yaml", "--object", "box")
     assert re.search(r"# known to ± \[[\d., ]+\] mm, \[[\d., ]+\]° \(one standard deviation\)", out)
     assert err == ""
     text = (tmp_path / "rig.yaml").read_text()

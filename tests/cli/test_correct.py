@@ -19,7 +19,7 @@ def test_answers_keep_the_order_and_errors_stay_in_their_place():
     assert answers[2]["error"] == "contacts[0].point: expected 3 finite numbers, got [0, 0]"
 
 
-def test_meshes_are_found_beside_the_problem_file(tmp_path):
+def test_meshes_are_found_beside_the_problem_file(asked, tmp_path):
     import trimesh
 
     folder = tmp_path / "problems"
@@ -27,30 +27,30 @@ def test_meshes_are_found_beside_the_problem_file(tmp_path):
     trimesh.creation.box((60, 90, 140)).export(folder / "box.stl")
     problem = {**BOX, "object": {"mesh": "box.stl", "scale": 0.001}}
     (folder / "all.jsonl").write_text(json.dumps(problem) + "\n\n" + json.dumps(problem) + "\n")
-    run("correct", folder / "all.jsonl", "--output", tmp_path / "answers.jsonl", cwd=tmp_path)
+    asked("correct", folder / "all.jsonl", "--output", tmp_path / "answers.jsonl")
     answers = [json.loads(line) for line in (tmp_path / "answers.jsonl").read_text().splitlines()]
     assert len(answers) == 2
     np.testing.assert_allclose(answers[0]["position"], 0, atol=3e-3)
 
 
-def test_a_single_json_file_may_span_lines(tmp_path):
+def test_a_single_json_file_may_span_lines(asked, tmp_path):
     (tmp_path / "one.json").write_text(json.dumps(BOX, indent=2))
-    out, _ = run("correct", tmp_path / "one.json")
+    out, _ = asked("correct", tmp_path / "one.json")
     assert list(json.loads(out)) == KEYS
 
 
-def test_the_plot_is_written(tmp_path):
+def test_the_plot_is_written(asked, tmp_path):
     (tmp_path / "one.json").write_text(json.dumps(BOX))
-    run("correct", tmp_path / "one.json", "--output", tmp_path / "a.jsonl", "--plot", tmp_path / "a.png")
+    asked("correct", tmp_path / "one.json", "--output", tmp_path / "a.jsonl", "--plot", tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "a.png").stat().st_size > 20_000
 
 
-def test_a_missing_file_and_an_overwritten_one_are_sentences(tmp_path):
-    _, said = run("correct", tmp_path / "none.jsonl", expect=2)
+def test_a_missing_file_and_an_overwritten_one_are_sentences(asked, tmp_path):
+    _, said = asked("correct", tmp_path / "none.jsonl", expect=2)
     assert "none.jsonl: No such file" in said
     (tmp_path / "p.jsonl").write_text(json.dumps(BOX))
-    _, said = run("correct", tmp_path / "p.jsonl", "--output", tmp_path / "p.jsonl", expect=2)
+    _, said = asked("correct", tmp_path / "p.jsonl", "--output", tmp_path / "p.jsonl", expect=2)
     assert "overwrite" in said
     assert json.loads((tmp_path / "p.jsonl").read_text()) == BOX
 
@@ -166,6 +166,6 @@ def test_a_worker_that_is_killed_costs_no_line(tmp_path):
     assert all(list(json.loads(answer)) == KEYS for answer in answers)
 
 
-def test_workers_and_cluster_exclude_each_other():
-    _, said = run("correct", "-", "--workers", 2, "--cluster", "tcp://127.0.0.1:1", expect=2)
+def test_workers_and_cluster_exclude_each_other(asked):
+    _, said = asked("correct", "-", "--workers", 2, "--cluster", "tcp://127.0.0.1:1", expect=2)
     assert "--workers: expected without --cluster" in said

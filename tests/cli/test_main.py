@@ -13,13 +13,13 @@ import pytest
 from cli.commands import called, read_some, run
 
 
-def test_help_teaches():
-    out, _ = run("correct", "--help")
+def test_help_teaches(asked):
+    out, _ = asked("correct", "--help")
     assert "quaternion_xyzw" in out
     assert "outside" in out
     assert "--workers 0" in out
     assert "--cluster tcp://" in out
-    out, _ = run("contact", "--help")
+    out, _ = asked("contact", "--help")
     assert "fx" in out
     assert "ellipsoid:8,8,12mm" in out
 
@@ -100,9 +100,9 @@ def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
     assert str(compiled.folder()) in out
 
 
-def test_contact_converts_wrenches(tmp_path):
+def test_contact_converts_wrenches(asked, tmp_path):
     (tmp_path / "w.csv").write_text("fx,fy,fz,tx,ty,tz\n0,0,-1,0,0,0\n0,0,0.01,0,0,0\n")
-    out, said = run("contact", tmp_path / "w.csv", "--fingertip", "ellipsoid:8,8,12mm,cap=-2mm")
+    out, said = asked("contact", tmp_path / "w.csv", "--fingertip", "ellipsoid:8,8,12mm,cap=-2mm")
     header, touched, free = out.splitlines()
     row = dict(zip(header.split(","), touched.split(","), strict=True))
     assert row["reason"] == "contact"
@@ -180,6 +180,6 @@ def test_every_command_that_computes_announces_compiling(command, monkeypatch, t
     def announced():
         raise SystemExit("announced")
 
-    for module in ("correct", "contact", "track", "calibrate", "demo", "simulate"):
+    for module in ("correct", "contact", "track", "rig", "demo", "simulate"):
         monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
     assert called(monkeypatch, tmp_path, *command.split()) == "announced"

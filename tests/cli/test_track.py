@@ -36,9 +36,9 @@ def test_simulate_writes_a_recording_and_the_rig_that_reads_it(simulated):
     assert list(Rig.from_file(folder / "can.rig.yaml").objects) == ["can"]
 
 
-def test_rig_check_prints_the_rig_and_what_the_recording_lacks(simulated):
+def test_rig_check_prints_the_rig_and_what_the_recording_lacks(simulated, asked):
     folder, _ = simulated
-    out, _ = run("rig", "check", "can.rig.yaml", "can.mcap", cwd=folder, columns=80)
+    out, _ = asked("rig", "check", "can.rig.yaml", "can.mcap", cwd=folder, columns=80)
     assert out.startswith("can.rig.yaml: 5 fingers on robot0:palm, 24 joints\n")
     assert max(map(len, out.splitlines())) <= 80
     assert "th         robot0:thdistal  10.5 x 10.5 x 16" in out
@@ -69,12 +69,12 @@ def test_track_writes_results_that_agree_and_are_far_better_than_vision(simulate
     assert f"{summary['poses']} poses of {summary['observations']} observations" in said
 
 
-def test_track_takes_the_rig_and_the_object_it_is_told(simulated):
+def test_track_takes_the_rig_and_the_object_it_is_told(simulated, asked):
     folder, _ = simulated
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())
     arguments = ("--rig", "r.yaml", "--object", "can", "--output", "out", "--rate", "20")
-    run("track", folder / "can.mcap", *arguments, cwd=folder / "elsewhere")
+    asked("track", folder / "can.mcap", *arguments, cwd=folder / "elsewhere")
     assert_results_agree(folder / "elsewhere" / "out")
 
 

@@ -7,7 +7,6 @@ the field, what was expected, what came.
 import json
 import re
 import time
-from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import METHODS, PoseEstimate, PosePrior, correct_pose
+from handsight.correction import METHODS, PosePrior, correct_pose
 from handsight.errors import HandsightError, InvalidInput
 from handsight.explain import explain, named
 from handsight.objects import ObjectModel
@@ -78,17 +77,6 @@ class Problem(msgspec.Struct, frozen=True):
     samples: int
     method: str
 
-    def solve(self) -> PoseEstimate:
-        """The corrected pose."""
-        return correct_pose(
-            self.model,
-            self.contacts,
-            vision=self.vision,
-            outside=self.outside,
-            samples=self.samples,
-            method=self.method,
-        )
-
 
 class Reader:
     """Problems from lines of JSON; keeps the object models it has built."""
@@ -96,7 +84,8 @@ class Reader:
     def __init__(self, folder: Path) -> None:
         """`folder`: what mesh paths are relative to."""
         self.folder = folder
-        self._models: OrderedDict[bytes, ObjectModel] = OrderedDict()
+        self._models: dict[bytes, ObjectModel] = {}
+        """The one used last at the end."""
 
     def read(self, line: bytes) -> Problem:
         """The problem of one line; raises a HandsightError that names the field."""
@@ -114,12 +103,9 @@ class Reader:
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
         key = msgspec.json.encode(fields)
-        model = self._models.get(key)
-        if model is None:
-            model = self._models[key] = self._build(fields)
-        self._models.move_to_end(key)
-        while len(self._models) > MODELS_KEPT:
-            self._models.popitem(last=False)
+        self._models[key] = model = self._models.pop(key, None) or self._build(fields)
+        if len(self._models) > MODELS_KEPT:
+            del self._models[next(iter(self._models))]
         return model
 
     def _build(self, fields: ObjectFields) -> ObjectModel:
@@ -129,15 +115,15 @@ class Reader:
         if fields.scale is not None and fields.mesh is None:
             raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
         if fields.mesh is not None:
-            scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
+            scale = _positive(fields.scale, "object.scale", 1.0)
             try:
                 return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
             except HandsightError as error:
                 raise InvalidInput(f"object.mesh: {error}") from None
         if fields.cylinder is not None:
-            radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
             return ObjectModel.cylinder(
-                radius, checks.positive(fields.cylinder.height, "object.cylinder.height")
+                checks.positive(fields.cylinder.radius, "object.cylinder.radius"),
+                checks.positive(fields.cylinder.height, "object.cylinder.height"),
             )
         sides = checks.finite(fields.box, "object.box", (3,))
         if not (sides > 0).all():
@@ -146,24 +132,31 @@ class Reader:
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """The answer to a problem as plain JSON values, the keys in the contract's order."""
+    """The answer to a problem as JSON has it, its lists of numbers as arrays, the keys in the contract's order."""
     began = time.perf_counter()
-    estimate = problem.solve()
+    estimate = correct_pose(
+        problem.model,
+        problem.contacts,
+        vision=problem.vision,
+        outside=problem.outside,
+        samples=problem.samples,
+        method=problem.method,
+    )
     seconds = time.perf_counter() - began
     normal_deg = [None if np.isnan(a) else float(np.rad2deg(a)) for a in estimate.residuals.normal]
     return {
         **_pose(estimate.T_palm_object),
-        "covariance": _nested(estimate.covariance),
-        "information": _nested(estimate.information),
+        "covariance": estimate.covariance,
+        "information": estimate.information,
         "converged": estimate.converged,
         "iterations": estimate.iterations,
         "seconds": seconds,
-        "residuals": {"distance": estimate.residuals.distance.tolist(), "normal_deg": normal_deg},
-        "unobservable": estimate.unobservable.tolist(),
+        "residuals": {"distance": estimate.residuals.distance, "normal_deg": normal_deg},
+        "unobservable": estimate.unobservable,
         "consistent": estimate.consistent,
         "outliers": list(estimate.outliers),
         "hypotheses": [
-            {**_pose(h.T_palm_object), "covariance": _nested(h.covariance), "weight": h.weight}
+            {**_pose(h.T_palm_object), "covariance": h.covariance, "weight": h.weight}
             for h in estimate.hypotheses
         ],
     }
@@ -172,7 +165,7 @@ def answer(problem: Problem) -> dict[str, Any]:
 def answer_text(reader: Reader, line: bytes) -> str:
     """The answer to a line as one line of JSON, without its end; `{"error": ...}` where there is none."""
     try:
-        return json.dumps(answer(reader.read(line)), allow_nan=False)
+        return json.dumps(answer(reader.read(line)), allow_nan=False, default=np.ndarray.tolist)
     except HandsightError as error:
         said = str(error)
     except MemoryError:
@@ -190,9 +183,9 @@ def _fields(line: bytes) -> ProblemFields:
         raise InvalidInput("line: expected JSON in UTF-8, got other bytes") from None
     except json.JSONDecodeError as error:
         raise InvalidInput(f"line: expected JSON, got {error.msg} at character {error.pos}") from None
+    except InvalidInput:
+        raise
     except (RecursionError, ValueError) as error:
-        if isinstance(error, HandsightError):
-            raise
         raise InvalidInput(f"line: expected a problem, got JSON that cannot be read ({error})") from None
     if not isinstance(raw, dict):
         raise InvalidInput(f"line: expected an object {{...}}, got {checks.brief(raw)}")
@@ -205,9 +198,9 @@ def _fields(line: bytes) -> ProblemFields:
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = [key for key, _ in pairs]
-    twice = {key for key in keys if keys.count(key) > 1}
-    if twice:
-        raise InvalidInput(f"{sorted(twice)[0]}: expected once, got it twice in one object")
+    if len(set(keys)) < len(keys):
+        twice = min(key for key in keys if keys.count(key) > 1)
+        raise InvalidInput(f"{twice}: expected once, got it twice in one object")
     return dict(pairs)
 
 
@@ -226,14 +219,11 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
                 raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
             covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
             continue
-        sigma_point = (
-            1e-3 if row.sigma_point is None else checks.positive(row.sigma_point, f"{name}.sigma_point")
-        )
+        sigma_point = _positive(row.sigma_point, f"{name}.sigma_point", 1e-3)
         sigma_normal = 0.1
         if row.sigma_normal_deg is not None:
             sigma_normal = np.deg2rad(checks.positive(row.sigma_normal_deg, f"{name}.sigma_normal_deg"))
-        covariance[i, :3, :3] = sigma_point**2 * np.eye(3)
-        covariance[i, 3:, 3:] = sigma_normal**2 * np.eye(3)
+        covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
     try:
         return Contacts(points, normals, covariance=covariance)
     except HandsightError as error:
@@ -246,28 +236,26 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
     position = checks.finite(fields.position, "vision.position", (3,))
     quaternion = checks.unit(fields.quaternion_xyzw, "vision.quaternion_xyzw", (4,))
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
-    sigmas = {"sigma_position": fields.sigma_position, "sigma_rotation_deg": fields.sigma_rotation_deg}
-    given = [name for name, value in sigmas.items() if value is not None]
-    if (fields.covariance is not None) == bool(given):
-        both = "both" if given else "neither"
-        raise InvalidInput(f"vision: expected {' and '.join(sigmas)} or a covariance, got {both}")
+    given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
+    if (fields.covariance is not None) == any(given):
+        came = "both" if any(given) else "neither"
+        raise InvalidInput(
+            f"vision: expected sigma_position and sigma_rotation_deg or a covariance, got {came}"
+        )
     if fields.covariance is not None:
         return PosePrior(T, checks.covariance(fields.covariance, "vision.covariance", (6, 6)))
-    if len(given) < 2:
-        absent = next(name for name in sigmas if name not in given)
-        raise InvalidInput(f"vision.{absent}: expected a number above 0, got nothing")
-    turn = checks.positive(fields.sigma_rotation_deg, "vision.sigma_rotation_deg")
-    return PosePrior.from_sigmas(
-        T, checks.positive(fields.sigma_position, "vision.sigma_position"), np.deg2rad(turn)
-    )
+    shift = _positive(fields.sigma_position, "vision.sigma_position")
+    turn = _positive(fields.sigma_rotation_deg, "vision.sigma_rotation_deg")
+    return PosePrior.from_sigmas(T, shift, np.deg2rad(turn))
 
 
-def _pose(T: Array) -> dict[str, list[float]]:
-    return {
-        "position": T[:3, 3].tolist(),
-        "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
-    }
+def _positive(value: Any, name: str, default: float | None = None) -> float:
+    if value is not None:
+        return checks.positive(value, name)
+    if default is None:
+        raise InvalidInput(f"{name}: expected a number above 0, got nothing")
+    return default
 
 
-def _nested(matrix: Array | None) -> list[list[float]] | None:
-    return None if matrix is None else matrix.tolist()
+def _pose(T: Array) -> dict[str, Array]:
+    return {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])}

@@ -1,8 +1,4 @@
-"""Many lines answered by many workers: read as they come, answered anywhere, handed on in order, never all in memory.
-
-A thread reads lines and submits them in chunks; the caller's thread hands on the answers, and tries lines again whose
-worker died.
-"""
+"""Many lines answered by many workers: read as they come, handed on in order, never all in memory."""
 
 import contextlib
 import functools
@@ -10,11 +6,11 @@ import io
 import json
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 from pathlib import Path
 from queue import SimpleQueue
-from typing import NamedTuple
 
 from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
 from handsight.errors import InvalidFile
@@ -28,14 +24,10 @@ LINE_BYTES = 3000
 Source = io.BufferedIOBase
 
 
-class Answered(NamedTuple):
-    """Consecutive lines with their answers."""
-
-    lines: list[bytes]
-    texts: list[str]
-    """One line of JSON for each line, without its end."""
-    warnings: list[str]
-    """What workers warned of meanwhile."""
+Answered = tuple[list[bytes], Answers]
+"""Consecutive lines with their answers."""
+Event = list[bytes] | BaseException | None | Future[Answers]
+"""Lines that came; at their end an error or None; or a chunk that ended."""
 
 
 @contextlib.contextmanager
@@ -59,16 +51,7 @@ def answering(
         return
     work = functools.partial(answer_lines, str(folder))
     with Cluster(cluster, work) if cluster else Processes(workers or _cores(), work, first) as those:
-        run = Run(source, those, whole=whole)
-        try:
-            yield iter(run)
-        finally:
-            run.close()
-
-
-def is_error(text: str) -> bool:
-    """Whether an answer says that its line could not be answered."""
-    return text.startswith('{"error"')
+        yield iter(Run(source, those, whole=whole))
 
 
 def _here(source: Source, folder: Path, *, whole: bool) -> Iterator[Answered]:
@@ -77,7 +60,7 @@ def _here(source: Source, folder: Path, *, whole: bool) -> Iterator[Answered]:
     reader = Reader(folder)
     for lines in blocks(source, whole=whole):
         for line in lines:
-            yield Answered([line], [answer_text(reader, line)], [])
+            yield [line], Answers([answer_text(reader, line)], 0.0, [])
 
 
 def _cores() -> int:
@@ -98,7 +81,8 @@ def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
                 if lines:
                     lines[0] = b"".join([*begun, lines[0]])
                     begun.clear()
-                    yield [line for line in lines if line.strip()]
+                    if come := [line for line in lines if line.strip()]:
+                        yield come
                 begun.append(rest)
         except OSError as error:
             raise InvalidFile(f"{getattr(source, 'name', 'input')}: {error.strerror or error}") from None
@@ -108,105 +92,92 @@ def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
 
 
 class Run:
-    """Iterates over the lines of a source with their answers, a chunk at a time, in order."""
+    """Lines on their way through workers; iterate over it, once, for their answers in order.
+
+    A thread reads. All else is done in the thread that iterates, as lines come and chunks end.
+    """
 
     def __init__(self, source: Source, workers: Processes | Cluster, *, whole: bool = False) -> None:
         """`source` is the run's from here on; `whole`: all of it is one line."""
-        self._workers = workers
-        self._order: SimpleQueue[tuple[list[bytes], Future[Answers]] | BaseException | None] = SimpleQueue()
-        """What was begun, in the order of the lines; at the end an error or None."""
-        self._changed = threading.Condition()
+        self._blocks, self._workers = blocks(source, whole=whole), workers
+        self._events: SimpleQueue[Event] = SimpleQueue()
+        self._wanted: SimpleQueue[bool] = SimpleQueue()
+        """Whether to read on, once the lines that came are begun."""
+        self._reading = True
+        self._failure: BaseException | None = None
+        self._lines: list[bytes] = []
+        self._begun: deque[tuple[list[bytes], Future[Answers]]] = deque()
         self._running = self._held = 0
         # The first chunks are small, so that a few slow lines are spread over all workers.
         self._size = 1
-        self._closing = False
-        # A daemon, and never waited for: nothing can interrupt it while it waits for input.
-        arguments = (blocks(source, whole=whole),)
-        threading.Thread(target=self._read, args=arguments, name="handsight-reader", daemon=True).start()
 
     def __iter__(self) -> Iterator[Answered]:
-        while (begun := self._order.get()) is not None:
-            if isinstance(begun, BaseException):
-                raise begun
-            lines, future = begun
-            deaths = self._deaths(future)
-            answers = self._tried_alone(lines, deaths) if deaths else future.result()
-            yield Answered(lines, answers.texts, answers.warnings)
-            with self._changed:
+        # A daemon, and never waited for: nothing can interrupt it while it waits for input.
+        threading.Thread(target=self._read, name="handsight-reader", daemon=True).start()
+        try:
+            while self._reading or self._begun:
+                self._begin()
+                if not self._begun or not self._begun[0][1].done():
+                    self._take(self._events.get())
+                    continue
+                lines, future = self._begun.popleft()
+                answers = self._workers.answers(future)
+                if answers is None:
+                    yield from self._one_by_one(lines)
+                else:
+                    yield lines, answers
                 self._held -= _bytes(lines)
-                self._changed.notify()
+        finally:
+            self._wanted.put(False)
+        if self._failure is not None:
+            raise self._failure
 
-    def close(self) -> None:
-        """Begins nothing more."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
-
-    def _read(self, source: Iterator[list[bytes]]) -> None:
+    def _read(self) -> None:
         end = None
         try:
-            for lines in source:
-                while lines and not self._closing:
-                    lines = lines[self._begin(lines) :]
+            for lines in self._blocks:
+                self._events.put(lines)
+                if not self._wanted.get():
+                    return
         except BaseException as error:  # who waits for the answers must hear of it, whatever it is
             end = error
-        self._order.put(end)
+        self._events.put(end)
 
-    def _begin(self, lines: list[bytes]) -> int:
-        """How many of the lines were begun, once there was room."""
-        # Not within the lock: a cluster's answer may wait for whoever tells of a chunk's end.
-        room = self._workers.room()
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._closing or (self._held < HELD_BYTES and self._running < room)
-            )
-            chunk = lines[: self._size]
-            if not self._closing:
-                future = self._workers.submit(chunk)
-                self._held += _bytes(chunk)
-                self._running += 1
-                self._order.put((chunk, future))
-                future.add_done_callback(lambda future: self._ended(len(chunk), future))
-        return len(chunk)
+    def _begin(self) -> None:
+        """Has chunks of the lines that came answered, while there is room."""
+        while self._lines and self._running < self._workers.room and self._held < HELD_BYTES:
+            chunk = self._lines[: self._size]
+            future = self._workers.submit(chunk)
+            del self._lines[: self._size]
+            self._begun.append((chunk, future))
+            self._held += _bytes(chunk)
+            self._running += 1
+            future.add_done_callback(self._events.put)
+            if not self._lines:
+                self._wanted.put(True)
 
-    def _ended(self, lines: int, future: Future[Answers]) -> None:
-        """Makes room, and chunks that keep a worker busy for as long as it should be."""
-        with self._changed:
+    def _take(self, event: Event) -> None:
+        if isinstance(event, list):
+            self._lines = event
+        elif not isinstance(event, Future):
+            self._reading, self._failure = False, event
+        else:
             self._running -= 1
-            if not future.cancelled() and future.exception() is None:
-                seconds, aim = future.result().seconds, self._workers.chunk_seconds
-                if seconds > 2 * aim:
-                    self._size = max(1, min(self._size, lines // 2))
-                elif seconds < aim / 2 and lines == self._size:
-                    self._size = min(2 * lines, CHUNK_LINES)
-            self._changed.notify_all()
+            if event.exception() is None:
+                # Chunks that keep a worker busy for as long as it should be; one alone may be unlike the others.
+                answers = event.result()
+                aim = len(answers.texts) * self._workers.chunk_seconds / max(answers.seconds, 1e-9)
+                self._size = int(min(max(aim, self._size / 2, 1), 2 * self._size, CHUNK_LINES))
 
-    def _deaths(self, future: Future[Answers]) -> int:
-        """How many workers died on a chunk, once it has ended; raises WorkerFailure where something else went wrong."""
-        try:
-            error = future.exception()
-        except CancelledError as cancelled:
-            error = cancelled
-        return 0 if error is None else self._workers.deaths(error)
-
-    def _tried_alone(self, lines: list[bytes], deaths: int) -> Answers:
-        """The answers to lines that were lost with a worker, while no others are at work: who dies, dies of these."""
-        with self._changed:
-            self._changed.wait_for(lambda: not self._running)
-            while deaths < DEATHS:
-                future = self._workers.submit(lines)
-                died = self._deaths(future)
-                if not died:
-                    return future.result()
-                deaths += died
-            if len(lines) == 1:
-                said = f"line: expected a problem that a worker survives, got {deaths} that died (out of memory?)"
-                return Answers([json.dumps({"error": said})], 0.0, [])
-            # One of them kills. Each alone may be unlucky, but not as often as a chunk.
-            each = [self._tried_alone([line], 1) for line in lines]
-        return Answers(
-            [text for one in each for text in one.texts], 0.0, [w for one in each for w in one.warnings]
-        )
+    def _one_by_one(self, lines: list[bytes]) -> Iterator[Answered]:
+        """Lines that were lost with a worker, while no others are at work: who dies, dies of the line."""
+        while self._running:
+            self._take(self._events.get())
+        said = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"
+        error = Answers([json.dumps({"error": said})], 0.0, [])
+        for line in lines:
+            tried = (self._workers.answers(self._workers.submit([line])) for _ in range(DEATHS))
+            yield [line], next(filter(None, tried), error)
 
 
 def _bytes(lines: list[bytes]) -> int:

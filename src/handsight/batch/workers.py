@@ -14,6 +14,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from handsight.errors import HandsightError, MissingExtra
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 DEATHS = 3
 """Workers that may die on the same lines before the lines are to blame."""
 CONNECT_SECONDS = 5
-ASK_SECONDS = 2
-"""How often a scheduler is asked how many workers there are."""
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 ENVIRONMENT = {**dict.fromkeys(THREADS, "1"), "PYTHONSAFEPATH": "1"}
 """A worker for each core leaves none over for threads; and a module of the current folder is none of ours."""
@@ -69,7 +68,7 @@ def answer_lines(folder: str, lines: list[bytes]) -> Answers:
     return Answers(texts, seconds, [str(warning.message) for warning in caught])
 
 
-class Processes:
+class Processes(contextlib.AbstractContextManager["Processes"]):
     """Worker processes of this machine; use it in `with`. When one dies all are replaced, and their chunks fail."""
 
     chunk_seconds = 0.1
@@ -77,13 +76,12 @@ class Processes:
 
     def __init__(self, size: int, work: Work, first: Callable[[], object] = os.getpid) -> None:
         """`first` is called in the first worker before it works."""
-        self._size, self._work, self._first = size, work, first
+        self.room = size
+        """How many chunks they take at the same time: one each."""
+        self._work, self._first = work, first
         # New programs, not forks: a thread pool does not survive a fork.
         self._context = multiprocessing.get_context("spawn")
         self._pool: ProcessPoolExecutor | None = None
-
-    def __enter__(self) -> "Processes":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._end()
@@ -96,10 +94,6 @@ class Processes:
             self._theirs.close()
             self._pool = None
 
-    def room(self) -> int:
-        """How many chunks they take at the same time: one each."""
-        return self._size
-
     def submit(self, lines: list[bytes]) -> Future[Answers]:
         """The answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be had."""
         while True:
@@ -108,47 +102,45 @@ class Processes:
                 return pool.submit(self._work, lines)
             self._end()
 
-    def deaths(self, error: BaseException) -> int:
-        """One, of whichever worker; raises WorkerFailure where it was no death."""
-        if isinstance(error, BrokenProcessPool):
-            return 1
-        raise WorkerFailure(f"worker: {type(error).__name__}: {error}")
+    def answers(self, future: Future[Answers]) -> Answers | None:
+        """The answers once they are there, None where a worker died; raises WorkerFailure for what else went wrong."""
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            return None
+        except Exception as error:
+            raise WorkerFailure(f"worker: {type(error).__name__}: {error}") from None
 
     def _started(self) -> ProcessPoolExecutor:
         """A pool whose first worker is ready."""
-        codes: list[int | None] = []
         for _ in range(DEATHS):
             self._theirs, self._lifeline = self._context.Pipe(duplex=False)
-            self._pool = ProcessPoolExecutor(self._size, self._context, _begin, (self._theirs,))
+            self._pool = ProcessPoolExecutor(self.room, self._context, _begin, (self._theirs,))
             with _spawning():
                 ready = self._pool.submit(self._first)
             children = multiprocessing.active_children()
             try:
                 ready.result()
+                return self._pool
             except BrokenProcessPool:
                 self._end()
-                codes = [child.exitcode for child in children]
-            else:
-                return self._pool
-        said = ", ".join(str(code) for code in codes)
+        said = ", ".join(str(child.exitcode) for child in children)
         raise WorkerFailure(f"worker processes end as they start (exit code {said}); --workers 1 needs none")
 
 
 @contextlib.contextmanager
 def _spawning() -> Iterator[None]:
     """Processes that begin within have the workers' environment, and never hear of Ctrl-C."""
-    before = {name: os.environ.get(name) for name in ENVIRONMENT}
+    before = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
     masks = hasattr(signal, "pthread_sigmask")  # a mask is inherited, and nothing is lost meanwhile
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
     os.environ.update(ENVIRONMENT)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in ENVIRONMENT:
+            del os.environ[name]
+        os.environ.update(before)
         if masks:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
@@ -168,72 +160,61 @@ def _end_with(lifeline: Connection) -> None:
     os._exit(1)
 
 
-class Cluster:
+class Cluster(contextlib.AbstractContextManager["Cluster"]):
     """A Dask cluster's workers; use it in `with`. Dask runs a chunk again whose worker died; that changes no answer."""
 
     chunk_seconds = 0.5
+    room = 128
+    """Dask spreads the chunks over its workers, which may come and go."""
 
     def __init__(self, address: str, work: Work) -> None:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
         self._address, self._work = address, work
         self._client = _connected(address)
-        self._futures: set[Any] = set()
-        self._room, self._asked = 0, -float("inf")
-
-    def __enter__(self) -> "Cluster":
-        return self
+        self._ended: SimpleQueue[tuple[Any, Future[Answers]]] = SimpleQueue()
+        # A daemon of our own: whoever fetches from a cluster that is lost may wait forever.
+        threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
         """Drops what is not yet answered."""
         with contextlib.suppress(Exception):  # there may be nobody to tell
-            self._client.cancel(list(self._futures), force=True)
-        with contextlib.suppress(Exception):
             self._client.close(timeout=CONNECT_SECONDS)
-
-    def room(self) -> int:
-        """Two chunks for each thread, so that none waits for us; workers may come and go."""
-        now = time.monotonic()
-        if now - self._asked > ASK_SECONDS:
-            try:
-                self._room = max(2, 2 * sum(self._client.nthreads().values()))
-            except Exception as error:
-                raise self._lost(error) from None
-            self._asked = now
-        return self._room
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
         """The answers to come; raises WorkerFailure where the cluster was lost."""
         # Not by Client.get_executor(), whose futures never end where the scheduler is lost.
-        answers: Future[Answers] = Future()
         try:
             there = self._client.submit(self._work, lines, pure=False)
         except Exception as error:
             raise self._lost(error) from None
-        self._futures.add(there)  # Dask forgets what nobody holds
-        there.add_done_callback(lambda there: self._ended(there, answers))
+        answers: Future[Answers] = Future()
+        there.add_done_callback(lambda there: self._ended.put((there, answers)))
         return answers
 
-    def _ended(self, there: Any, answers: Future[Answers]) -> None:
-        self._futures.discard(there)
-        try:
-            answers.set_result(Answers(*there.result()))
-        except BaseException as error:
-            answers.set_exception(error)
-
-    def deaths(self, error: BaseException) -> int:
-        """As many as Dask has tried; raises WorkerFailure where the cluster was lost."""
+    def answers(self, future: Future[Answers]) -> Answers | None:
+        """The answers once they are there, None where workers died; raises WorkerFailure where the cluster was lost."""
         from distributed.scheduler import KilledWorker
 
-        if isinstance(error, KilledWorker):
-            return DEATHS
-        raise self._lost(error)
+        try:
+            return future.result()
+        except KilledWorker:
+            return None
+        except Exception as error:
+            raise self._lost(error) from None
 
-    def _lost(self, error: BaseException) -> WorkerFailure:
+    def _fetch(self) -> None:
+        while True:
+            there, answers = self._ended.get()
+            try:
+                answers.set_result(Answers(*there.result()))
+            except BaseException as error:
+                answers.set_exception(error)
+
+    def _lost(self, error: Exception) -> WorkerFailure:
+        said = f"the cluster was lost ({type(error).__name__}: {error})"
         if isinstance(error, ModuleNotFoundError):
-            return WorkerFailure(
-                f"{self._address}: the workers have no module {error.name!r}; install handsight there"
-            )
-        return WorkerFailure(f"{self._address}: the cluster was lost ({type(error).__name__}: {error})")
+            said = f"the workers have no module {error.name!r}; install handsight there"
+        return WorkerFailure(f"{self._address}: {said}")
 
 
 def _connected(address: str) -> Any:

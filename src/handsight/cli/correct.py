@@ -4,18 +4,20 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated
+from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, progress, say, warn
+from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, bar, naming, say, warn
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.batch.run import Answered, Source
+    from handsight.batch.problems import Problem
+    from handsight.batch.workers import Answers
 
 MOST_PANELS = 6
 """Problems that a picture has room for."""
@@ -30,20 +32,17 @@ class Written:
     first: list[tuple[bytes, str]] = field(default_factory=list)
     """Lines and answers that a picture can show."""
 
-    def write(self, answered: "Answered", sink: IO[str]) -> None:
+    def write(self, lines: list[bytes], answers: "Answers", sink: IO[str]) -> None:
         """Writes answers, and says what workers warned of."""
-        from handsight.batch.run import is_error
-
-        for warning in answered.warnings:
+        for warning in answers.warnings:
             warn(warning)
-        sink.write("".join(f"{text}\n" for text in answered.texts))
+        sink.write("".join(f"{text}\n" for text in answers.texts))
+        good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
         # Before the flush: once in the buffer, answers are written whatever interrupts us.
-        self.done += len(answered.texts)
-        self.failed += sum(map(is_error, answered.texts))
+        self.done += len(lines)
+        self.failed += len(lines) - len(good)
         sink.flush()
-        if len(self.first) < MOST_PANELS:
-            pairs = zip(answered.lines, answered.texts, strict=True)
-            self.first += [pair for pair in pairs if not is_error(pair[1])][: MOST_PANELS - len(self.first)]
+        self.first += good[: MOST_PANELS - len(self.first)]
 
 
 def correct(
@@ -112,7 +111,11 @@ def correct(
             announce_compiling()
         _answer(problems, output, workers, cluster, written)
         if plot is not None and written.first:
-            _draw(written.first, _folder(problems), plot)
+            from handsight.batch.problems import Reader
+
+            reader = Reader(_folder(problems))
+            draw(((reader.read(line), json.loads(text)) for line, text in written.first), plot)
+            say(f"wrote {plot}")
     except KeyboardInterrupt:
         say(f"handsight: stopped after {written.done} answers; they are written")
         raise typer.Exit(INTERRUPTED) from None
@@ -130,18 +133,26 @@ def _answer(problems: str, output: Path | None, workers: int, cluster: str | Non
     """Answers and writes line by line; `written` tells how far it came."""
     from handsight.batch.run import answering
 
-    source, whole = _opened_input(problems), problems.endswith(".json")
-    answers = answering(
-        source, _folder(problems), whole=whole, workers=workers, cluster=cluster, first=announce_compiling
-    )
+    with naming(problems):
+        if output is not None and problems != "-" and output.exists() and output.samefile(problems):
+            raise InvalidFile(f"{output}: the answers would overwrite the problems")
+        # Stdin as a file of its own, so that no thread holds the interpreter's when it ends.
+        place = sys.stdin.fileno() if problems == "-" else problems
+        source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
+    size = os.fstat(source.fileno()).st_size  # a pipe has none
+    whole, folder = problems.endswith(".json"), _folder(problems)
+    run = answering(source, folder, whole=whole, workers=workers, cluster=cluster, first=announce_compiling)
+    began, read = time.monotonic(), 0
     with (
-        answers as all_answered,
-        _opened_output(output, problems) as sink,
-        progress(problems, show=output is not None) as advance,
+        run as answered,
+        _opened(output) as sink,
+        bar("correcting", show=output is not None) as move,
     ):
-        for answered in all_answered:
-            written.write(answered, sink)
-            advance(len(answered.texts), sum(len(line) + 1 for line in answered.lines))
+        for lines, answers in answered:
+            written.write(lines, answers, sink)
+            read += sum(len(line) + 1 for line in lines)
+            rate = written.done / (time.monotonic() - began)
+            move(read / size if size else None, f"{written.done} answers, {rate:.0f}/s")
 
 
 def _folder(problems: str) -> Path:
@@ -149,35 +160,17 @@ def _folder(problems: str) -> Path:
     return Path.cwd() if problems == "-" else Path(problems).parent.absolute()
 
 
-def _opened_input(name: str) -> "Source":
-    """The problems; stdin as a file of its own, so that no thread holds the interpreter's when it ends."""
-    try:
-        return open(sys.stdin.fileno(), "rb", closefd=False) if name == "-" else open(name, "rb")
-    except OSError as error:
-        raise InvalidFile(f"{name}: {error.strerror}") from None
-
-
-@contextlib.contextmanager
-def _opened_output(output: Path | None, source: str) -> Iterator[IO[str]]:
-    """Where answers go: a file, or stdout; never the file they answer."""
+def _opened(output: Path | None) -> contextlib.AbstractContextManager[IO[str]]:
+    """Where answers go: a file, or stdout."""
     if output is None or str(output) == "-":
-        yield sys.stdout
-        return
-    if source != "-" and output.exists() and output.samefile(source):
-        raise InvalidFile(f"{output}: the answers would overwrite the problems")
-    try:
-        handle = open(output, "w", encoding="utf-8")  # noqa: SIM115
-    except OSError as error:
-        raise InvalidFile(f"{output}: {error.strerror}") from None
-    with handle:
-        yield handle
+        return contextlib.nullcontext(sys.stdout)
+    with naming(output):
+        return open(output, "w", encoding="utf-8")
 
 
-def _draw(pairs: list[tuple[bytes, str]], folder: Path, plot: Path) -> None:
-    from handsight.batch.problems import Reader
+def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
+    """Writes a picture of problems and their answers."""
     from handsight.viewer.corrections import Panel, draw_corrections
 
-    reader = Reader(folder)
-    problems = [(reader.read(line), json.loads(text)) for line, text in pairs]
-    draw_corrections([Panel(p.model, p.contacts, p.vision, answer) for p, answer in problems], plot)
-    say(f"wrote {plot}")
+    panels = [Panel(problem.model, problem.contacts, problem.vision, answer) for problem, answer in answered]
+    draw_corrections(panels, plot)

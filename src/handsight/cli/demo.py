@@ -1,20 +1,20 @@
 """`handsight demo`: a can and a box held by five fingers, vision 8 cm off, and a recording of each (all synthetic)."""
 
-import contextlib
 import json
 import math
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from handsight.cli.terminal import announce_compiling, live_rows
-from handsight.errors import InvalidInput, MissingExtra
+from handsight.cli.correct import draw as draw_corrections
+from handsight.cli.terminal import announce_compiling, live_rows, table
+from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from handsight.batch.problems import Problem
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from handsight.evaluation import CorrectionErrors
 
 NAMES = ("can", "box")
+DATA = Path(__file__).parents[1] / "data"
+"""Built-in problems, a line for each name, and recordings, each with its rig beside it."""
 
 
 def demo(
@@ -37,33 +39,27 @@ def demo(
     from rich.console import Console
 
     announce_compiling()
-    out = Console(width=None if sys.stdout.isatty() else 110)
+    out = Console(width=None if sys.stdout.isatty() else 110, markup=False, highlight=False)
     found = list(examples())
     out.print(_corrections(found))
-    _plain(
-        out,
+    out.print(
         "open: directions that these contacts cannot see (a can slides along its axis and spins about it);\n"
-        "there the answer is vision's, and the estimate says so.",
+        "there the answer is vision's, and the estimate says so."
     )
     try:
-        from handsight.viewer.corrections import Panel, draw_corrections
-
-        problems = [(row.problem, row.answer) for row in found]
-        draw_corrections([Panel(p.model, p.contacts, p.vision, answer) for p, answer in problems], plot)
-        _plain(out, f"wrote {plot}")
+        draw_corrections([(row.problem, row.answer) for row in found], plot)
+        out.print(f"wrote {plot}")
     except MissingExtra as error:
-        _plain(out, f"no picture: {error}")
+        out.print(f"no picture: {error}")
     try:
-        with _data() as folder:
-            runs = [_replayed(name, folder / f"{name}.mcap", plot, out) for name in NAMES]
+        runs = [_replayed(name, plot, out) for name in NAMES]
     except MissingExtra as error:
-        _plain(out, f"no recordings replayed: {error}")
+        out.print(f"no recordings replayed: {error}")
         return
     out.print(_tracks(runs))
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """One example's errors against its truth."""
 
     name: str
@@ -82,47 +78,21 @@ def examples() -> Iterator[Comparison]:
     from handsight.batch.problems import Reader, answer
     from handsight.evaluation import correction_errors
 
-    with _data() as folder:
-        lines, truths = (
-            (folder / name).read_text(encoding="utf-8").splitlines()
-            for name in ("demo.jsonl", "demo_truth.jsonl")
-        )
+    lines, truths = ((DATA / file).read_bytes().splitlines() for file in ("demo.jsonl", "demo_truth.jsonl"))
     reader = Reader(Path.cwd())
     for name, line, truth in zip(NAMES, lines, truths, strict=True):
-        problem = reader.read(line.encode())
-        if problem.vision is None:
-            raise InvalidInput("vision: expected a pose to compare with, got none")
+        problem = reader.read(line)
         answered = answer(problem)
-        unobservable = np.asarray(answered["unobservable"]).reshape(-1, 6)
-        T_true, T_corrected = (
+        T_true, T_vision, T_corrected = (
             se3.from_position_quaternion(pose["position"], pose["quaternion_xyzw"])
-            for pose in (json.loads(truth), answered)
+            for pose in (json.loads(truth), json.loads(line)["vision"], answered)
         )
+        unobservable = np.asarray(answered["unobservable"]).reshape(-1, 6)
         vision, corrected = (
             correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
-            for T in (problem.vision.T_palm_object, T_corrected)
+            for T in (T_vision, T_corrected)
         )
         yield Comparison(name, problem, answered, vision, corrected)
-
-
-@contextlib.contextmanager
-def _data() -> Iterator[Path]:
-    """The folder of the built-in problems and recordings, each with its rig beside it."""
-    from importlib import resources
-
-    with resources.as_file(resources.files("handsight").joinpath("data")) as folder:
-        yield folder
-
-
-def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> "Table":
-    from rich.table import Table
-
-    table = Table(title=title)
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table
 
 
 def _corrections(found: Sequence[Comparison]) -> "Table":
@@ -138,27 +108,20 @@ def _corrections(found: Sequence[Comparison]) -> "Table":
         for row in found
     ]
     columns = ("object", "position", "of it, seen by touch", "rotation", "contacts off the surface", "open")
-    return _table("Error against the truth, vision → corrected (synthetic example)", columns, rows)
+    return table(columns, rows, title="Error against the truth, vision → corrected (synthetic example)")
 
 
-def _replayed(name: str, path: Path, plot: Path, out: Any) -> "Run":
+def _replayed(name: str, plot: Path, out: "Console") -> "Run":
     """A recording tracked, and drawn where that can be."""
-    from handsight.cli.track import run, watching
+    from handsight.cli.track import draw, progress, run
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
-    rig = Rig.from_file(path.with_suffix(".rig.yaml"))
+    rig = Rig.from_file(DATA / f"{name}.rig.yaml")
     model = rig.objects[name].model()
-    with live_rows(path.name) as show:
-        ended = run(path, rig, model, TrackerSettings(outside=500), watching(show))
-    try:
-        from handsight.viewer.track import draw_track
-
-        drawn = plot.with_name(f"{plot.stem}-{name}{plot.suffix}")
-        draw_track(ended.name, model, ended.steps, ended.truths, drawn)
-        _plain(out, f"wrote {drawn}")
-    except MissingExtra:
-        pass  # said already
+    with live_rows(f"{name}.mcap", progress) as watch:
+        ended = run(DATA / f"{name}.mcap", rig, model, TrackerSettings(outside=500), watch)
+    out.print(draw(ended, model, plot.with_name(f"{plot.stem}-{name}{plot.suffix}")))
     return ended
 
 
@@ -166,19 +129,11 @@ def _tracks(runs: Sequence["Run"]) -> "Table":
     rows = []
     for ended in runs:
         vision, tracked = (ended.errors[name].summary() for name in ("vision", "tracked"))
+        errors = (vision["base_mean"], tracked["base_mean"], tracked["base_last"])
+        faster = ended.tally.recorded / ended.tally.wall
         rows.append(
-            (
-                ended.name,
-                f"{vision['base_mean']:.1f} mm",
-                f"{tracked['base_mean']:.1f} mm",
-                f"{tracked['base_last']:.1f} mm",
-                str(ended.corrections),
-                f"{ended.tally.recorded / ended.tally.wall:.0f}x",
-            )
+            [ended.name, *(f"{mm:.1f} mm" for mm in errors), str(ended.corrections), f"{faster:.0f}x"]
         )
     title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
-    return _table(title, ("recording", "vision", "tracked", "at the end", "corrections", "real time"), rows)
-
-
-def _plain(out: Any, text: str) -> None:
-    out.print(text, highlight=False, markup=False)
+    columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")
+    return table(columns, rows, title=title)

@@ -8,13 +8,12 @@ from typing import Annotated
 import typer
 
 # Help and version are to be there at once: what computes is imported by the command that needs it.
-from handsight.cli.calibrate import calibrate_app
 from handsight.cli.contact import WithColumns, contact
 from handsight.cli.correct import correct
 from handsight.cli.demo import demo
-from handsight.cli.rig import rig_app
+from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.simulate import simulate
-from handsight.cli.terminal import one_line_warning, say
+from handsight.cli.terminal import say, warn
 from handsight.cli.track import track
 from handsight.errors import HandsightError
 
@@ -29,7 +28,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Runs the command; wrong input is one sentence on stderr and exit code 2, never a traceback."""
-    warnings.showwarning = one_line_warning
+    warnings.showwarning = lambda message, *_: warn(str(message))
     try:
         app()
     except HandsightError as error:

@@ -32,7 +32,7 @@ def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tupl
     from handsight.objects import ObjectModel
     from handsight.rig import Rig
 
-    path = rig or _beside(recording)
+    path = rig or _rig_beside(recording)
     found = Rig.from_file(path)
     if name is None:
         if len(found.objects) != 1:
@@ -50,10 +50,14 @@ def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tupl
     return found, ObjectModel.from_file(name)
 
 
-def _beside(recording: Path) -> Path:
-    own = recording.with_name(f"{recording.name.removesuffix(recording.suffix)}.rig.yaml")
-    usual = recording.with_name("rig.yaml")
-    for path in (own, usual):
+def own_rig(recording: Path) -> Path:
+    """Where the rig of this one recording is."""
+    return recording.with_suffix(".rig.yaml")
+
+
+def _rig_beside(recording: Path) -> Path:
+    own = own_rig(recording)
+    for path in (own, recording.with_name("rig.yaml")):
         if path.exists():
             return path
     raise InvalidInput(

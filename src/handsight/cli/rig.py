@@ -1,17 +1,20 @@
-"""`handsight rig check`: a rig as tables, 80 columns wide where names are short, and what a recording lacks for it."""
+"""`handsight rig check` and `handsight calibrate camera`: what describes a robot, against what it recorded."""
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from rich.table import Table
+from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
+from handsight.cli.terminal import announce_compiling, say, table
+from handsight.errors import InvalidInput
 
-    from handsight.rig import Finger, Rig
+if TYPE_CHECKING:
+    from handsight.rig import Rig
 
 rig_app = typer.Typer(help="What describes a robot: hand, fingertips, camera.", no_args_is_help=True)
+calibrate_app = typer.Typer(help="What is constantly wrong, from a recording.", no_args_is_help=True)
 
 
 @rig_app.command("check")
@@ -37,16 +40,45 @@ def check(
         lacking = [*opened.report.sentences(), *opened.lacks()]
     for sentence in lacking:
         typer.echo(f"- {sentence}")
-    if not lacking:
-        typer.echo(f"{recording.name} has everything that this rig listens to.")
     if lacking:
         raise typer.Exit(1)
+    typer.echo(f"{recording.name} has everything that this rig listens to.")
+
+
+@calibrate_app.command("camera")
+def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) -> None:
+    """The camera's constant error, from an object that was held while the palm turned.
+
+    Vision's error stays where it is in the world while the palm turns with the object; so the two come apart, and touch
+    says where the object is. Printed: the camera's corrected pose for the rig file, and how well it is known.
+    """
+    from handsight.recording import open_recording
+    from handsight.rig.save import pose_text
+    from handsight.tracking.camera_calibration import LITTLE_TURN, calibrate_camera
+
+    announce_compiling()
+    found, model = rig_and_object(recording, rig, object)
+    with open_recording(recording, found) as opened:
+        calibrated = calibrate_camera(opened.observations(), found, model)
+    if calibrated is None:
+        raise InvalidInput(f"{recording}: expected an object that is held and seen, got none")
+    shift, turn = 1e3 * calibrated.correction[:3], calibrated.correction[3:]
+    sigma = calibrated.covariance.diagonal() ** 0.5
+    degrees = [[math.degrees(angle) for angle in part] for part in (turn, sigma[3:])]
+    typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
+    moved = "# shifted by [{:.1f}, {:.1f}, {:.1f}] mm at the object, turned by [{:.2f}, {:.2f}, {:.2f}]°"
+    typer.echo(moved.format(*shift, *degrees[0]))
+    known = "# known to ± [{:.1f}, {:.1f}, {:.1f}] mm, [{:.2f}, {:.2f}, {:.2f}]° (one standard deviation)"
+    typer.echo(known.format(*(1e3 * sigma[:3]), *degrees[1]))
+    if calibrated.turned < LITTLE_TURN:
+        say(
+            f"the palm turned by {math.degrees(calibrated.turned):.0f}° only: error and pose are hardly told apart"
+        )
 
 
 def _print_rig(rig: "Rig", name: str) -> None:
-    """Prints what a rig file says, in millimetres and degrees."""
+    """Prints what a rig file says, in millimetres and degrees, 80 columns wide where names are short."""
     from rich.console import Console
-    from rich.table import Table
 
     # Names are the user's, and [mm] is no markup.
     out = Console(markup=False, highlight=False)
@@ -55,30 +87,18 @@ def _print_rig(rig: "Rig", name: str) -> None:
         f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints\n", soft_wrap=True
     )
     shapes = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
-    out.print(_table(shapes, [[finger, *_shape(rig.fingers[finger])] for finger in rig.fingers]), "")
     sensors = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
-    out.print(_table(sensors, [[finger, *_sensor(rig, finger)] for finger in rig.fingers]), "")
-    rest = Table(show_header=False, box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for row in _rows(rig):
-        rest.add_row(*row)
-    out.print(rest)
+    style: dict[str, Any] = {"box": None, "pad_edge": False, "padding": (0, 2, 0, 0)}
+    for columns, cells in ((shapes, _shape), (sensors, _sensor)):
+        rows = [[finger, *cells(rig, finger)] for finger in rig.fingers]
+        out.print(table(columns, rows, texts=2, header_style="bold underline", **style), "")
+    out.print(table(("", ""), _rows(rig), texts=2, show_header=False, **style))
 
 
-def _table(columns: tuple[str, ...], rows: list[list[str]]) -> "Table":
-    """Texts on the left, numbers on the right."""
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold underline")
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="left" if k < 2 else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def _shape(finger: "Finger") -> list[str]:
+def _shape(rig: "Rig", name: str) -> list[str]:
     from handsight.contact import Sphere
 
+    finger = rig.fingers[name]
     tip = finger.tip
     sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
     return [

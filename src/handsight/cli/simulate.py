@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handsight.cli.options import own_rig
 from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
@@ -51,7 +52,7 @@ def simulate(
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     samples, dropped = record(scenario, path)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
-    say(f"wrote {path}: {samples} observations, {size}, and {_rig_path(path).name}")
+    say(f"wrote {path}: {samples} observations, {size}, and {own_rig(path).name}")
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")
 
@@ -104,12 +105,8 @@ def record(scenario: "Scenario", path: Path) -> tuple[int, bool]:
             writer.write(sample.observation)
             writer.write_truth(sample.observation.stamp, sample.T_palm_object)
             samples, dropped = samples + 1, sample.dropped
-    write_rig(rig, _rig_path(path))
+    write_rig(rig, own_rig(path))
     return samples, dropped
-
-
-def _rig_path(recording: Path) -> Path:
-    return recording.with_name(f"{recording.stem}.rig.yaml")
 
 
 def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":

@@ -1,16 +1,22 @@
 """What a person at the terminal sees."""
 
 import contextlib
-import os
+import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from handsight.errors import InvalidFile
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
+REFRESH = 0.2
+"""Seconds between two updates of what is shown."""
 
 INTERRUPTED, NOBODY_READS = 130, 141
 """Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
@@ -34,11 +40,6 @@ def warn(message: str) -> None:
     say(f"handsight: {message}")
 
 
-def one_line_warning(message: Any, *_: Any, **__: Any) -> None:
-    """A warning in one line, for `warnings.showwarning`."""
-    warn(str(message))
-
-
 def announce_compiling() -> None:
     """On a terminal, has it said when a kernel is about to be compiled, once: nothing else would be for long."""
     if not sys.stderr.isatty():
@@ -49,60 +50,69 @@ def announce_compiling() -> None:
 
 
 @contextlib.contextmanager
-def progress(name: str, *, show: bool) -> Iterator[Callable[[int, int], None]]:
-    """A call that moves a bar on the terminal by answers and bytes read; silent where nobody looks."""
+def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
+    """A call `(share, said="")` that moves a bar on the terminal; silent where nobody looks.
+
+    `share`: of the work, 0 to 1, or None where nobody knows; `said`: how far it is, in words.
+    """
     if not show or not _messages().is_terminal:
-        yield lambda answers, size: None
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    said = "{task.fields[count]} answers, {task.fields[rate]:.0f}/s"
-    columns = (TextColumn("correcting"), BarColumn(), TextColumn(said), TimeElapsedColumn())
-    began = time.monotonic()
-    with Progress(*columns, console=_messages(), transient=True) as progress:
-        # Pipes have no size.
-        total = (None if name == "-" else os.path.getsize(name)) or None
-        task = progress.add_task("", total=total, count=0, rate=0.0)
-
-        def advance(answers: int, size: int) -> None:
-            count = progress.tasks[0].fields["count"] + answers
-            rate = count / (time.monotonic() - began)
-            progress.update(task, advance=size, count=count, rate=rate)
-
-        yield advance
-
-
-@contextlib.contextmanager
-def bar(what: str) -> Iterator[Callable[[float], None]]:
-    """A call that moves a bar on the terminal to a share of the work, 0 to 1; silent where nobody looks."""
-    if not _messages().is_terminal:
-        yield lambda share: None
+        yield lambda share, said="": None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    with Progress(
-        TextColumn(what), BarColumn(), TimeRemainingColumn(), console=_messages(), transient=True
-    ) as progress:
-        task = progress.add_task("", total=1.0)
-        yield lambda share: progress.update(task, completed=share)
+    columns = (TextColumn(what), BarColumn(), TextColumn("{task.fields[said]}"), TimeRemainingColumn())
+    with Progress(*columns, console=_messages(), transient=True) as progress:
+        task = progress.add_task("", total=None, said="")
+        yield lambda share, said="": progress.update(
+            task, total=None if share is None else 1.0, completed=share, said=said
+        )
 
 
 @contextlib.contextmanager
-def live_rows(title: str) -> Iterator[Callable[[list[tuple[str, str]]], None]]:
-    """A call that replaces a small table of names and values on the terminal; silent where nobody looks."""
+def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterator[Callable[..., None]]:
+    """A call that shows `rows` of its arguments, names and values, on the terminal a few times a second.
+
+    Silent where nobody looks.
+    """
     if not _messages().is_terminal:
-        yield lambda rows: None
+        yield lambda *_: None
         return
     from rich.live import Live
     from rich.table import Table
 
+    last = -math.inf
     with Live(console=_messages(), auto_refresh=False, transient=True) as live:
 
-        def show(rows: list[tuple[str, str]]) -> None:
-            """These rows in place of the last ones."""
-            table = Table(title=title, title_justify="left", show_header=False, box=None)
-            for row in rows:
-                table.add_row(*row)
-            live.update(table, refresh=True)
+        def show(*now: Any) -> None:
+            """These rows in place of the last ones, unless those were shown a moment ago."""
+            nonlocal last
+            if time.monotonic() - last < REFRESH:
+                return
+            last = time.monotonic()
+            shown = Table(title=title, title_justify="left", show_header=False, box=None)
+            for row in rows(*now):
+                shown.add_row(*row)
+            live.update(shown, refresh=True)
 
         yield show
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 1, **style: Any) -> "Table":
+    """Rows under their names, numbers on the right; the first `texts` columns are none."""
+    from rich.table import Table
+
+    made = Table(**style)
+    for k, column in enumerate(columns):
+        made.add_column(column, justify="left" if k < texts else "right", overflow="fold")
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """What the system refuses within is an InvalidFile that says which file, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise InvalidFile(f"{path}: {error.strerror}") from None

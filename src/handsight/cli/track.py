@@ -1,8 +1,6 @@
 """`handsight track`: what is shown of a recording meanwhile, what is written, what is said at the end."""
 
 import json
-import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,21 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
-from handsight.cli.terminal import INTERRUPTED, announce_compiling, live_rows, say
-from handsight.errors import InvalidFile, MissingExtra
+from handsight.cli.terminal import INTERRUPTED, announce_compiling, live_rows, naming, say
+from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
     from handsight.objects import ObjectModel
-    from handsight.recording import TrackRow
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
     from handsight.tracking.replay import Step, Tally
 
     Watch = Callable[[Tally, Step, Tracker], None]
 
-REFRESH = 0.2
-"""Seconds between two updates of what is shown."""
 MOST_REFUSED = 5
 """Kinds of wrong observations that are told each."""
 
@@ -72,8 +67,8 @@ def track(
     found, model = rig_and_object(recording, rig, object)
     folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     settings = TrackerSettings(rate=rate, samples=samples, outside=outside)
-    with live_rows(recording.name) as show:
-        ended = run(recording, found, model, settings, watching(show))
+    with live_rows(recording.name, progress) as watch:
+        ended = run(recording, found, model, settings, watch)
     for sentence in [*ended.said, *ended.sentences(), *write(ended, found, model, folder)]:
         say(sentence)
     if ended.interrupted:
@@ -96,14 +91,6 @@ class Run:
     errors: "dict[str, TrackErrors]" = field(default_factory=dict)
     """Of "vision" and "tracked" against the truth, where the recording has one."""
     interrupted: bool = False
-
-    def rows(self) -> "Iterator[TrackRow]":
-        """What was tracked, for files."""
-        from handsight.recording import TrackRow
-
-        for step in self.steps:
-            estimate = step.estimate
-            yield TrackRow(step.stamp, estimate.T_palm_object, estimate.covariance, step.state, step.reason)
 
     def summary(self) -> dict[str, Any]:
         """The run in numbers, as JSON's values."""
@@ -149,42 +136,21 @@ class Run:
         return lines
 
 
-def watching(show: Callable[[list[tuple[str, str]]], None]) -> "Watch":
-    """Shows the run a few times a second."""
-    last = -math.inf
-
-    def watch(tally: "Tally", step: "Step", tracker: "Tracker") -> None:
-        """The run as it is now, unless it was shown a moment ago."""
-        nonlocal last
-        now = time.monotonic()
-        if now - last < REFRESH:
-            return
-        last = now
-        position = 1e3 * step.estimate.T_palm_object[:3, 3]
-        show(
-            [
-                ("state", step.state + (f": {step.reason}" if step.reason else "")),
-                ("time", f"{tally.recorded:.1f} s, {tally.recorded / max(tally.wall, 1e-9):.1f}x real time"),
-                (
-                    "rate",
-                    f"{tally.answered / max(tally.recorded, 1e-9):.0f} poses/s, {tracker.corrections} corrections",
-                ),
-                ("position", "x {:.1f}, y {:.1f}, z {:.1f} mm in the palm".format(*position)),
-                ("σ", f"{1e3 * step.sigma:.1f} mm"),
-                ("touching", ", ".join(step.fingers) or "nothing"),
-            ]
-        )
-
-    return watch
+def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str, str]]:
+    """How a run goes, as names and values."""
+    position = 1e3 * step.estimate.T_palm_object[:3, 3]
+    rate = tally.answered / max(tally.recorded, 1e-9)
+    return [
+        ("state", step.state + (f": {step.reason}" if step.reason else "")),
+        ("time", f"{tally.recorded:.1f} s, {tally.recorded / max(tally.wall, 1e-9):.1f}x real time"),
+        ("rate", f"{rate:.0f} poses/s, {tracker.corrections} corrections"),
+        ("position", "x {:.1f}, y {:.1f}, z {:.1f} mm in the palm".format(*position)),
+        ("σ", f"{1e3 * step.sigma:.1f} mm"),
+        ("touching", ", ".join(step.fingers) or "nothing"),
+    ]
 
 
-def run(
-    path: Path,
-    rig: "Rig",
-    model: "ObjectModel",
-    settings: "TrackerSettings",
-    watch: "Watch",
-) -> Run:
+def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings", watch: "Watch") -> Run:
     """Tracks a recording; Ctrl-C ends it early, and what was tracked by then is there."""
     from handsight.evaluation import Truths, track_errors
     from handsight.recording import open_recording
@@ -214,13 +180,14 @@ def run(
 
 def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterator[str]:
     """Writes the results into a folder, and says what was written, or why a figure was not."""
-    from handsight.recording import write_track_csv, write_track_mcap, write_track_tum
+    from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
 
-    try:
+    with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidFile(f"{folder}: {error.strerror}") from None
-    rows = list(ended.rows())
+    rows = [
+        TrackRow(step.stamp, step.estimate.T_palm_object, step.estimate.covariance, step.state, step.reason)
+        for step in ended.steps
+    ]
     write_track_mcap(folder / "track.mcap", rows, frame=rig.frames["palm"])
     write_track_tum(folder / "track.tum", rows)
     write_track_csv(folder / "track.csv", rows)
@@ -230,10 +197,15 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
     if not rows:
         yield "no picture: there is no pose"
         return
+    yield draw(ended, model, folder / "track.png")
+
+
+def draw(ended: Run, model: "ObjectModel", path: Path) -> str:
+    """Draws a run, and says what was written, or why not."""
     try:
         from handsight.viewer.track import draw_track
 
-        draw_track(ended.name, model, ended.steps, ended.truths, folder / "track.png")
-        yield f"wrote {folder / 'track.png'}"
+        draw_track(ended.name, model, ended.steps, ended.truths, path)
     except MissingExtra as error:
-        yield f"no picture: {error}"
+        return f"no picture: {error}"
+    return f"wrote {path}"

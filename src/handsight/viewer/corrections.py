@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import trimesh
 
 from handsight import se3
 from handsight.checks import Array
@@ -48,18 +49,17 @@ def draw_corrections(panels: Sequence[Panel], path: Path) -> None:
     figure = plt.figure(figsize=(5.6 * columns, 5.4 * rows), layout="constrained")
     for i, panel in enumerate(panels):
         _draw(figure.add_subplot(rows, columns, i + 1, projection="3d"), panel)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    for other in figure.axes[1:]:
-        for handle, label in zip(*other.get_legend_handles_labels(), strict=True):
-            if label not in labels:
-                handles.append(handle)
-                labels.append(label)
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     save(figure, path)
 
 
 def save(figure: Any, path: Path) -> None:
-    """Writes a figure to an image file of the kind that its name says, and closes it; raises HandsightError."""
+    """Writes a figure with one legend to an image file of the kind that its name says, and closes it.
+
+    Raises HandsightError.
+    """
+    legends = [axes.get_legend_handles_labels() for axes in figure.axes]
+    labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
+    figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)
     try:
         figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
@@ -105,21 +105,12 @@ def draw_object(axes: Any, model: ObjectModel, T_palm_object: Array, color: str,
 
 def creases(model: ObjectModel) -> Array:
     """(k, 2, 3) edges [m] at which the surface bends sharply or ends."""
-    faces = np.asarray(model.faces)
-    if not len(faces):
+    if not len(model.faces):
         return np.empty((0, 2, 3))
-    corners = model.vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    face_of = np.repeat(np.arange(len(faces)), 3)
-    order = np.lexsort(edges.T)
-    edges, face_of = edges[order], face_of[order]
-    first, counts = np.unique(edges, axis=0, return_index=True, return_counts=True)[1:]
-    inner = first[counts == 2]
-    bend = (normals[face_of[inner]] * normals[face_of[inner + 1]]).sum(axis=1)
-    sharp = inner[bend < np.cos(CREASE)]
-    return np.asarray(model.vertices[edges[np.concatenate([sharp, first[counts == 1]])]])
+    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
+    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > CREASE]
+    edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    return np.asarray(model.vertices[np.concatenate([sharp, edges[count == 1]])])
 
 
 def _open_direction(
@@ -147,11 +138,11 @@ def _frame(axes: Any, points: Array) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low).max() / 2
     middle = (low + high) / 2
-    for set_limits, value in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
-        set_limits(value - half, value + half)
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=22, azim=-58)
-    for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
+    for name, value in zip("xyz", middle, strict=True):
+        axes.set(**{f"{name}lim": (value - half, value + half)})
+        axis = getattr(axes, f"{name}axis")
         axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")
         axis.set_tick_params(labelsize=7)
         axis.set_label_text(f"palm {name} [mm]", fontsize=8)

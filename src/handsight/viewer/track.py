@@ -22,51 +22,37 @@ STATES = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
 def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Truths, path: Path) -> None:
     """Writes x, y and z of the base's centre over time to an image file; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
-    times, tracked, seen, true, sigma = _curves(model, steps, truths)
+    every = max(1, len(steps) // MOST_POINTS)
+    shown = [step for k, step in enumerate(steps) if k % every == 0 or step.T_palm_object_vision is not None]
+    times = np.array([step.stamp - steps[0].stamp for step in shown])
+    curves = _curves(model, shown, truths)
     figure, axes = plt.subplots(
         4, 1, figsize=(9, 9), sharex=True, height_ratios=[3, 3, 3, 0.5], layout="constrained"
     )
     for k, axis in enumerate("xyz"):
-        _coordinate(axes[k], times, tracked[:, k], seen[:, k], true[:, k], sigma[:, k])
+        _coordinate(axes[k], times, *curves[:, :, k])
         axes[k].set_ylabel(f"{axis} [cm]")
     _states(axes[3], steps)
     axes[3].set_xlabel("time [s]")
     world = any(step.T_world_palm is not None for step in steps)
     axes[0].set_title(f"{name}: centre of the base in the {'world' if world else 'palm'}'s frame")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     save(figure, path)
 
 
-def _curves(
-    model: ObjectModel, all_steps: Sequence[Step], truths: Truths
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Times (n,) [s], and (n, 3) [cm] each: base tracked, seen and true (NaN where not known), sigma of the tracked."""
-    every = max(1, len(all_steps) // MOST_POINTS)
-    steps = [
-        step for k, step in enumerate(all_steps) if k % every == 0 or step.T_palm_object_vision is not None
-    ]
-    first = steps[0].stamp if steps else 0.0
-    tracked, seen, true, sigma = (np.full((len(steps), 3), np.nan) for _ in range(4))
+def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
+    """(4, n, 3) [cm]: the base tracked, seen and true (NaN where not known), and sigma of the tracked."""
+    curves = np.full((4, len(steps), 3), np.nan)
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
-        truth = truths.at(step.stamp)
-        base = base_center(model, T_world_palm @ (step.estimate.T_palm_object if truth is None else truth))
-        for row, T in (
-            (tracked, step.estimate.T_palm_object),
-            (seen, step.T_palm_object_vision),
-            (true, truth),
-        ):
+        tracked, truth = step.estimate.T_palm_object, truths.at(step.stamp)
+        base = base_center(model, T_world_palm @ (tracked if truth is None else truth))
+        for k, T in enumerate((tracked, step.T_palm_object_vision, truth)):
             if T is not None:
-                row[i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
-        sigma[i] = 100 * _sigma_of(step, model, T_world_palm[:3, :3], base)
-    return np.array([step.stamp - first for step in steps]), tracked, seen, true, sigma
-
-
-def _sigma_of(step: Step, model: ObjectModel, R_world_palm: Array, point: Array) -> Array:
-    """(3,) standard deviations [m] of a point of the object along the world's axes."""
-    covariance = R_world_palm @ point_covariance(step.estimate, model, point) @ R_world_palm.T
-    return np.asarray(np.sqrt(covariance.diagonal().clip(min=0.0)))
+                curves[k, i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
+        R = T_world_palm[:3, :3]
+        variance = (R @ point_covariance(step.estimate, model, base) @ R.T).diagonal()
+        curves[3, i] = 100 * np.sqrt(variance.clip(min=0.0))
+    return curves
 
 
 def _coordinate(axes: Any, times: Array, tracked: Array, seen: Array, true: Array, sigma: Array) -> None:
@@ -86,15 +72,12 @@ def _coordinate(axes: Any, times: Array, tracked: Array, seen: Array, true: Arra
 
 def _states(axes: Any, steps: Sequence[Step]) -> None:
     """A strip in the state's colour."""
-    if not steps:
-        return
-    first = steps[0].stamp
-    begin, state = first, steps[0].state
-    for step in [*steps[1:], None]:
-        if step is None or step.state != state:
-            end = steps[-1].stamp if step is None else step.stamp
-            axes.axvspan(begin - first, end - first, color=STATES[state], lw=0)
-            begin, state = end, state if step is None else step.state
+    from matplotlib.colors import ListedColormap
+
+    # Each state lasts to the next stamp.
+    edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp
+    strip = [[list(STATES).index(step.state) for step in steps]]
+    axes.pcolormesh(edges, [0, 1], strip, cmap=ListedColormap(list(STATES.values())), vmin=0, vmax=2)
     axes.set_yticks([])
     axes.set_ylabel("state", rotation=0, ha="right", va="center")
     for k, (name, color) in enumerate(STATES.items()):
