@@ -12,9 +12,8 @@ import trimesh
 
 from handsight.cache_folder import cache_folder
 from handsight.objects import ObjectModel, ObjectWarning, build, cache
-from handsight.objects.fields.field import GridField
-from handsight.objects.fields.field_error import FieldError
-from handsight.objects.geometry import Geometry, measured
+from handsight.objects.fields.field import FieldError, GridField
+from handsight.objects.geometry import Geometry
 from objects.object_shapes import BOX_FACES, box_mesh
 
 
@@ -28,7 +27,11 @@ def folder(tmp_path, monkeypatch):
 def counted(monkeypatch):
     """How often an object was built."""
     calls = []
-    monkeypatch.setattr(build, "measured", lambda *parts: calls.append(1) or measured(*parts))
+    for name in ("_of_mesh", "_of_points"):
+        build_it = getattr(build, name)
+        monkeypatch.setattr(
+            build, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
+        )
     return calls
 
 

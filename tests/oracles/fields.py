@@ -4,8 +4,15 @@ import numpy as np
 from scipy.interpolate import BSpline, RegularGridInterpolator
 
 from handsight.checks import Array
-from handsight.objects.fields.field import BoxField, CylinderField, Field, FieldValues, GridField, SphereField
-from handsight.objects.fields.field_error import FieldError
+from handsight.objects.fields.field import (
+    BoxField,
+    CylinderField,
+    Field,
+    FieldError,
+    FieldValues,
+    GridField,
+    SphereField,
+)
 
 _EYE = np.eye(3)
 _CUBIC = BSpline.basis_element(np.arange(-2, 3))
@@ -72,6 +79,14 @@ def _beyond(edge: FieldValues, w: Array) -> FieldValues:
     )
 
 
+def least_radius(field: SphereField | BoxField | CylinderField) -> float:
+    """The shortest radius of curvature [m] that an exact field has: a 72nd of its object's diameter."""
+    if isinstance(field, SphereField):
+        return 2 * field.radius / 72
+    half = field.half if isinstance(field, BoxField) else (field.radius, field.half_height)
+    return 2 * float(np.linalg.norm(half)) / 72
+
+
 def _outer(a: Array) -> Array:
     return a[:, :, None] * a[:, None, :]
 
@@ -81,7 +96,7 @@ def _sphere(field: SphereField, points: Array) -> FieldValues:
     center = r == 0
     gradient = points / np.where(center, 1.0, r)[:, None]
     gradient[center] = np.array([0.0, 0.0, 1.0])
-    hessian = (_EYE - _outer(gradient)) / np.maximum(r, field.least)[:, None, None]
+    hessian = (_EYE - _outer(gradient)) / np.maximum(r, least_radius(field))[:, None, None]
     return FieldValues(r - field.radius, gradient, hessian)
 
 
@@ -104,7 +119,7 @@ def _box(field: BoxField, points: Array) -> FieldValues:
     hessian = -_outer(gradient)
     for k in range(3):
         hessian[:, k, k] += q[:, k] > 0
-    hessian *= (away / np.maximum(outside, field.least))[:, None, None]
+    hessian *= (away / np.maximum(outside, least_radius(field)))[:, None, None]
     return FieldValues(np.where(away, outside, q[rows, face]), gradient, hessian)
 
 
@@ -126,7 +141,7 @@ def _cylinder(field: CylinderField, points: Array) -> FieldValues:
     gradient = np.stack([gr * cosine, gr * sine, gz], axis=1)
     across = np.stack([-sine, cosine, np.zeros_like(sine)], axis=1)
     rim = np.stack([-gz * cosine, -gz * sine, gr], axis=1)
-    around = gr / np.maximum(r, field.least)
-    over = ((qr > 0) & (qz > 0)) / np.maximum(outside, field.least)
+    around = gr / np.maximum(r, least_radius(field))
+    over = ((qr > 0) & (qz > 0)) / np.maximum(outside, least_radius(field))
     hessian = around[:, None, None] * _outer(across) + over[:, None, None] * _outer(rim)
     return FieldValues(np.where(away, outside, np.maximum(qr, qz)), gradient, hessian)

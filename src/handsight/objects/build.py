@@ -11,27 +11,24 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidObject
 from handsight.objects import cache
-from handsight.objects.fields.grids import Fields
 from handsight.objects.files.read import content, shape_of
-from handsight.objects.geometry import Geometry, measured
-from handsight.objects.meshes.triangles import Triangles, checked
-from handsight.objects.surface import Surface
+from handsight.objects.geometry import Geometry
+from handsight.objects.surface import Triangles
 
 # What brings scipy is imported where it is needed: an object from the cache does without.
 
 
 def of_mesh(vertices: ArrayLike, faces: ArrayLike) -> Geometry:
     """The geometry of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject."""
-    mesh = checked(vertices, faces)
-    name = cache.key("mesh", mesh.vertices, mesh.faces)
-    return cache.remembered(name, lambda: measured(*_of_mesh(mesh)))
+    mesh = _checked_mesh(vertices, faces)
+    return cache.remembered(cache.key("mesh", mesh.vertices, mesh.faces), lambda: _of_mesh(mesh))
 
 
 def of_points(points: ArrayLike, normals: ArrayLike | None) -> Geometry:
     """The geometry of surface points (n, 3) [m], normals outward or None; InvalidInput, InvalidObject."""
     places, directions = _checked_points(points, normals)
     name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
-    return cache.remembered(name, lambda: measured(*_of_points(places, directions)))
+    return cache.remembered(name, lambda: _of_points(places, directions))
 
 
 def of_file(path: str | os.PathLike[str], scale: float) -> Geometry:
@@ -42,26 +39,16 @@ def of_file(path: str | os.PathLike[str], scale: float) -> Geometry:
     return cache.remembered(name, lambda: _of_file(file, data, scale))
 
 
-def _of_mesh(mesh: Triangles) -> tuple[Surface, Fields]:
-    from handsight.objects.meshes.mesh_fields import mesh_fields
-    from handsight.objects.meshes.repair import repaired
+def _of_mesh(mesh: Triangles) -> Geometry:
+    from handsight.objects.meshes.mesh_geometry import mesh_geometry
 
-    mesh, tree, remarks = repaired(mesh)
-    fields = mesh_fields(mesh, tree)
-    return mesh, dataclasses.replace(fields, remarks=(*remarks, *fields.remarks))
+    return mesh_geometry(mesh)
 
 
-def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array, Array | None]:
-    places = checks.finite(points, "points", (None, 3))
-    return places, None if normals is None else checks.unit(normals, "normals", (len(places), 3))
+def _of_points(points: Array, normals: Array | None) -> Geometry:
+    from handsight.objects.cloud import cloud_geometry
 
-
-def _of_points(points: Array, normals: Array | None) -> tuple[Surface, Fields]:
-    from handsight.objects.cloud import cloud_fields, cloud_from
-
-    cloud, remarks = cloud_from(points, normals)
-    fields = cloud_fields(cloud)
-    return cloud, dataclasses.replace(fields, remarks=(*remarks, *fields.remarks))
+    return cloud_geometry(points, normals)
 
 
 def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
@@ -69,10 +56,36 @@ def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
     points = scale * shape.vertices
     try:
         if shape.faces is None:
-            surface, fields = _of_points(*_checked_points(points, shape.normals))
+            geometry = _of_points(*_checked_points(points, shape.normals))
         else:
-            surface, fields = _of_mesh(checked(points, shape.faces))
+            geometry = _of_mesh(_checked_mesh(points, shape.faces))
     except InvalidObject as error:
         raise InvalidObject(f"{file.name}: {error}") from None
-    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *fields.remarks))
-    return measured(surface, dataclasses.replace(fields, remarks=remarks))
+    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
+    return dataclasses.replace(geometry, remarks=remarks)
+
+
+def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array, Array | None]:
+    places = checks.finite(points, "points", (None, 3))
+    return places, None if normals is None else checks.unit(normals, "normals", (len(places), 3))
+
+
+def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
+    """The mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject where these are none."""
+    try:
+        points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    except (TypeError, ValueError):
+        raise InvalidObject("mesh: expected numbers for vertices (k, 3) and faces (m, 3)") from None
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise InvalidObject(f"vertices: expected shape (k, 3) with k ≥ 3, got {points.shape}")
+    if triangles.size == 0:
+        raise InvalidObject("faces: expected at least one triangle, got none")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise InvalidObject(
+            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
+        )
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InvalidObject(
+            f"faces: expected indices 0 to {len(points) - 1}, got {triangles.min()} to {triangles.max()}"
+        )
+    return Triangles(points, triangles.astype(np.int64))

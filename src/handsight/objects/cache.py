@@ -19,13 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.cache_folder import cache_folder
-from handsight.objects.fields.field import GridField
-from handsight.objects.fields.field_error import FieldError
+from handsight.objects.fields.field import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.surface import ObjectWarning, Surface
+from handsight.objects.surface import Cloud, ObjectWarning, Surface, Triangles
 
-VERSION = 4
+VERSION = 5
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
@@ -106,8 +104,6 @@ def _loaded(path: Path, name: str) -> Geometry:
     area, diameter, sigma_point, sigma_normal, closed = arrays["numbers"].tolist()
     surface: Surface = Triangles(arrays["vertices"], arrays["faces"])
     if len(arrays["areas"]):
-        from handsight.objects.cloud import Cloud  # it brings scipy
-
         surface = Cloud(arrays["vertices"], arrays["normals"], arrays["areas"])
     return Geometry(
         coarse=GridField(*grids[0]),

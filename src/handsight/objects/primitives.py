@@ -8,10 +8,9 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.objects.fields.field import BoxField, CylinderField, Field, SphereField
-from handsight.objects.fields.grids import Fields, sampled
+from handsight.objects.fields.grids import coarse_grid
 from handsight.objects.geometry import Geometry, measured
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.surface import Surface, diameter
+from handsight.objects.surface import Surface, Triangles, diameter
 from handsight.objects.symmetry import Symmetries
 
 SEGMENTS = 96
@@ -57,11 +56,9 @@ def sphere(radius: float) -> Geometry:
 
 
 def _geometry(surface: Surface, exact: Field) -> Geometry:
-    bounds, size = (
-        np.stack([surface.vertices.min(axis=0), surface.vertices.max(axis=0)]),
-        diameter(surface.vertices),
-    )
-    return measured(surface, Fields(sampled(exact, bounds, size), exact, size))
+    vertices, size = surface.vertices, diameter(surface.vertices)
+    grid, _ = coarse_grid(vertices, size, float(np.ptp(vertices, axis=0).min()))
+    return measured(surface, grid.field(exact.evaluate(grid.nodes()).distance), exact, diameter=size)
 
 
 def box_triangles(half: Array) -> Triangles:

@@ -38,6 +38,8 @@ NORMAL_WEIGHT = 1.3
 BAND, TANGENTIAL, PATCH = 1.6, 0.32, 0.02
 """Of the samples' spacing: the tangential distance that costs nothing, the standard deviation of what is beyond it, and
 how far a patch is off its sample's plane."""
+RESOLUTION = 72
+"""At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
 MANY = 16_384
 """Points that are worth another thread."""
 
@@ -124,7 +126,7 @@ def _fill_field(row: np.void, field: Field, nodes: int) -> None:
         row["kind"], row["origin"] = records.SPHERE, (field.radius, 0.0, 0.0)
     else:
         raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
-    row["least_radius"] = field.least
+    row["least_radius"] = 2 * np.linalg.norm(row["origin"]) / RESOLUTION
 
 
 def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:

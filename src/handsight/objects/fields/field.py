@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 
-RESOLUTION = 72
-"""At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
-
 
 class FieldValues(NamedTuple):
     """A distance field at n points of the object's frame."""
@@ -91,11 +88,6 @@ class SphereField(Field):
     radius: float
     """[m]."""
 
-    @property
-    def least(self) -> float:
-        """The shortest radius of curvature [m]."""
-        return 2 * self.radius / RESOLUTION
-
 
 @dataclass(frozen=True, eq=False)
 class BoxField(Field):
@@ -103,11 +95,6 @@ class BoxField(Field):
 
     half: Array
     """(3,) half the sides along x, y, z [m]."""
-
-    @property
-    def least(self) -> float:
-        """The shortest radius of curvature [m]."""
-        return float(2 * np.linalg.norm(self.half)) / RESOLUTION
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +106,18 @@ class CylinderField(Field):
     half_height: float
     """[m]."""
 
-    @property
-    def least(self) -> float:
-        """The shortest radius of curvature [m]."""
-        return 2 * float(np.hypot(self.radius, self.half_height)) / RESOLUTION
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldError:
+    """How far a fine field is off the surface it was made of, place by place, on a grid over the object.
+
+    A grid rounds off edges and irons out facets; near a rim its normal may be wrong by tens of degrees where on
+    a face it is right to one. A contact is only as good as the model where it touches.
+    """
+
+    origin: Array
+    """(3,) the first node [m]."""
+    cell: float
+    """Spacing of the nodes [m]."""
+    values: Array
+    """(nx, ny, nz, 2): variance of the distance [m²] and of the normal per axis [rad²]."""

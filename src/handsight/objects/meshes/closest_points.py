@@ -6,7 +6,7 @@ import numpy as np
 
 from handsight.checks import Array, Indices
 from handsight.objects.meshes.box_tree import BoxTree, box_tree
-from handsight.objects.meshes.triangles import Triangles
+from handsight.objects.surface import Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)

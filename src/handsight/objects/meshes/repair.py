@@ -6,9 +6,8 @@ from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, box_tree
 from handsight.objects.meshes.topology import consistent, pieces
-from handsight.objects.meshes.triangles import Triangles
 from handsight.objects.meshes.winding import Winding
-from handsight.objects.surface import check_extent, distinct
+from handsight.objects.surface import Triangles, check_extent, distinct
 
 _FLAT = 1e-12
 """A triangle whose height is below this part of its longest side has no area."""

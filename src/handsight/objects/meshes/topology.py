@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.meshes.triangles import Triangles
+from handsight.objects.surface import Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,24 +51,29 @@ def _components(row: Indices, column: Indices, size: int) -> Indices:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def consistent(faces: Indices) -> tuple[Indices, int, bool]:
-    """Triangles turned so that neighbours agree, how many were turned, and whether all could agree.
+def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
+    """Which (size,) of things to turn, so that linked ones, i (l,) and j (l,), agree, and whether all could.
 
-    Each triangle stands twice in a graph, as it is and turned; neighbours that agree are linked side to side,
-    others crosswise. What is connected to a triangle "as it is" is how its neighbours must stand.
+    `agree` (l,): whether they do as they are. Each thing stands twice in a graph, as it is and turned; those that
+    agree are linked side to side, others crosswise. What is connected to a thing "as it is" is how its neighbours
+    must stand.
     """
-    i, j, agree = _links(edges_of(faces))
-    m = len(faces)
-    if agree.all():
-        return faces, 0, True
-    row = np.concatenate([i, i + m])
-    column = np.concatenate([np.where(agree, j, j + m), np.where(agree, j + m, j)])
-    label = _components(row, column, 2 * m)
-    as_is, turned = label[:m], label[m:]
-    orientable = bool((as_is != turned).all())
+    row = np.concatenate([i, i + size])
+    column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])
+    label = _components(row, column, 2 * size)
+    as_is, turned = label[:size], label[size:]
     # The two halves of a piece carry two labels; the more common one "as it is" wins.
     votes = np.bincount(as_is, minlength=label.max() + 1)
     flip = (votes[turned] > votes[as_is]) | ((votes[turned] == votes[as_is]) & (turned < as_is))
+    return flip, bool((as_is != turned).all())
+
+
+def consistent(faces: Indices) -> tuple[Indices, int, bool]:
+    """Triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
+    i, j, agree = _links(edges_of(faces))
+    if agree.all():
+        return faces, 0, True
+    flip, orientable = agreeing(i, j, agree, len(faces))
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces), int(flip.sum()), orientable
 
 

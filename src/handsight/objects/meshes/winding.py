@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight.checks import Array, Mask
 from handsight.objects.meshes.box_tree import BoxTree, box_tree
-from handsight.objects.meshes.triangles import Triangles
+from handsight.objects.surface import Triangles
 
 MOST_PATCHES = 4000
 

@@ -1,24 +1,18 @@
-"""The two distance fields of a triangle mesh."""
+"""What is measured on a triangle mesh: its two distance fields, and which side of it is inside."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
-from handsight.objects.meshes.box_tree import BoxTree
+from handsight.objects.fields.grids import Grid, grids, sharpened
+from handsight.objects.geometry import Geometry, measured
 from handsight.objects.meshes.closest_points import ClosestPoints, ClosestPointSearch
-from handsight.objects.meshes.repair import side_samples
+from handsight.objects.meshes.repair import repaired, side_samples
 from handsight.objects.meshes.topology import Holes, holes_of, pseudonormals
-from handsight.objects.meshes.triangles import Triangles
 from handsight.objects.meshes.winding import Winding
-from handsight.objects.surface import diameter
+from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 
-BAND = 4
-"""Fine nodes within this many cells of the surface carry exact distances."""
-LARGEST_HOLE = 0.25
-"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
-wide, inside and outside are a guess, and past a quarter that would be most of the object."""
 CLOSED_SHARE = 0.95
 LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
@@ -26,22 +20,29 @@ VOTES = 16
 """Nodes of each linked set whose winding numbers are taken."""
 
 
-def mesh_fields(mesh: Triangles, tree: BoxTree) -> Fields:
-    """The smooth and the sharp field of a repaired mesh, and whether it has an inside; `tree` over its triangles."""
+def mesh_geometry(mesh: Triangles) -> Geometry:
+    """What is to be known of a mesh as it came: repaired, then measured; raises InvalidObject where nothing is left."""
+    mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
-    coarse, fine, remarks = grids(mesh.vertices, size)
+    coarse, fine, coarser = grids(mesh.vertices, size)
     search, winding, holes = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree), holes_of(mesh)
-    closed = is_closed(mesh, winding, holes, size)
+    closed = _is_closed(mesh, winding, holes, size)
     side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
+
+    def exact(index: Indices, within: float) -> tuple[Indices, Array]:
+        closest, near = search.closest(fine.nodes_at(index), within)
+        return index[near], side.signed(index[near], fine, closest)
+
     nodes = coarse.nodes()
     values = side.signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
-    sharp = _refined(coarse, values, fine, search, side)
-    return Fields(coarse.field(values), fine.field(sharp), size, closed, remarks)
+    sharp = fine.field(sharpened(coarse, values, fine, exact))
+    remarks = (*remarks, *coarser)
+    return measured(mesh, coarse.field(values), sharp, diameter=size, closed=closed, remarks=remarks)
 
 
-def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
+def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
     """Whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
-    if len(holes.extents) and holes.extents.max() > LARGEST_HOLE * diameter:
+    if holes.extents.max(initial=0.0) > LARGEST_HOLE * diameter:
         return False
     points, normals, _ = side_samples(mesh)
     step = 1e-4 * diameter
@@ -49,20 +50,6 @@ def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) 
     # Where pieces overlap the count goes to 2 and the surface is no boundary: that is closed too.
     good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
     return bool(good.mean() >= CLOSED_SHARE)
-
-
-def _refined(
-    coarse: Grid, values: Array, fine: Grid, search: ClosestPointSearch, side: "ByWinding | ByNormal"
-) -> Array:
-    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones."""
-    sharp = interpolated(coarse, values, fine)
-    band = BAND * fine.cell
-    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
-    index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
-    closest, near = search.closest(fine.nodes_at(index), within=band)
-    index = index[near]
-    sharp[index] = side.signed(index, fine, closest)
-    return sharp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
