@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import trimesh
@@ -106,8 +107,9 @@ def test_pickled_content_is_never_loaded(folder, counted):
 
     trap = io.BytesIO()
     np.save(trap, np.array([Trap()], dtype=object))
+    content = msgspec.msgpack.encode({"area": msgspec.msgpack.Ext(0, trap.getvalue())})
     name = file.stem.removeprefix("field-")
-    file.write_bytes(cache._checksum(name, trap.getvalue()) + trap.getvalue())
+    file.write_bytes(cache._checksum(name, content) + content)
     box()
     assert len(counted) == 2
 
@@ -130,9 +132,9 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
         os.utime(file, (0, 0))
     for k in range(1, 6):
         cache.remembered(f"{k}" * 8, lambda: geometry)
-        os.utime(folder / f"field-{f'{k}' * 8}.npys", (k, k))
+        os.utime(folder / f"field-{f'{k}' * 8}.msgpack", (k, k))
     assert sorted(f.name for f in folder.iterdir()) == [
-        "field-33333333.npys", "field-44444444.npys", "field-55555555.npys", "mine.npz",
+        "field-33333333.msgpack", "field-44444444.msgpack", "field-55555555.msgpack", "mine.npz",
     ]  # fmt: skip
 
 
@@ -178,7 +180,7 @@ def test_two_processes_may_build_the_same_object_at_once(folder):
                 worker.kill()
     assert [worker.returncode for worker in workers] == [0, 0]
     assert found[0] == found[1] == float(box().fine.values.astype(float).sum())
-    assert [f.suffix for f in folder.iterdir()] == [".npys"]
+    assert [f.suffix for f in folder.iterdir()] == [".msgpack"]
 
 
 @pytest.fixture

@@ -51,14 +51,20 @@ class Geometry:
     """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
     field_error: FieldError | None
     """The same place by place; None where the fine field is exact."""
-    vertices: Array
-    """(k, 3) for drawing [m]; a cloud's points."""
-    faces: Indices
-    """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
     remarks: tuple[str, ...]
     """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
     surface: Surface
     """What `sample` draws from."""
+
+    @property
+    def vertices(self) -> Array:
+        """(k, 3) for drawing [m]; a cloud's points."""
+        return self.surface.vertices
+
+    @property
+    def faces(self) -> Indices:
+        """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
+        return self.surface.faces
 
     @property
     def radius(self) -> float:
@@ -86,7 +92,7 @@ def measured(
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
     """What is to be known of a surface whose distance fields these are."""
-    vertices = surface.vertices
+    vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, SAMPLES)
     sigma_point, sigma_normal = _typical_error(surface, fine)
@@ -102,16 +108,13 @@ def measured(
         sigma_point=sigma_point,
         sigma_normal=sigma_normal,
         field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
-        vertices=frozen(vertices),
-        faces=frozen(surface.faces),
         remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
     )
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy that cannot be written to."""
-    array = np.array(array)
+    """The array, which can no longer be written to."""
     array.flags.writeable = False
     return array
 

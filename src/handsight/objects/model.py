@@ -4,6 +4,7 @@ import dataclasses
 import os
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from handsight.objects.record import ModelRecord
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
     """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`."""
 
@@ -31,7 +32,12 @@ class ObjectModel(Geometry):
     """What it is called in plots; a file's stem. May be empty."""
     symmetries: Symmetries
     """The rotations that leave the surface the same, as far as declared."""
-    _record: "ModelRecord | None" = dataclasses.field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for symmetries that are none."""
+        if not isinstance(self.symmetries, Symmetries):
+            came = type(self.symmetries).__name__
+            raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
 
     def __repr__(self) -> str:
         """Name, size and kind in a line."""
@@ -52,17 +58,14 @@ class ObjectModel(Geometry):
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """A cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        radius, height = checks.positive(radius, "radius"), checks.positive(height, "height")
-        _check_range(radius, "radius")
-        _check_range(height, "height")
+        radius, height = _length(radius, "radius"), _length(height, "height")
         shape = primitives.cylinder(radius, height / 2)
         return cls._from(shape, "cylinder", symmetries or primitives.cylinder_symmetries())
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        radius = checks.positive(radius, "radius")
-        _check_range(radius, "radius")
+        radius = _length(radius, "radius")
         return cls._from(primitives.sphere(radius), "sphere", symmetries or primitives.sphere_symmetries())
 
     @classmethod
@@ -101,11 +104,11 @@ class ObjectModel(Geometry):
 
     @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
-        _check_symmetries(symmetries)
+        measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
+        model = cls(**measured, name=name, symmetries=symmetries)
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
-        measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
-        return cls(**measured, name=name, symmetries=symmetries)
+        return model
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
         """n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
@@ -118,21 +121,22 @@ class ObjectModel(Geometry):
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
-    @property
+    @cached_property
     def record(self) -> "ModelRecord":
-        """The same as kernels take it; made once."""
-        record = self._record
-        if record is None:
-            from handsight.objects.record import model_record  # numba's import is long
+        """The same as kernels take it."""
+        from handsight.objects.record import model_record  # numba's import is long
 
-            record = model_record(self)
-            object.__setattr__(self, "_record", record)
-        return record
+        return model_record(self)
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""
-        _check_symmetries(symmetries)
         return dataclasses.replace(self, symmetries=symmetries)
+
+
+def _length(value: float, name: str) -> float:
+    length = checks.positive(value, name)
+    _check_range(length, name)
+    return length
 
 
 def _check_range(value: ArrayLike, name: str) -> None:
@@ -140,8 +144,3 @@ def _check_range(value: ArrayLike, name: str) -> None:
     if np.min(value) < SMALLEST or np.max(value) > LARGEST:
         expected = f"expected metres between {SMALLEST:g} and {LARGEST:g}"
         raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
-
-
-def _check_symmetries(symmetries: object) -> None:
-    if not isinstance(symmetries, Symmetries):
-        raise InvalidInput(f"symmetries: expected Symmetries or None, got {type(symmetries).__name__}")
