@@ -71,10 +71,8 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     row["error"]["least_normal"] = LEAST_ERROR[1] ** 2
     if model.field_error is not None:
         error = model.field_error.values.astype(np.float32).reshape(-1)
-        row["error"]["inverse_cell"], row["error"]["origin"] = (
-            1 / model.field_error.cell,
-            model.field_error.origin,
-        )
+        row["error"]["inverse_cell"] = 1 / model.field_error.cell
+        row["error"]["origin"] = model.field_error.origin
         row["error"]["shape"] = model.field_error.values.shape[:3]
         row["error"]["nodes"] = len(coarse) + len(fine)
     _fill_symmetry(row["symmetry"], model.symmetries)

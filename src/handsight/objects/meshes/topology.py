@@ -12,37 +12,24 @@ from handsight.objects.surface import Triangles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """A mesh's edges, each as its triangles run through it."""
+    """A mesh's edges."""
 
     pairs: Indices
     """(e, 2) vertex indices, the smaller first."""
     of_face: Indices
     """(m, 3) the edge from corner 0 to 1, 1 to 2, 2 to 0."""
-    forward: Mask
-    """(m, 3) whether the triangle runs through it from the smaller index."""
     count: Indices
     """(e,) triangles at the edge."""
 
 
 def edges_of(faces: Indices) -> Edges:
     """The edges of triangles (m, 3)."""
-    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    ordered = np.sort(directed, axis=1)
+    ordered = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     size = int(faces.max()) + 1
     _, first, which, count = np.unique(
         ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
     )
-    forward = directed[:, 0] < directed[:, 1]
-    return Edges(ordered[first], which.reshape(-1, 3), forward.reshape(-1, 3), count)
-
-
-def _links(edges: Edges) -> tuple[Indices, Indices, Mask]:
-    """Triangles (l,) and (l,) that share an edge of just two, and whether they run through it oppositely."""
-    order = np.argsort(edges.of_face, axis=None, kind="stable")
-    first = (np.cumsum(edges.count) - edges.count)[edges.count == 2]
-    i, j = order[first], order[first + 1]
-    forward = edges.forward.reshape(-1)
-    return i // 3, j // 3, forward[i] != forward[j]
+    return Edges(ordered[first], which.reshape(-1, 3), count)
 
 
 def _components(row: Indices, column: Indices, size: int) -> Indices:
@@ -70,11 +57,22 @@ def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool
 
 def consistent(faces: Indices) -> tuple[Indices, int, bool]:
     """Triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
-    i, j, agree = _links(edges_of(faces))
+    edges = edges_of(faces)
+    order = np.argsort(edges.of_face, axis=None, kind="stable")
+    # Of each edge of just two triangles, its places in these; they agree where they run through it oppositely.
+    first = (np.cumsum(edges.count) - edges.count)[edges.count == 2]
+    i, j = order[first], order[first + 1]
+    forward = (faces < np.roll(faces, -1, axis=1)).reshape(-1)
+    agree = forward[i] != forward[j]
     if agree.all():
         return faces, 0, True
-    flip, orientable = agreeing(i, j, agree, len(faces))
-    return np.where(flip[:, None], faces[:, [0, 2, 1]], faces), int(flip.sum()), orientable
+    flip, orientable = agreeing(i // 3, j // 3, agree, len(faces))
+    return turned_over(faces, flip), int(flip.sum()), orientable
+
+
+def turned_over(faces: Indices, flip: Mask) -> Indices:
+    """Triangles (m, 3), those in `flip` (m,) seen from the other side."""
+    return np.where(flip[:, None], faces[:, [0, 2, 1]], faces)
 
 
 def pieces(faces: Indices) -> Indices:
@@ -119,11 +117,9 @@ def pseudonormals(mesh: Triangles) -> Array:
     Aanaes 2005).
     """
     faces = mesh.faces
-    normal = mesh.doubled_normals
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    edges = edges_of(faces)
+    normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]
+    edges, corners = edges_of(faces), mesh.corners
     at_edge, at_vertex = np.zeros((len(edges.pairs), 3)), np.zeros((len(mesh.vertices), 3))
-    corners = mesh.vertices[faces]
     for k in range(3):
         np.add.at(at_edge, edges.of_face[:, k], normal)
         u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
