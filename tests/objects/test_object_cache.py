@@ -12,10 +12,11 @@ import pytest
 import trimesh
 
 from handsight.cache_folder import cache_folder
-from handsight.objects import ObjectModel, ObjectWarning, build, cache
+from handsight.objects import ObjectModel, ObjectWarning, cache
+from handsight.objects import model as making
 from handsight.objects.fields.field import FieldError, GridField
 from handsight.objects.geometry import Geometry
-from objects.object_shapes import BOX_FACES, box_mesh
+from objects.object_shapes import BOX_FACES, box_mesh, triangles
 
 
 @pytest.fixture
@@ -29,9 +30,9 @@ def counted(monkeypatch):
     """How often an object was built."""
     calls = []
     for name in ("_of_mesh", "_of_points"):
-        build_it = getattr(build, name)
+        build_it = getattr(making, name)
         monkeypatch.setattr(
-            build, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
+            making, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
         )
     return calls
 
@@ -127,7 +128,8 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
     monkeypatch.setattr(cache, "KEPT", 3)
     folder.mkdir()
     (folder / "mine.npz").write_text("the user's own")
-    geometry = build.of_mesh(*box_mesh((0.06, 0.09, 0.05)))
+    box()
+    geometry = making._of_mesh(triangles(*box_mesh((0.06, 0.09, 0.05))))
     for file in folder.glob("field-*"):
         os.utime(file, (0, 0))
     for k in range(1, 6):
@@ -193,7 +195,7 @@ def file(tmp_path):
 def test_a_file_is_read_and_measured_once(folder, file, counted, monkeypatch):
     first = ObjectModel.from_file(file)
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.setattr(build, "shape_of", None)
+    monkeypatch.setattr(making, "shape_of", None)
     same(first, ObjectModel.from_file(file))
     assert len(counted) == 1
 

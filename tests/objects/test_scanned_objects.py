@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handsight.objects import ObjectModel, ObjectWarning, propose_symmetries
-from handsight.objects.meshes.winding import Winding
+from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.surface import Triangles
 from objects.object_shapes import data_file
 

@@ -14,8 +14,8 @@ from handsight.checks import Array, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.fields.grids import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
+from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.meshes.topology import agreeing
-from handsight.objects.meshes.winding import Winding
 from handsight.objects.surface import LARGEST_HOLE, Cloud, check_extent, diameter, distinct
 
 LEAST_POINTS = 20

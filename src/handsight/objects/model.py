@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike
 
 from handsight import checks
 from handsight.checks import Array
-from handsight.errors import InvalidInput
-from handsight.objects import build, primitives
+from handsight.errors import InvalidInput, InvalidObject
+from handsight.objects import cache, primitives
 from handsight.objects.fields.field import FieldValues
+from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
-from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning
+from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
@@ -77,7 +78,9 @@ class ObjectModel(Geometry):
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
         surface is valid. Raises InvalidObject where there is no surface.
         """
-        return cls._from(build.of_mesh(vertices, faces), "", symmetries or Symmetries())
+        mesh = _checked_mesh(vertices, faces)
+        name = cache.key("mesh", mesh.vertices, mesh.faces)
+        return cls._from(cache.remembered(name, lambda: _of_mesh(mesh)), "", symmetries or Symmetries())
 
     @classmethod
     def from_points(
@@ -88,7 +91,10 @@ class ObjectModel(Geometry):
         `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
-        return cls._from(build.of_points(points, normals), "", symmetries or Symmetries())
+        places, directions = _checked_points(points, normals)
+        name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
+        geometry = cache.remembered(name, lambda: _of_points(places, directions))
+        return cls._from(geometry, "", symmetries or Symmetries())
 
     @classmethod
     def from_file(
@@ -100,7 +106,11 @@ class ObjectModel(Geometry):
         where it holds no surface, both starting with the file's name.
         """
         scale = checks.positive(scale, "scale")
-        return cls._from(build.of_file(path, scale), Path(path).stem, symmetries or Symmetries())
+        file, data = Path(path), content(path)
+        # By name as well: remarks begin with it, and its end says what the bytes mean.
+        name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
+        geometry = cache.remembered(name, lambda: _of_file(file, data, scale))
+        return cls._from(geometry, file.stem, symmetries or Symmetries())
 
     @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
@@ -144,3 +154,58 @@ def _check_range(value: ArrayLike, name: str) -> None:
     if np.min(value) < SMALLEST or np.max(value) > LARGEST:
         expected = f"expected metres between {SMALLEST:g} and {LARGEST:g}"
         raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
+
+
+# What brings scipy is imported where it is needed: an object from the cache does without.
+
+
+def _of_mesh(mesh: Triangles) -> Geometry:
+    from handsight.objects.meshes.mesh_geometry import mesh_geometry
+
+    return mesh_geometry(mesh)
+
+
+def _of_points(points: Array, normals: Array | None) -> Geometry:
+    from handsight.objects.cloud import cloud_geometry
+
+    return cloud_geometry(points, normals)
+
+
+def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
+    shape = shape_of(file, data)
+    points = scale * shape.vertices
+    try:
+        if shape.faces is None:
+            geometry = _of_points(*_checked_points(points, shape.normals))
+        else:
+            geometry = _of_mesh(_checked_mesh(points, shape.faces))
+    except InvalidObject as error:
+        raise InvalidObject(f"{file.name}: {error}") from None
+    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
+    return dataclasses.replace(geometry, remarks=remarks)
+
+
+def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array, Array | None]:
+    places = checks.finite(points, "points", (None, 3))
+    return places, None if normals is None else checks.unit(normals, "normals", (len(places), 3))
+
+
+def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
+    """The mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject where these are none."""
+    try:
+        points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    except (TypeError, ValueError):
+        raise InvalidObject("mesh: expected numbers for vertices (k, 3) and faces (m, 3)") from None
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise InvalidObject(f"vertices: expected shape (k, 3) with k ≥ 3, got {points.shape}")
+    if triangles.size == 0:
+        raise InvalidObject("faces: expected at least one triangle, got none")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise InvalidObject(
+            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
+        )
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InvalidObject(
+            f"faces: expected indices 0 to {len(points) - 1}, got {triangles.min()} to {triangles.max()}"
+        )
+    return Triangles(points, triangles.astype(np.int64))

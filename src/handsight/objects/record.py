@@ -9,14 +9,7 @@ from handsight._kernels import field as kernel
 from handsight._kernels import records
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array
-from handsight.objects.fields.field import (
-    BoxField,
-    CylinderField,
-    Field,
-    FieldValues,
-    GridField,
-    SphereField,
-)
+from handsight.objects.fields.field import BoxField, CylinderField, Field, FieldValues, GridField, SphereField
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
@@ -59,22 +52,21 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     """The record of an object."""
     record = np.zeros(1, dtype=records.MODEL)
     row, spacing = record[0], model.sample_spacing
-    coarse, fine, error = _nodes(model.coarse), _nodes(model.fine), np.empty(0, dtype=np.float32)
+    nodes = [_nodes(model.coarse), _nodes(model.fine)]
     _fill_field(row["coarse"], model.coarse, 0)
     row["coarse"]["variance_distance"] = (COARSE_ERROR[0] * model.coarse.cell) ** 2
     row["coarse"]["variance_normal"] = COARSE_ERROR[1] ** 2
-    _fill_field(row["fine"], model.fine, len(coarse))
+    _fill_field(row["fine"], model.fine, len(nodes[0]))
     row["radius"], row["center"] = model.radius, model.center_object
     row["bounds"] = model.bounds_object + MARGIN * model.diameter * np.array([[-1.0], [1.0]])
     row["edge_curvature2"] = 1 / (EDGE * model.coarse.cell) ** 2
-    row["error"]["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
-    row["error"]["least_normal"] = LEAST_ERROR[1] ** 2
-    if model.field_error is not None:
-        error = model.field_error.values.astype(np.float32).reshape(-1)
-        row["error"]["inverse_cell"] = 1 / model.field_error.cell
-        row["error"]["origin"] = model.field_error.origin
-        row["error"]["shape"] = model.field_error.values.shape[:3]
-        row["error"]["nodes"] = len(coarse) + len(fine)
+    error, place_by_place = row["error"], model.field_error
+    error["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
+    error["least_normal"] = LEAST_ERROR[1] ** 2
+    if place_by_place is not None:
+        error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
+        error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
+        nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
     _fill_symmetry(row["symmetry"], model.symmetries)
     row["normal_weight2"] = (NORMAL_WEIGHT * model.diameter) ** 2
     row["band"], row["tangential_weight"] = BAND * spacing, 1 / (TANGENTIAL * spacing) ** 2
@@ -84,7 +76,7 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     row["scan"][0] = (model.points_object**2).sum(axis=1)
     row["scan"][1:4], row["scan"][4:] = model.points_object.T, model.normals_object.T
     known = row["symmetry"]["kind"] != records.OTHER_SYMMETRY
-    return ModelRecord(record, np.concatenate([coarse, fine, error]), bool(known))
+    return ModelRecord(record, np.concatenate(nodes), bool(known))
 
 
 def field_record(field: Field) -> tuple[Record, Nodes]:
@@ -128,14 +120,14 @@ def _fill_field(row: np.void, field: Field, nodes: int) -> None:
 
 
 def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:
-    row["kind"], row["axes"] = known_symmetry(symmetries), len(symmetries.axes)
-    for k, (_, direction) in enumerate(symmetries.axes):
-        row["pivot"], row["axis"][k] = symmetries.axes[0][0], direction
+    row["kind"], row["axes"] = _known_symmetry(symmetries), len(symmetries.axes)
+    for k, (point, direction) in enumerate(symmetries.axes):
+        row["pivot"], row["axis"][k] = point, direction
     count = min(len(symmetries.rotations), records.MOST_ROTATIONS)
     row["rotations"], row["rotation"][:count] = count, symmetries.rotations[:count, :3]
 
 
-def known_symmetry(symmetries: Symmetries) -> int:
+def _known_symmetry(symmetries: Symmetries) -> int:
     """Which of the kernels' kinds of symmetry an object has; OTHER_SYMMETRY where they know none like it."""
     if symmetries.trivial:
         return records.NO_SYMMETRY

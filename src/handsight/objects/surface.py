@@ -137,7 +137,6 @@ def diameter(points: Array) -> float:
     from scipy.spatial import ConvexHull, QhullError  # an object from the cache needs no scipy
     from scipy.spatial.distance import pdist
 
-    points = _outermost(points)
     if len(points) > MOST_COMPARED:
         with contextlib.suppress(QhullError):  # flat
             points = points[ConvexHull(points).vertices]
@@ -146,15 +145,3 @@ def diameter(points: Array) -> float:
         along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
         points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
     return float(pdist(points).max())
-
-
-def _outermost(points: Array) -> Array:
-    """Those of the points (n, 3) that may be one of the two farthest apart: of most objects a few."""
-    one = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax()]
-    for _ in range(3):
-        other = one
-        one = points[((points - other) ** 2).sum(axis=1).argmax()]
-    least = float(np.linalg.norm(one - other))
-    # Two that are farther apart than these are together at least as far from the middle between these.
-    gap = np.linalg.norm(points - (one + other) / 2, axis=1)
-    return np.asarray(points[gap >= (1 - 1e-9) * least - gap.max()])

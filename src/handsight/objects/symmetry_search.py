@@ -41,8 +41,6 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     """
     limit = TOLERANCE * model.diameter if tolerance is None else checks.positive(tolerance, "tolerance")
     judge = _Judge(model, limit)
-    if judge.round():
-        return Symmetries([(judge.center, axis) for axis in np.eye(3)])
     directions = judge.directions()
     for direction in directions:
         line = judge.continuous(direction)
@@ -75,13 +73,6 @@ class _Judge:
     def worst(self, T: Array) -> float:
         """The distance [m] that nearly all samples keep to after `T`."""
         return float(np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), WORST))
-
-    def round(self) -> bool:
-        """Whether every turn about the centre keeps the surface."""
-        if self.moments[0] < (1 - ALIKE) * self.moments[2]:
-            return False
-        vectors = np.random.default_rng(5).normal(size=(24, 3))
-        return all(self.worst(about(self.center, v)) < self.limit for v in vectors)
 
     def directions(self) -> Array:
         """Directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
@@ -148,9 +139,11 @@ class _Judge:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """The symmetries about a continuous axis: with the half turn that swaps its ends, where it holds."""
+        """A ball's symmetries, or those about a continuous axis, with the half turn that swaps its ends where it holds."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
+        if self.continuous(side) is not None:
+            return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))
         if T is not None:
             # Only the height at which it swaps is free.

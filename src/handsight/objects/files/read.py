@@ -189,11 +189,6 @@ def _xyz(data: bytes) -> Shape:
 
 
 READERS: dict[str, Callable[[bytes], Shape]] = {
-    ".stl": _stl,
-    ".obj": _obj,
-    ".ply": _ply,
-    ".off": _off,
-    ".pcd": _pcd,
-    ".xyz": _xyz,
-}
-"""Extension to reader; a new format is a new line."""
+    ".stl": _stl, ".obj": _obj, ".ply": _ply, ".off": _off, ".pcd": _pcd, ".xyz": _xyz,
+}  # fmt: skip
+"""Extension to reader; a new format is a new entry."""

@@ -7,10 +7,9 @@ import numpy as np
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields.grids import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
-from handsight.objects.meshes.closest_points import ClosestPoints, ClosestPointSearch
+from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding
 from handsight.objects.meshes.repair import repaired, side_samples
 from handsight.objects.meshes.topology import Holes, holes_of, pseudonormals
-from handsight.objects.meshes.winding import Winding
 from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 
 CLOSED_SHARE = 0.95

@@ -4,9 +4,8 @@ import numpy as np
 
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
-from handsight.objects.meshes.box_tree import BoxTree, box_tree
+from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
 from handsight.objects.meshes.topology import consistent, pieces, turned_over
-from handsight.objects.meshes.winding import Winding
 from handsight.objects.surface import Triangles, check_extent, distinct
 
 _FLAT = 1e-12
