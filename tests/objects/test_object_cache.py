@@ -14,7 +14,7 @@ import trimesh
 from handsight.cache_folder import cache_folder
 from handsight.objects import ObjectModel, ObjectWarning, cache
 from handsight.objects import model as making
-from handsight.objects.fields.field import FieldError, GridField
+from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry
 from objects.object_shapes import BOX_FACES, box_mesh, triangles
 

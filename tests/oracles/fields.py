@@ -4,15 +4,7 @@ import numpy as np
 from scipy.interpolate import BSpline, RegularGridInterpolator
 
 from handsight.checks import Array
-from handsight.objects.fields.field import (
-    BoxField,
-    CylinderField,
-    Field,
-    FieldError,
-    FieldValues,
-    GridField,
-    SphereField,
-)
+from handsight.objects.fields import ExactField, Field, FieldError, FieldValues, GridField
 
 _EYE = np.eye(3)
 _CUBIC = BSpline.basis_element(np.arange(-2, 3))
@@ -26,8 +18,9 @@ _ORDERS = [
 
 def evaluate(field: Field, points: Array) -> FieldValues:
     """Distance and derivatives at the points (n, 3) [m] of the object's frame."""
-    kinds = {GridField: _grid, BoxField: _box, CylinderField: _cylinder, SphereField: _sphere}
-    return kinds[type(field)](field, np.asarray(points, dtype=np.float64))
+    kinds = {"grid": _grid, "box": _box, "cylinder": _cylinder, "sphere": _sphere}
+    kind = "grid" if isinstance(field, GridField) else field.shape
+    return kinds[kind](field, np.asarray(points, dtype=np.float64))
 
 
 def variances(error: FieldError, points: Array) -> Array:
@@ -79,31 +72,28 @@ def _beyond(edge: FieldValues, w: Array) -> FieldValues:
     )
 
 
-def least_radius(field: SphereField | BoxField | CylinderField) -> float:
+def least_radius(field: ExactField) -> float:
     """The shortest radius of curvature [m] that an exact field has: a 72nd of its object's diameter."""
-    if isinstance(field, SphereField):
-        return 2 * field.radius / 72
-    half = field.half if isinstance(field, BoxField) else (field.radius, field.half_height)
-    return 2 * float(np.linalg.norm(half)) / 72
+    return 2 * float(np.linalg.norm(field.sizes)) / 72
 
 
 def _outer(a: Array) -> Array:
     return a[:, :, None] * a[:, None, :]
 
 
-def _sphere(field: SphereField, points: Array) -> FieldValues:
+def _sphere(field: ExactField, points: Array) -> FieldValues:
     r = np.sqrt((points * points).sum(axis=1))
     center = r == 0
     gradient = points / np.where(center, 1.0, r)[:, None]
     gradient[center] = np.array([0.0, 0.0, 1.0])
     hessian = (_EYE - _outer(gradient)) / np.maximum(r, least_radius(field))[:, None, None]
-    return FieldValues(r - field.radius, gradient, hessian)
+    return FieldValues(r - field.sizes[0], gradient, hessian)
 
 
-def _box(field: BoxField, points: Array) -> FieldValues:
+def _box(field: ExactField, points: Array) -> FieldValues:
     n = len(points)
     side = np.where(points < 0, -1.0, 1.0)
-    q = np.abs(points) - field.half
+    q = np.abs(points) - field.sizes
     beyond = np.maximum(q, 0.0)
     outside = np.sqrt((beyond * beyond).sum(axis=1))
     face = q.argmax(axis=1)
@@ -123,10 +113,10 @@ def _box(field: BoxField, points: Array) -> FieldValues:
     return FieldValues(np.where(away, outside, q[rows, face]), gradient, hessian)
 
 
-def _cylinder(field: CylinderField, points: Array) -> FieldValues:
+def _cylinder(field: ExactField, points: Array) -> FieldValues:
     x, y, z = points.T
     r = np.hypot(x, y)
-    qr, qz = r - field.radius, np.abs(z) - field.half_height
+    qr, qz = r - field.sizes[0], np.abs(z) - field.sizes[1]
     er, ez = np.maximum(qr, 0.0), np.maximum(qz, 0.0)
     outside = np.hypot(er, ez)
     away = outside > 0

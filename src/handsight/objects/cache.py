@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.cache_folder import cache_folder
-from handsight.objects.fields.field import FieldError, GridField
+from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
@@ -51,19 +51,14 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
         return _loaded(path, name)
     geometry = compute()
     try:
-        _store(path, _sealed(name, geometry))
+        content = msgspec.msgpack.encode(geometry, enc_hook=_packed)
+        _store(path, _checksum(name, content) + content)
     except OSError as error:
         if str(path.parent) not in _warned:
             _warned.add(str(path.parent))
             why = f"distance fields cannot be cached there ({error.strerror or error}); each run builds them"
             warnings.warn(f"{path.parent}: {why}", ObjectWarning, stacklevel=2)
     return geometry
-
-
-def _sealed(name: str, geometry: Geometry) -> bytes:
-    """All fields of the geometry, behind a checksum of these and the name."""
-    content = msgspec.msgpack.encode(geometry, enc_hook=_packed)
-    return _checksum(name, content) + content
 
 
 def _packed(array: NDArray[Any]) -> msgspec.msgpack.Ext:
@@ -107,15 +102,6 @@ def _store(path: Path, data: bytes) -> None:
     finally:  # still there only where that failed
         with contextlib.suppress(OSError):
             os.unlink(temporary)
-    _forget_oldest(path.parent)
-
-
-def _forget_oldest(kept: Path) -> None:
-    """Another process may remove the same files at the same time."""
-    ages = []
-    for file in kept.glob("field-*"):
-        with contextlib.suppress(OSError):
-            ages.append((file.stat().st_mtime, file))
-    for _, file in sorted(ages)[:-KEPT]:
-        with contextlib.suppress(OSError):
-            file.unlink()
+    with contextlib.suppress(OSError):  # another process may remove the same files at the same time
+        for old in sorted(path.parent.glob("field-*"), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
+            old.unlink()

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidObject
-from handsight.objects.fields.grids import Grid, grids, sharpened
+from handsight.objects.fields import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.meshes.topology import agreeing

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array, Indices
-from handsight.objects.fields.field import Field, FieldError, GridField
-from handsight.objects.fields.grids import centered_grid
+from handsight.objects.fields import Field, FieldError, GridField, centered_grid
 from handsight.objects.surface import Surface
 
 SAMPLES = 256
@@ -95,7 +94,7 @@ def measured(
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, SAMPLES)
-    sigma_point, sigma_normal = _typical_error(surface, fine)
+    _, distance, angle = _errors(surface, fine, TYPICAL_SAMPLES, seed=1)
     return Geometry(
         coarse=coarse,
         fine=fine,
@@ -105,8 +104,9 @@ def measured(
         diameter=diameter,
         bounds_object=frozen(bounds),
         closed=closed,
-        sigma_point=sigma_point,
-        sigma_normal=sigma_normal,
+        # Medians: edges, which the field rounds off, do not speak for the faces.
+        sigma_point=float(np.median(distance) / _MEDIAN_1),
+        sigma_normal=float(np.median(angle) / _MEDIAN_2),
         field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
         remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
@@ -132,15 +132,6 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
     # Back to draws, each once: a middle lies off a curved surface.
     index = snapped(features, spread_out(features, n, LLOYD_STEPS))
     return points[index], normals[index]
-
-
-def _typical_error(surface: Surface, fine: Field) -> tuple[float, float]:
-    """Standard deviations of the fine field on the surface: distance [m] and normal per axis [rad].
-
-    By medians, so that edges, which the field rounds off, do not speak for the faces.
-    """
-    _, distance, angle = _errors(surface, fine, TYPICAL_SAMPLES, seed=1)
-    return float(np.median(distance) / _MEDIAN_1), float(np.median(angle) / _MEDIAN_2)
 
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
@@ -170,12 +161,8 @@ def _unit_remarks(bounds: Array) -> tuple[str, ...]:
     extent = float((bounds[1] - bounds[0]).max())
     if SMALL <= extent <= LARGE:
         return ()
-    for unit, scale in (
-        ("millimetres", 0.001),
-        ("centimetres", 0.01),
-        ("inches", 0.0254),
-        ("metres, scaled down twice", 1000.0),
-    ):
+    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}
+    for unit, scale in units.items():
         if SMALL < extent * scale < LARGE / 4:
             return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
     return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

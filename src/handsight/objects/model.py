@@ -15,7 +15,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.objects import cache, primitives
-from handsight.objects.fields.field import FieldValues
+from handsight.objects.fields import FieldValues
 from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
 from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning, Triangles
@@ -54,20 +54,22 @@ class ObjectModel(Geometry):
         if not (sides > 0).all():
             raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
         _check_range(sides, "size")
-        return cls._from(primitives.box(sides / 2), "box", symmetries or primitives.box_symmetries(sides))
+        geometry, own = primitives.box(sides)
+        return cls._from(geometry, "box", symmetries or own)
 
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """A cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
         radius, height = _length(radius, "radius"), _length(height, "height")
-        shape = primitives.cylinder(radius, height / 2)
-        return cls._from(shape, "cylinder", symmetries or primitives.cylinder_symmetries())
+        geometry, own = primitives.cylinder(radius, height)
+        return cls._from(geometry, "cylinder", symmetries or own)
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
         radius = _length(radius, "radius")
-        return cls._from(primitives.sphere(radius), "sphere", symmetries or primitives.sphere_symmetries())
+        geometry, own = primitives.sphere(radius)
+        return cls._from(geometry, "sphere", symmetries or own)
 
     @classmethod
     def from_mesh(

@@ -9,7 +9,7 @@ from handsight._kernels import field as kernel
 from handsight._kernels import records
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array
-from handsight.objects.fields.field import BoxField, CylinderField, Field, FieldValues, GridField, SphereField
+from handsight.objects.fields import ExactField, Field, FieldValues, GridField
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Record = NDArray[np.void]
 Nodes = NDArray[np.float32]
 
+EXACT = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
 EDGE = 0.75
 """Radius of curvature [coarse cells] below which the surface counts as an edge."""
 LEAST_ERROR = (1e-4, 2e-3)
@@ -107,16 +108,9 @@ def _fill_field(row: np.void, field: Field, nodes: int) -> None:
     if isinstance(field, GridField):
         row["kind"], row["origin"], row["nodes"] = records.GRID, field.origin, nodes
         row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
-        return
-    if isinstance(field, BoxField):
-        row["kind"], row["origin"] = records.BOX, field.half
-    elif isinstance(field, CylinderField):
-        row["kind"], row["origin"] = records.CYLINDER, (field.radius, field.half_height, 0.0)
-    elif isinstance(field, SphereField):
-        row["kind"], row["origin"] = records.SPHERE, (field.radius, 0.0, 0.0)
-    else:
-        raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
-    row["least_radius"] = 2 * np.linalg.norm(row["origin"]) / RESOLUTION
+    elif isinstance(field, ExactField):
+        row["kind"], row["origin"] = EXACT[field.shape], field.sizes
+        row["least_radius"] = 2 * np.linalg.norm(field.sizes) / RESOLUTION
 
 
 def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:

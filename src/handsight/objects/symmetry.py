@@ -199,14 +199,10 @@ def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]
 def _closed(generators: list[Array]) -> Array:
     """All products (k, 4, 4) of the generators, the identity first."""
     group = [np.eye(4)]
-    fresh = list(group)
-    while fresh:
-        products = [a @ g for a in fresh for g in generators]
-        fresh = []
-        for T in products:
-            if not any(np.abs(T - known).max() < _SAME for known in group):
-                group.append(T)
-                fresh.append(T)
+    for T in group:  # which grows while it is walked
+        for product in (T @ generator for generator in generators):
+            if not any(np.abs(product - known).max() < _SAME for known in group):
+                group.append(product)
         if len(group) > MOST_ROTATIONS:
             raise InvalidInput(f"rotations: expected a finite group, got over {MOST_ROTATIONS} products")
     return np.stack(group)

@@ -48,15 +48,12 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
             return judge.of_revolution(*line)
     axes: list[_Axis] = []
     for direction in directions:
-        if not _known(direction, axes, 0.999):
-            found = judge.finite(direction)
-            if found is not None and not _known(found.direction, axes, 0.98):
-                axes.append(found)
+        if any(abs(direction @ axis.direction) > 0.999 for axis in axes):
+            continue
+        found = judge.finite(direction)
+        if found is not None and not any(abs(found.direction @ axis.direction) > 0.98 for axis in axes):
+            axes.append(found)
     return judge.group(axes)
-
-
-def _known(direction: Array, axes: list[_Axis], cosine: float) -> bool:
-    return any(abs(direction @ axis.direction) > cosine for axis in axes)
 
 
 class _Judge:
@@ -139,7 +136,7 @@ class _Judge:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """A ball's symmetries, or those about a continuous axis, with the half turn that swaps its ends where it holds."""
+        """About a continuous axis: a ball's, or with the half turn that swaps its ends, or without."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
         if self.continuous(side) is not None:

@@ -26,13 +26,6 @@ class BoxTree:
     starts: Indices
     """(leaves + 1,) where each leaf begins, and the end; a power of two of leaves."""
 
-    def merged(self, most: int) -> Indices:
-        """Where leaves begin, and the end, neighbours taken together until there are at most so many."""
-        starts = self.starts
-        while len(starts) > most + 1:
-            starts = starts[::2]
-        return starts
-
     def boxes(self, low: Array, high: Array) -> Array:
         """(2 leaves - 1, 6) every box's least and greatest corner, the whole first.
 
@@ -134,7 +127,9 @@ class Winding:
         `tree`: its leaves are the patches; where it is known already.
         """
         tree = tree or box_tree(centers)
-        starts = tree.merged(MOST_PATCHES)
+        starts = tree.starts
+        while len(starts) > MOST_PATCHES + 1:
+            starts = starts[::2]
         first, sizes = starts[:-1], np.diff(starts)
         centers, vectors = centers[tree.order], area_vectors[tree.order]
         weight = np.linalg.norm(vectors, axis=1) + 1e-300

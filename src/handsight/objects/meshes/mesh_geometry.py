@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.fields.grids import Grid, grids, sharpened
+from handsight.objects.fields import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding
 from handsight.objects.meshes.repair import repaired, side_samples
