@@ -7,7 +7,7 @@ not removed: each point given is taken for surface.
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Mask
@@ -15,7 +15,7 @@ from handsight.errors import InvalidObject
 from handsight.objects.fields import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.meshes.topology import agreeing
+from handsight.objects.meshes.repair import agreeing, components
 from handsight.objects.surface import LARGEST_HOLE, Cloud, check_extent, diameter, distinct
 
 LEAST_POINTS = 20
@@ -133,8 +133,8 @@ def _estimated_normals(points: Array, tree: cKDTree) -> Array:
     i, j = minimum_spanning_tree(graph.tocsr()).nonzero()
     turned, _ = agreeing(i, j, (normals[i] * normals[j]).sum(axis=1) >= 0, len(points))
     normals[turned] *= -1
-    count, part = connected_components(graph, directed=False)
-    for k in range(count):
+    part = components(row, column, len(points))
+    for k in range(part.max() + 1):
         own = part == k
         if ((points[own] - points[own].mean(axis=0)) * normals[own]).sum() < 0:
             normals[own] *= -1

@@ -56,8 +56,7 @@ class Triangles:
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
-        points, normals, _ = self.draw_on_faces(n, rng)
-        return points, normals
+        return self.draw_on_faces(n, rng)[:2]
 
     def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
         """As `draw`, and the triangle (n,) of each."""

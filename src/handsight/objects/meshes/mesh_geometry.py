@@ -8,8 +8,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding
-from handsight.objects.meshes.repair import repaired, side_samples
-from handsight.objects.meshes.topology import Holes, holes_of, pseudonormals
+from handsight.objects.meshes.repair import components, edges_of, repaired, side_samples
 from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 
 CLOSED_SHARE = 0.95
@@ -37,6 +36,35 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     sharp = fine.field(sharpened(coarse, values, fine, exact))
     remarks = (*remarks, *coarser)
     return measured(mesh, coarse.field(values), sharp, diameter=size, closed=closed, remarks=remarks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Holes:
+    """Where a surface ends."""
+
+    middles: Array
+    """(h, 3) of each connected run of boundary edges [m]."""
+    extents: Array
+    """(h,) the diagonal of its bounding box [m]."""
+    segments: Array
+    """(b, 2, 3) every boundary edge [m]."""
+
+
+def holes_of(mesh: Triangles) -> Holes:
+    """The boundary of a mesh: edges with one triangle, in connected runs."""
+    edges, _, count = edges_of(mesh.faces)
+    pairs = edges[count == 1]
+    segments = mesh.vertices[pairs]
+    if not len(pairs):
+        return Holes(np.empty((0, 3)), np.empty(0), segments)
+    used, local = np.unique(pairs, return_inverse=True)
+    start, end = local.reshape(-1, 2).T
+    label = components(start, end, len(used))
+    low = np.full((label.max() + 1, 3), np.inf)
+    high = -low
+    np.minimum.at(low, label, mesh.vertices[used])
+    np.maximum.at(high, label, mesh.vertices[used])
+    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1), segments)
 
 
 def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
@@ -109,7 +137,7 @@ class ByNormal:
         """`spacing` [m]: between the points that stand for the rim."""
         from scipy.spatial import cKDTree  # half of this room's import, for open surfaces alone
 
-        self._normals = pseudonormals(mesh)
+        self._normals = _pseudonormals(mesh)
         start, along = holes.segments[:, 0], holes.segments[:, 1] - holes.segments[:, 0]
         count = np.ceil(np.linalg.norm(along, axis=1) / spacing).astype(np.int64) + 1
         segment = np.repeat(np.arange(len(start)), count)
@@ -129,3 +157,21 @@ class ByNormal:
         rim = np.full(len(index), np.inf) if self._rim is None else self._rim.query(closest.points)[0]
         d = closest.distance
         return np.asarray(np.where(behind, d - 2 * np.minimum(d, rim), d))
+
+
+def _pseudonormals(mesh: Triangles) -> Array:
+    """(m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
+
+    Angle-weighted, so that their sign tells the side of the nearest point wherever it lies (Baerentzen and
+    Aanaes 2005).
+    """
+    faces = mesh.faces
+    normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]
+    (edges, of_face, _), corners = edges_of(faces), mesh.corners
+    at_edge, at_vertex = np.zeros((len(edges), 3)), np.zeros((len(mesh.vertices), 3))
+    for k in range(3):
+        np.add.at(at_edge, of_face[:, k], normal)
+        u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
+        np.add.at(at_vertex, faces[:, k], angle[:, None] * normal)
+    return np.concatenate([normal[:, None], at_edge[of_face], at_vertex[faces]], axis=1)
