@@ -12,9 +12,7 @@ from handsight._kernels.linking import linked
 from handsight._kernels.nearest_triangle import closest_points
 from handsight._kernels.spreading import snapped, spread_out
 from handsight.objects import ObjectModel
-from handsight.objects.meshes.box_tree import box_tree
-from handsight.objects.meshes.closest_points import ClosestPointSearch
-from handsight.objects.meshes.winding import Winding
+from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding, box_tree
 from objects.object_shapes import box_mesh, divided, prism, triangles
 from oracles import fields as field_oracle
 from oracles import meshes as oracle

@@ -3,8 +3,8 @@ import pytest
 
 from handsight.errors import InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
-from handsight.objects.meshes.topology import holes_of
-from handsight.objects.meshes.winding import Winding
+from handsight.objects.meshes.box_tree import Winding
+from handsight.objects.meshes.mesh_geometry import holes_of
 from objects.object_shapes import BOX_FACES, box_mesh, divided, holed_box, prism, triangles
 
 SIZE = np.array([0.06, 0.09, 0.14])

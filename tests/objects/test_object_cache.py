@@ -6,16 +6,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import trimesh
 
 from handsight.cache_folder import cache_folder
-from handsight.objects import ObjectModel, ObjectWarning, build, cache
-from handsight.objects.fields.field import GridField
-from handsight.objects.fields.field_error import FieldError
-from handsight.objects.geometry import Geometry, measured
-from objects.object_shapes import BOX_FACES, box_mesh
+from handsight.objects import ObjectModel, ObjectWarning, cache
+from handsight.objects import model as making
+from handsight.objects.fields import FieldError, GridField
+from handsight.objects.geometry import Geometry
+from objects.object_shapes import BOX_FACES, box_mesh, triangles
 
 
 @pytest.fixture
@@ -28,7 +29,11 @@ def folder(tmp_path, monkeypatch):
 def counted(monkeypatch):
     """How often an object was built."""
     calls = []
-    monkeypatch.setattr(build, "measured", lambda *parts: calls.append(1) or measured(*parts))
+    for name in ("_of_mesh", "_of_points"):
+        build_it = getattr(making, name)
+        monkeypatch.setattr(
+            making, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
+        )
     return calls
 
 
@@ -103,8 +108,9 @@ def test_pickled_content_is_never_loaded(folder, counted):
 
     trap = io.BytesIO()
     np.save(trap, np.array([Trap()], dtype=object))
+    content = msgspec.msgpack.encode({"area": msgspec.msgpack.Ext(0, trap.getvalue())})
     name = file.stem.removeprefix("field-")
-    file.write_bytes(cache._checksum(name, trap.getvalue()) + trap.getvalue())
+    file.write_bytes(cache._checksum(name, content) + content)
     box()
     assert len(counted) == 2
 
@@ -122,14 +128,15 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
     monkeypatch.setattr(cache, "KEPT", 3)
     folder.mkdir()
     (folder / "mine.npz").write_text("the user's own")
-    geometry = build.of_mesh(*box_mesh((0.06, 0.09, 0.05)))
+    box()
+    geometry = making._of_mesh(triangles(*box_mesh((0.06, 0.09, 0.05))))
     for file in folder.glob("field-*"):
         os.utime(file, (0, 0))
     for k in range(1, 6):
         cache.remembered(f"{k}" * 8, lambda: geometry)
-        os.utime(folder / f"field-{f'{k}' * 8}.npys", (k, k))
+        os.utime(folder / f"field-{f'{k}' * 8}.msgpack", (k, k))
     assert sorted(f.name for f in folder.iterdir()) == [
-        "field-33333333.npys", "field-44444444.npys", "field-55555555.npys", "mine.npz",
+        "field-33333333.msgpack", "field-44444444.msgpack", "field-55555555.msgpack", "mine.npz",
     ]  # fmt: skip
 
 
@@ -175,7 +182,7 @@ def test_two_processes_may_build_the_same_object_at_once(folder):
                 worker.kill()
     assert [worker.returncode for worker in workers] == [0, 0]
     assert found[0] == found[1] == float(box().fine.values.astype(float).sum())
-    assert [f.suffix for f in folder.iterdir()] == [".npys"]
+    assert [f.suffix for f in folder.iterdir()] == [".msgpack"]
 
 
 @pytest.fixture
@@ -188,7 +195,7 @@ def file(tmp_path):
 def test_a_file_is_read_and_measured_once(folder, file, counted, monkeypatch):
     first = ObjectModel.from_file(file)
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.setattr(build, "shape_of", None)
+    monkeypatch.setattr(making, "shape_of", None)
     same(first, ObjectModel.from_file(file))
     assert len(counted) == 1
 

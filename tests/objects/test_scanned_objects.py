@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from handsight.objects import ObjectModel, ObjectWarning, propose_symmetries
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.meshes.winding import Winding
+from handsight.objects.meshes.box_tree import Winding
+from handsight.objects.surface import Triangles
 from objects.object_shapes import data_file
 
 SCANS = ["004_sugar_box", "006_mustard_bottle", "007_tuna_fish_can", "011_banana", "019_pitcher_base"]

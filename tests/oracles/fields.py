@@ -4,8 +4,7 @@ import numpy as np
 from scipy.interpolate import BSpline, RegularGridInterpolator
 
 from handsight.checks import Array
-from handsight.objects.fields.field import BoxField, CylinderField, Field, FieldValues, GridField, SphereField
-from handsight.objects.fields.field_error import FieldError
+from handsight.objects.fields import ExactField, Field, FieldError, FieldValues, GridField
 
 _EYE = np.eye(3)
 _CUBIC = BSpline.basis_element(np.arange(-2, 3))
@@ -19,8 +18,9 @@ _ORDERS = [
 
 def evaluate(field: Field, points: Array) -> FieldValues:
     """Distance and derivatives at the points (n, 3) [m] of the object's frame."""
-    kinds = {GridField: _grid, BoxField: _box, CylinderField: _cylinder, SphereField: _sphere}
-    return kinds[type(field)](field, np.asarray(points, dtype=np.float64))
+    kinds = {"grid": _grid, "box": _box, "cylinder": _cylinder, "sphere": _sphere}
+    kind = "grid" if isinstance(field, GridField) else field.shape
+    return kinds[kind](field, np.asarray(points, dtype=np.float64))
 
 
 def variances(error: FieldError, points: Array) -> Array:
@@ -72,23 +72,28 @@ def _beyond(edge: FieldValues, w: Array) -> FieldValues:
     )
 
 
+def least_radius(field: ExactField) -> float:
+    """The shortest radius of curvature [m] that an exact field has: a 72nd of its object's diameter."""
+    return 2 * float(np.linalg.norm(field.sizes)) / 72
+
+
 def _outer(a: Array) -> Array:
     return a[:, :, None] * a[:, None, :]
 
 
-def _sphere(field: SphereField, points: Array) -> FieldValues:
+def _sphere(field: ExactField, points: Array) -> FieldValues:
     r = np.sqrt((points * points).sum(axis=1))
     center = r == 0
     gradient = points / np.where(center, 1.0, r)[:, None]
     gradient[center] = np.array([0.0, 0.0, 1.0])
-    hessian = (_EYE - _outer(gradient)) / np.maximum(r, field.least)[:, None, None]
-    return FieldValues(r - field.radius, gradient, hessian)
+    hessian = (_EYE - _outer(gradient)) / np.maximum(r, least_radius(field))[:, None, None]
+    return FieldValues(r - field.sizes[0], gradient, hessian)
 
 
-def _box(field: BoxField, points: Array) -> FieldValues:
+def _box(field: ExactField, points: Array) -> FieldValues:
     n = len(points)
     side = np.where(points < 0, -1.0, 1.0)
-    q = np.abs(points) - field.half
+    q = np.abs(points) - field.sizes
     beyond = np.maximum(q, 0.0)
     outside = np.sqrt((beyond * beyond).sum(axis=1))
     face = q.argmax(axis=1)
@@ -104,14 +109,14 @@ def _box(field: BoxField, points: Array) -> FieldValues:
     hessian = -_outer(gradient)
     for k in range(3):
         hessian[:, k, k] += q[:, k] > 0
-    hessian *= (away / np.maximum(outside, field.least))[:, None, None]
+    hessian *= (away / np.maximum(outside, least_radius(field)))[:, None, None]
     return FieldValues(np.where(away, outside, q[rows, face]), gradient, hessian)
 
 
-def _cylinder(field: CylinderField, points: Array) -> FieldValues:
+def _cylinder(field: ExactField, points: Array) -> FieldValues:
     x, y, z = points.T
     r = np.hypot(x, y)
-    qr, qz = r - field.radius, np.abs(z) - field.half_height
+    qr, qz = r - field.sizes[0], np.abs(z) - field.sizes[1]
     er, ez = np.maximum(qr, 0.0), np.maximum(qz, 0.0)
     outside = np.hypot(er, ez)
     away = outside > 0
@@ -126,7 +131,7 @@ def _cylinder(field: CylinderField, points: Array) -> FieldValues:
     gradient = np.stack([gr * cosine, gr * sine, gz], axis=1)
     across = np.stack([-sine, cosine, np.zeros_like(sine)], axis=1)
     rim = np.stack([-gz * cosine, -gz * sine, gr], axis=1)
-    around = gr / np.maximum(r, field.least)
-    over = ((qr > 0) & (qz > 0)) / np.maximum(outside, field.least)
+    around = gr / np.maximum(r, least_radius(field))
+    over = ((qr > 0) & (qz > 0)) / np.maximum(outside, least_radius(field))
     hessian = around[:, None, None] * _outer(across) + over[:, None, None] * _outer(rim)
     return FieldValues(np.where(away, outside, np.maximum(qr, qz)), gradient, hessian)

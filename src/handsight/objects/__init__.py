@@ -1,6 +1,6 @@
 """Objects: what a hand can hold, as samples of the surface, distance fields and symmetries."""
 
-from handsight.objects.fields.field import Field, FieldValues
+from handsight.objects.fields import Field, FieldValues
 from handsight.objects.model import ObjectModel
 from handsight.objects.surface import ObjectWarning
 from handsight.objects.symmetry import Symmetries

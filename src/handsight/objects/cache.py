@@ -15,24 +15,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight.cache_folder import cache_folder
-from handsight.objects.fields.field import GridField
-from handsight.objects.fields.field_error import FieldError
+from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.surface import ObjectWarning, Surface
+from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
-VERSION = 4
+VERSION = 5
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
-_GRIDS = ("coarse", "fine", "field_error")
-_ARRAYS = ("points_object", "normals_object", "bounds_object", "vertices", "faces")
-_NUMBERS = ("area", "diameter", "sigma_point", "sigma_normal", "closed")
-_KEPT = (*_GRIDS, *_ARRAYS, "grids", "numbers", "remarks", "areas", "normals")
 _warned: set[str] = set()
 
 
@@ -51,44 +46,29 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     What is damaged, or is not what the name says, is computed again. Safe under several processes: a file
     appears complete or not at all. Where the folder cannot be written, one ObjectWarning, and no error.
     """
-    path = cache_folder() / f"field-{name}.npys"
+    path = cache_folder() / f"field-{name}.msgpack"
     with contextlib.suppress(OSError, ValueError, EOFError):
         return _loaded(path, name)
     geometry = compute()
     try:
-        _store(path, _sealed(name, _arrays(geometry)))
+        content = msgspec.msgpack.encode(geometry, enc_hook=_packed)
+        _store(path, _checksum(name, content) + content)
     except OSError as error:
         if str(path.parent) not in _warned:
             _warned.add(str(path.parent))
-            detail = error.strerror or error
-            message = (
-                f"{path.parent}: distance fields cannot be cached there ({detail}); each run builds them"
-            )
-            warnings.warn(message, ObjectWarning, stacklevel=2)
+            why = f"distance fields cannot be cached there ({error.strerror or error}); each run builds them"
+            warnings.warn(f"{path.parent}: {why}", ObjectWarning, stacklevel=2)
     return geometry
 
 
-def _arrays(geometry: Geometry) -> dict[str, NDArray[Any]]:
-    grids: list[Any] = [getattr(geometry, k) for k in _GRIDS]
-    surface: Any = geometry.surface
-    cloud = not isinstance(surface, Triangles)
-    return {
-        **{k: grid.values for k, grid in zip(_GRIDS, grids, strict=True)},
-        **{k: getattr(geometry, k) for k in _ARRAYS},
-        "grids": np.stack([np.append(grid.origin, grid.cell) for grid in grids]),
-        "numbers": np.array([float(getattr(geometry, k)) for k in _NUMBERS]),
-        "remarks": np.array(geometry.remarks, dtype=np.str_),
-        "areas": surface.areas if cloud else np.empty(0),
-        "normals": surface.normals if cloud else np.empty((0, 3)),
-    }
-
-
-def _sealed(name: str, arrays: dict[str, NDArray[Any]]) -> bytes:
-    """The arrays one after another, behind a checksum of these and the name."""
+def _packed(array: NDArray[Any]) -> msgspec.msgpack.Ext:
     stream = io.BytesIO()
-    for k in _KEPT:
-        np.save(stream, arrays[k], allow_pickle=False)
-    return _checksum(name, stream.getvalue()) + stream.getvalue()
+    np.save(stream, array, allow_pickle=False)
+    return msgspec.msgpack.Ext(0, stream.getvalue())
+
+
+def _unpacked(_: int, data: memoryview) -> NDArray[Any]:
+    return frozen(np.load(io.BytesIO(data), allow_pickle=False))
 
 
 def _checksum(name: str, content: bytes | memoryview) -> bytes:
@@ -100,28 +80,16 @@ def _loaded(path: Path, name: str) -> Geometry:
     data = memoryview(path.read_bytes())
     if data[:4] != _checksum(name, data[4:]):
         raise ValueError("damaged, or another object")
-    stream = io.BytesIO(data[4:])
-    arrays = {k: np.load(stream, allow_pickle=False) for k in _KEPT}
-    grids = [(at[:3], float(at[3]), arrays[k]) for k, at in zip(_GRIDS, arrays["grids"], strict=True)]
-    area, diameter, sigma_point, sigma_normal, closed = arrays["numbers"].tolist()
-    surface: Surface = Triangles(arrays["vertices"], arrays["faces"])
-    if len(arrays["areas"]):
-        from handsight.objects.cloud import Cloud  # it brings scipy
-
-        surface = Cloud(arrays["vertices"], arrays["normals"], arrays["areas"])
-    return Geometry(
-        coarse=GridField(*grids[0]),
-        fine=GridField(*grids[1]),
-        field_error=FieldError(*grids[2]),
-        **{k: frozen(arrays[k]) for k in _ARRAYS},
-        area=area,
-        diameter=diameter,
-        sigma_point=sigma_point,
-        sigma_normal=sigma_normal,
-        closed=bool(closed),
-        remarks=tuple(str(remark) for remark in arrays["remarks"]),
-        surface=surface,
-    )
+    parts = msgspec.msgpack.decode(data[4:], ext_hook=_unpacked)
+    kinds: dict[str, Callable[..., Any]] = {
+        "coarse": GridField,
+        "fine": GridField,
+        "field_error": FieldError,
+        "surface": Cloud if "areas" in parts["surface"] else Triangles,
+    }
+    for key, kind in kinds.items():
+        parts[key] = kind(**parts[key])
+    return Geometry(**{**parts, "remarks": tuple(parts["remarks"])})
 
 
 def _store(path: Path, data: bytes) -> None:
@@ -134,15 +102,6 @@ def _store(path: Path, data: bytes) -> None:
     finally:  # still there only where that failed
         with contextlib.suppress(OSError):
             os.unlink(temporary)
-    _forget_oldest(path.parent)
-
-
-def _forget_oldest(kept: Path) -> None:
-    """Another process may remove the same files at the same time."""
-    ages = []
-    for file in kept.glob("field-*"):
-        with contextlib.suppress(OSError):
-            ages.append((file.stat().st_mtime, file))
-    for _, file in sorted(ages)[:-KEPT]:
-        with contextlib.suppress(OSError):
-            file.unlink()
+    with contextlib.suppress(OSError):  # another process may remove the same files at the same time
+        for old in sorted(path.parent.glob("field-*"), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
+            old.unlink()

@@ -1,22 +1,22 @@
-"""The surface and the distance fields of a point cloud.
+"""What is measured on a point cloud: its normals and its distance fields.
 
 Near the points the distance is the smooth average of the planes through them (implicit moving least squares,
 Kolluri 2008); far away it is that to the nearest point, negative where the cloud winds around. Outliers are
 not removed: each point given is taken for surface.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from handsight.checks import Array, Indices, Mask
+from handsight.checks import Array, Mask
 from handsight.errors import InvalidObject
-from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
-from handsight.objects.meshes.winding import Winding
-from handsight.objects.surface import check_extent, diameter, distinct, drawn_by_area
+from handsight.objects.fields import Grid, grids, sharpened
+from handsight.objects.geometry import Geometry, measured
+from handsight.objects.meshes.box_tree import Winding
+from handsight.objects.meshes.repair import agreeing, components
+from handsight.objects.surface import LARGEST_HOLE, Cloud, check_extent, diameter, distinct
 
 LEAST_POINTS = 20
 NEIGHBOURS = 12
@@ -26,84 +26,48 @@ PLANES = 10
 AREA_NEIGHBOURS = 8
 NEAR, FAR = 2.0, 4.0
 """Spacings from a point between which the average of planes gives way to the distance to it."""
-BAND = 4
-LARGEST_HOLE = 0.25
-"""As for meshes: a cloud with a gap wider than this part of the diameter has no inside."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
-    """Oriented surface points."""
-
-    vertices: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward."""
-    areas: Array
-    """(n,) the surface each stands for [m²]."""
-
-    @property
-    def faces(self) -> Indices:
-        """(0, 3): a cloud has none."""
-        return np.empty((0, 3), dtype=np.int64)
-
-    @property
-    def area(self) -> float:
-        """Of all [m²]."""
-        return float(self.areas.sum())
-
-    @property
-    def spacing(self) -> float:
-        """About how far neighbours are apart [m]."""
-        return float(np.sqrt(np.median(self.areas)))
-
-    def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """n of the points (n, 3) [m] and their normals (n, 3), more often where they are sparse."""
-        index = drawn_by_area(self.areas, n, rng)
-        return self.vertices[index], self.normals[index]
-
-
-def cloud_from(points: Array, normals: Array | None) -> tuple[Cloud, tuple[str, ...]]:
-    """The cloud of finite points (n, 3) [m] with unit normals or none, and remarks; raises InvalidObject.
+def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
+    """What is to be known of finite points (n, 3) [m] with unit outward normals or none; raises InvalidObject.
 
     Equal points are merged. Normals that were not given are estimated and made to point outwards.
     """
-    remarks: list[str] = []
-    if len(points) < LEAST_POINTS:
-        raise InvalidObject(f"points: expected at least {LEAST_POINTS} points, got {len(points)}")
-    extent = check_extent(points, "points")
-    first, _ = distinct(points, extent)
-    if len(first) < len(points):
-        remarks.append(f"{len(points) - len(first)} repeated points were dropped")
-        points, normals = points[first], None if normals is None else normals[first]
-    if len(points) < LEAST_POINTS:
-        raise InvalidObject(f"points: expected at least {LEAST_POINTS} different points, got {len(points)}")
-    if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * extent) < 2:
-        raise InvalidObject("points: expected a surface, got points on one line")
+    points, normals, remarks = _distinct(points, normals)
     tree = cKDTree(points)
     if normals is None:
         normals = _estimated_normals(points, tree)
     reach = tree.query(points, k=AREA_NEIGHBOURS + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
-    return Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5)), tuple(remarks)
-
-
-def cloud_fields(cloud: Cloud) -> Fields:
-    """The smooth and the sharp field of a cloud, and whether it has an inside."""
-    size = diameter(cloud.vertices)
-    coarse, fine, remarks = grids(cloud.vertices, size)
-    tree = cKDTree(cloud.vertices)
-    winding = Winding(cloud.vertices, cloud.areas[:, None] * cloud.normals)
+    cloud = Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5))
+    size = diameter(points)
+    coarse, fine, coarser = grids(points, size)
+    winding = Winding(points, cloud.areas[:, None] * normals)
     nodes = coarse.nodes()
-    gap = tree.query(nodes)[0]
-    inside = winding.inside(nodes)
-    closed = _largest_gap(coarse, gap, inside) < LARGEST_HOLE * size and _winds(cloud, winding)
-    values = _distances(cloud, tree, nodes, winding if closed else None)
-    sharp = interpolated(coarse, values, fine)
-    band = BAND * fine.cell
-    index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
-    sharp[index] = _distances(cloud, tree, fine.nodes_at(index), winding if closed else None)
-    return Fields(coarse.field(values), fine.field(sharp), size, closed, remarks)
+    hole = _largest_hole(coarse, tree.query(nodes)[0], winding.inside(nodes))
+    closed = hole < LARGEST_HOLE * size and _winds(cloud, winding)
+    side = winding if closed else None
+    values = _distances(cloud, tree, nodes, side)
+    sharp = sharpened(
+        coarse, values, fine, lambda index, _: (index, _distances(cloud, tree, fine.nodes_at(index), side))
+    )
+    fields, remarks = (coarse.field(values), fine.field(sharp)), (*remarks, *coarser)
+    return measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
+
+
+def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
+    """The points and normals without repeats, and a remark where there were; raises InvalidObject."""
+    if len(points) < LEAST_POINTS:
+        raise InvalidObject(f"points: expected at least {LEAST_POINTS} points, got {len(points)}")
+    extent = check_extent(points, "points")
+    first, _ = distinct(points, extent)
+    if len(first) < LEAST_POINTS:
+        raise InvalidObject(f"points: expected at least {LEAST_POINTS} different points, got {len(first)}")
+    repeated = len(points) - len(first)
+    points, normals = points[first], None if normals is None else normals[first]
+    if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * extent) < 2:
+        raise InvalidObject("points: expected a surface, got points on one line")
+    return points, normals, (f"{repeated} repeated points were dropped",) if repeated else ()
 
 
 def _winds(cloud: Cloud, winding: Winding) -> bool:
@@ -115,7 +79,7 @@ def _winds(cloud: Cloud, winding: Winding) -> bool:
     return bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
 
 
-def _largest_gap(grid: Grid, gap: Array, inside: Mask) -> float:
+def _largest_hole(grid: Grid, gap: Array, inside: Mask) -> float:
     """The width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
     largest = 0.0
     cube, sign = gap.reshape(grid.shape), inside.reshape(grid.shape)
@@ -155,8 +119,8 @@ def _estimated_normals(points: Array, tree: cKDTree) -> Array:
     """Unit outward normals (n, 3) of surface points (n, 3) [m].
 
     Of the plane through each point's neighbours; made to agree along the tree of neighbours whose planes
-    differ least (Hoppe et al. 1992); then turned, each connected part, so that they point away from it on
-    the whole.
+    differ least (Hoppe et al. 1992); then turned, each connected part, so that they point away from its
+    middle on the whole.
     """
     neighbours = tree.query(points, k=min(NEIGHBOURS, len(points)))[1]
     patch = points[neighbours]
@@ -166,29 +130,12 @@ def _estimated_normals(points: Array, tree: cKDTree) -> Array:
     column = neighbours[:, 1:].reshape(-1)
     cost = 1.0 - np.abs((normals[row] * normals[column]).sum(axis=1)) + 1e-6
     graph = coo_array((cost, (row, column)), shape=(len(points), len(points)))
-    count, part = connected_components(graph, directed=False)
-    agreed = _agreed(normals, minimum_spanning_tree(graph.tocsr()), part, count)
-    for k in range(count):
+    i, j = minimum_spanning_tree(graph.tocsr()).nonzero()
+    turned, _ = agreeing(i, j, (normals[i] * normals[j]).sum(axis=1) >= 0, len(points))
+    normals[turned] *= -1
+    part = components(row, column, len(points))
+    for k in range(part.max() + 1):
         own = part == k
-        if _outward(points[own], agreed[own]) < 0:
-            agreed[own] *= -1
-    return agreed
-
-
-def _agreed(normals: Array, forest: object, part: Indices, count: int) -> Array:
-    """The normals, each turned to agree with the one before it along the forest."""
-    normals = normals.copy()
-    for k in range(count):
-        start = int(np.argmax(part == k))
-        order, before = breadth_first_order(forest, start, directed=False)
-        sign = np.ones(len(normals))
-        same = (normals[order[1:]] * normals[before[order[1:]]]).sum(axis=1) >= 0
-        for i, j, agrees in zip(order[1:].tolist(), before[order[1:]].tolist(), same.tolist(), strict=True):
-            sign[i] = sign[j] if agrees else -sign[j]
-        normals[order] *= sign[order, None]
+        if ((points[own] - points[own].mean(axis=0)) * normals[own]).sum() < 0:
+            normals[own] *= -1
     return normals
-
-
-def _outward(points: Array, normals: Array) -> float:
-    """Above 0 where the normals point away from the points' middle more than towards it."""
-    return float(((points - points.mean(axis=0)) * normals).sum())

@@ -7,13 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array, Indices
-from handsight.objects.fields.field import Field, GridField
-from handsight.objects.fields.field_error import FieldError, field_error, typical_error
-from handsight.objects.fields.grids import Fields
-from handsight.objects.surface import Surface, spread, unit_remarks
+from handsight.objects.fields import Field, FieldError, GridField, centered_grid
+from handsight.objects.surface import Surface
 
 SAMPLES = 256
 """Surface points that phase 1 of the correction matches contacts with."""
+LLOYD_STEPS = 12
+CROWD = 20
+"""Points drawn for each that is kept."""
+SMALL, LARGE = 0.005, 2.0
+"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
+TYPICAL_SAMPLES = 2000
+ERROR_SAMPLES, NEIGHBOURS = 8000, 12
+"""Surface points compared with the field, and how many of them speak for a place."""
+# The median of |x| over a standard deviation, and of the length of a vector of two such.
+_MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -42,14 +50,20 @@ class Geometry:
     """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
     field_error: FieldError | None
     """The same place by place; None where the fine field is exact."""
-    vertices: Array
-    """(k, 3) for drawing [m]; a cloud's points."""
-    faces: Indices
-    """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
     remarks: tuple[str, ...]
     """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
     surface: Surface
     """What `sample` draws from."""
+
+    @property
+    def vertices(self) -> Array:
+        """(k, 3) for drawing [m]; a cloud's points."""
+        return self.surface.vertices
+
+    @property
+    def faces(self) -> Indices:
+        """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
+        return self.surface.faces
 
     @property
     def radius(self) -> float:
@@ -67,36 +81,88 @@ class Geometry:
         return float(np.sqrt(self.area / SAMPLES))
 
 
-def measured(surface: Surface, fields: Fields) -> Geometry:
-    """What is to be known of a surface whose distance fields are these."""
-    vertices = surface.vertices
+def measured(
+    surface: Surface,
+    coarse: GridField,
+    fine: Field,
+    *,
+    diameter: float,
+    closed: bool = True,
+    remarks: tuple[str, ...] = (),
+) -> Geometry:
+    """What is to be known of a surface whose distance fields these are."""
+    vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    points, normals = spread(surface, SAMPLES)
-    sigma_point, sigma_normal = typical_error(surface, fields.fine)
-    error = None
-    if isinstance(fields.fine, GridField):
-        error = field_error(surface, fields.fine, bounds, fields.coarse.cell)
+    points, normals = _spread(surface, SAMPLES)
+    _, distance, angle = _errors(surface, fine, TYPICAL_SAMPLES, seed=1)
     return Geometry(
-        coarse=fields.coarse,
-        fine=fields.fine,
+        coarse=coarse,
+        fine=fine,
         points_object=frozen(points),
         normals_object=frozen(normals),
         area=surface.area,
-        diameter=fields.diameter,
+        diameter=diameter,
         bounds_object=frozen(bounds),
-        closed=fields.closed,
-        sigma_point=sigma_point,
-        sigma_normal=sigma_normal,
-        field_error=error,
-        vertices=frozen(vertices),
-        faces=frozen(surface.faces),
-        remarks=(*fields.remarks, *unit_remarks(bounds)),
+        closed=closed,
+        # Medians: edges, which the field rounds off, do not speak for the faces.
+        sigma_point=float(np.median(distance) / _MEDIAN_1),
+        sigma_normal=float(np.median(angle) / _MEDIAN_2),
+        field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
+        remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
     )
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy that cannot be written to."""
-    array = np.array(array)
+    """The array, which can no longer be written to."""
     array.flags.writeable = False
     return array
+
+
+def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
+    """n points (n, 3) [m] with normals (n, 3), evenly apart and each for about the same area.
+
+    The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the middle
+    of those it stands for. Normals count too, so that the two sides of a thin wall are kept apart.
+    """
+    from handsight._kernels.spreading import snapped, spread_out  # numba's import is long
+
+    points, normals = surface.draw(CROWD * n, np.random.default_rng(0))
+    features = np.hstack([points, np.sqrt(surface.area / n) * normals])
+    # Back to draws, each once: a middle lies off a curved surface.
+    index = snapped(features, spread_out(features, n, LLOYD_STEPS))
+    return points[index], normals[index]
+
+
+def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
+    """The error of a fine field, from samples of the surface within about half a cell [m] of each node."""
+    import numba  # an object from the cache needs neither numba nor scipy
+    from scipy.spatial import cKDTree
+
+    points, distance, angle = _errors(surface, fine, ERROR_SAMPLES, seed=2)
+    # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
+    lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
+    grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
+    threads = numba.config.NUMBA_NUM_THREADS
+    near = cKDTree(points).query(grid.nodes(), k=NEIGHBOURS, workers=threads)[1]
+    return FieldError(grid.origin, cell, (lengths[near].mean(axis=1) ** 2).reshape(*grid.shape, 2))
+
+
+def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array, Array, Array]:
+    """Surface points (count, 3) [m], how far the field is off there (count,) [m] and its normals (count,) [rad]."""
+    points, normals = surface.draw(count, np.random.default_rng(seed))
+    distance, gradient, _ = fine.evaluate(points)
+    sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
+    return points, np.abs(distance), np.arctan2(sine, (gradient * normals).sum(axis=1))
+
+
+def _unit_remarks(bounds: Array) -> tuple[str, ...]:
+    """A sentence if the size suggests another unit than metres."""
+    extent = float((bounds[1] - bounds[0]).max())
+    if SMALL <= extent <= LARGE:
+        return ()
+    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}
+    for unit, scale in units.items():
+        if SMALL < extent * scale < LARGE / 4:
+            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
+    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

@@ -4,6 +4,7 @@ import dataclasses
 import os
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -12,18 +13,19 @@ from numpy.typing import ArrayLike
 
 from handsight import checks
 from handsight.checks import Array
-from handsight.errors import InvalidInput
-from handsight.objects import build, primitives
-from handsight.objects.fields.field import FieldValues
+from handsight.errors import InvalidInput, InvalidObject
+from handsight.objects import cache, primitives
+from handsight.objects.fields import FieldValues
+from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
-from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning
+from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
     from handsight.objects.record import ModelRecord
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
     """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`."""
 
@@ -31,7 +33,12 @@ class ObjectModel(Geometry):
     """What it is called in plots; a file's stem. May be empty."""
     symmetries: Symmetries
     """The rotations that leave the surface the same, as far as declared."""
-    _record: "ModelRecord | None" = dataclasses.field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for symmetries that are none."""
+        if not isinstance(self.symmetries, Symmetries):
+            came = type(self.symmetries).__name__
+            raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
 
     def __repr__(self) -> str:
         """Name, size and kind in a line."""
@@ -47,23 +54,22 @@ class ObjectModel(Geometry):
         if not (sides > 0).all():
             raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
         _check_range(sides, "size")
-        return cls._from(primitives.box(sides / 2), "box", symmetries or primitives.box_symmetries(sides))
+        geometry, own = primitives.box(sides)
+        return cls._from(geometry, "box", symmetries or own)
 
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """A cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        radius, height = checks.positive(radius, "radius"), checks.positive(height, "height")
-        _check_range(radius, "radius")
-        _check_range(height, "height")
-        shape = primitives.cylinder(radius, height / 2)
-        return cls._from(shape, "cylinder", symmetries or primitives.cylinder_symmetries())
+        radius, height = _length(radius, "radius"), _length(height, "height")
+        geometry, own = primitives.cylinder(radius, height)
+        return cls._from(geometry, "cylinder", symmetries or own)
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        radius = checks.positive(radius, "radius")
-        _check_range(radius, "radius")
-        return cls._from(primitives.sphere(radius), "sphere", symmetries or primitives.sphere_symmetries())
+        radius = _length(radius, "radius")
+        geometry, own = primitives.sphere(radius)
+        return cls._from(geometry, "sphere", symmetries or own)
 
     @classmethod
     def from_mesh(
@@ -74,7 +80,9 @@ class ObjectModel(Geometry):
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
         surface is valid. Raises InvalidObject where there is no surface.
         """
-        return cls._from(build.of_mesh(vertices, faces), "", symmetries or Symmetries())
+        mesh = _checked_mesh(vertices, faces)
+        name = cache.key("mesh", mesh.vertices, mesh.faces)
+        return cls._from(cache.remembered(name, lambda: _of_mesh(mesh)), "", symmetries or Symmetries())
 
     @classmethod
     def from_points(
@@ -85,7 +93,10 @@ class ObjectModel(Geometry):
         `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
-        return cls._from(build.of_points(points, normals), "", symmetries or Symmetries())
+        places, directions = _checked_points(points, normals)
+        name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
+        geometry = cache.remembered(name, lambda: _of_points(places, directions))
+        return cls._from(geometry, "", symmetries or Symmetries())
 
     @classmethod
     def from_file(
@@ -97,15 +108,19 @@ class ObjectModel(Geometry):
         where it holds no surface, both starting with the file's name.
         """
         scale = checks.positive(scale, "scale")
-        return cls._from(build.of_file(path, scale), Path(path).stem, symmetries or Symmetries())
+        file, data = Path(path), content(path)
+        # By name as well: remarks begin with it, and its end says what the bytes mean.
+        name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
+        geometry = cache.remembered(name, lambda: _of_file(file, data, scale))
+        return cls._from(geometry, file.stem, symmetries or Symmetries())
 
     @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
-        _check_symmetries(symmetries)
+        measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
+        model = cls(**measured, name=name, symmetries=symmetries)
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
-        measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
-        return cls(**measured, name=name, symmetries=symmetries)
+        return model
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
         """n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
@@ -118,21 +133,22 @@ class ObjectModel(Geometry):
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
-    @property
+    @cached_property
     def record(self) -> "ModelRecord":
-        """The same as kernels take it; made once."""
-        record = self._record
-        if record is None:
-            from handsight.objects.record import model_record  # numba's import is long
+        """The same as kernels take it."""
+        from handsight.objects.record import model_record  # numba's import is long
 
-            record = model_record(self)
-            object.__setattr__(self, "_record", record)
-        return record
+        return model_record(self)
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""
-        _check_symmetries(symmetries)
         return dataclasses.replace(self, symmetries=symmetries)
+
+
+def _length(value: float, name: str) -> float:
+    length = checks.positive(value, name)
+    _check_range(length, name)
+    return length
 
 
 def _check_range(value: ArrayLike, name: str) -> None:
@@ -142,6 +158,56 @@ def _check_range(value: ArrayLike, name: str) -> None:
         raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
 
 
-def _check_symmetries(symmetries: object) -> None:
-    if not isinstance(symmetries, Symmetries):
-        raise InvalidInput(f"symmetries: expected Symmetries or None, got {type(symmetries).__name__}")
+# What brings scipy is imported where it is needed: an object from the cache does without.
+
+
+def _of_mesh(mesh: Triangles) -> Geometry:
+    from handsight.objects.meshes.mesh_geometry import mesh_geometry
+
+    return mesh_geometry(mesh)
+
+
+def _of_points(points: Array, normals: Array | None) -> Geometry:
+    from handsight.objects.cloud import cloud_geometry
+
+    return cloud_geometry(points, normals)
+
+
+def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
+    shape = shape_of(file, data)
+    points = scale * shape.vertices
+    try:
+        if shape.faces is None:
+            geometry = _of_points(*_checked_points(points, shape.normals))
+        else:
+            geometry = _of_mesh(_checked_mesh(points, shape.faces))
+    except InvalidObject as error:
+        raise InvalidObject(f"{file.name}: {error}") from None
+    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
+    return dataclasses.replace(geometry, remarks=remarks)
+
+
+def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array, Array | None]:
+    places = checks.finite(points, "points", (None, 3))
+    return places, None if normals is None else checks.unit(normals, "normals", (len(places), 3))
+
+
+def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
+    """The mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject where these are none."""
+    try:
+        points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    except (TypeError, ValueError):
+        raise InvalidObject("mesh: expected numbers for vertices (k, 3) and faces (m, 3)") from None
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise InvalidObject(f"vertices: expected shape (k, 3) with k ≥ 3, got {points.shape}")
+    if triangles.size == 0:
+        raise InvalidObject("faces: expected at least one triangle, got none")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise InvalidObject(
+            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
+        )
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise InvalidObject(
+            f"faces: expected indices 0 to {len(points) - 1}, got {triangles.min()} to {triangles.max()}"
+        )
+    return Triangles(points, triangles.astype(np.int64))

@@ -7,11 +7,9 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.objects.fields.field import BoxField, CylinderField, Field, SphereField
-from handsight.objects.fields.grids import Fields, sampled
+from handsight.objects.fields import ExactField, coarse_grid
 from handsight.objects.geometry import Geometry, measured
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.surface import Surface, diameter
+from handsight.objects.surface import Triangles, diameter
 from handsight.objects.symmetry import Symmetries
 
 SEGMENTS = 96
@@ -22,7 +20,7 @@ _SIDES_EQUAL = 1e-9
 class Rounded(Triangles):
     """The curved surface that a mesh of facets stands for, where its distance field is exact."""
 
-    field: Field
+    field: ExactField
     exact_area: float
     """[m²]."""
 
@@ -38,41 +36,25 @@ class Rounded(Triangles):
         return points - values.distance[:, None] * values.gradient, values.gradient
 
 
-def box(half: Array) -> Geometry:
-    """A box with half sides `half` (3,) [m]."""
-    return _geometry(box_triangles(half), BoxField(half))
-
-
-def cylinder(radius: float, half_height: float) -> Geometry:
-    """A cylinder about z; `radius` and half the height [m]."""
-    facets, exact = cylinder_triangles(radius, half_height), CylinderField(radius, half_height)
-    area = 2 * np.pi * radius * (radius + 2 * half_height)
-    return _geometry(Rounded(facets.vertices, facets.faces, exact, area), exact)
-
-
-def sphere(radius: float) -> Geometry:
-    """A ball of that radius [m]."""
-    facets, exact = sphere_triangles(radius), SphereField(radius)
-    return _geometry(Rounded(facets.vertices, facets.faces, exact, 4 * np.pi * radius**2), exact)
-
-
-def _geometry(surface: Surface, exact: Field) -> Geometry:
-    bounds, size = (
-        np.stack([surface.vertices.min(axis=0), surface.vertices.max(axis=0)]),
-        diameter(surface.vertices),
-    )
-    return measured(surface, Fields(sampled(exact, bounds, size), exact, size))
-
-
-def box_triangles(half: Array) -> Triangles:
-    """Twelve triangles of a box with half sides `half` (3,) [m]."""
+def box(sides: Array) -> tuple[Geometry, Symmetries]:
+    """A box with `sides` (3,) [m]; half turns about its axes, and quarter turns between equal sides."""
+    half = sides / 2
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return Triangles(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    turns = [np.pi * axis for axis in np.eye(3)]
+    for k in range(3):
+        one, other = sides[k - 2], sides[k - 1]
+        if abs(one - other) <= _SIDES_EQUAL * max(one, other):
+            turns.append(np.pi / 2 * np.eye(3)[k])
+    R = se3.rotation_exp(np.array(turns)).round()
+    symmetries = Symmetries(rotations=se3.compose(R, np.zeros((len(turns), 3))))
+    return _geometry(Triangles(corners, faces), ExactField("box", half)), symmetries
 
 
-def cylinder_triangles(radius: float, half_height: float) -> Triangles:
-    """Triangles of a cylinder about z, vertices on its rims [m]."""
+def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
+    """A cylinder about z, `radius` and `height` [m]; any turn about z, and the half turn that swaps the caps."""
+    half_height = height / 2
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     levels = [np.column_stack([ring, np.full(SEGMENTS, z)]) for z in (-half_height, half_height)]
@@ -82,11 +64,14 @@ def cylinder_triangles(radius: float, half_height: float) -> Triangles:
     high, high_after = low + SEGMENTS, after + SEGMENTS
     bottom, top = np.full(SEGMENTS, 2 * SEGMENTS), np.full(SEGMENTS, 2 * SEGMENTS + 1)
     parts = [(low, after, high_after), (low, high_after, high), (bottom, after, low), (top, high, high_after)]
-    return Triangles(vertices, np.vstack([np.stack(p, axis=1) for p in parts]))
+    faces, exact = np.hstack(parts).T, ExactField("cylinder", np.array([radius, half_height, 0.0]))
+    area = 2 * np.pi * radius * (radius + height)
+    symmetries = Symmetries([((0, 0, 0), (0, 0, 1))], [np.diag([1.0, -1.0, -1.0, 1.0])])
+    return _geometry(Rounded(vertices, faces, exact, area), exact), symmetries
 
 
-def sphere_triangles(radius: float) -> Triangles:
-    """Triangles of a sphere, vertices on it [m]: an octahedron divided five times."""
+def sphere(radius: float) -> tuple[Geometry, Symmetries]:
+    """A ball of that radius [m], drawn as an octahedron divided four times; any turn about its centre."""
     vertices = np.vstack([np.eye(3), -np.eye(3)])
     faces = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)])
     for _ in range(4):
@@ -96,29 +81,13 @@ def sphere_triangles(radius: float) -> Triangles:
         a, b, c = faces.T
         middles = vertices[pairs].sum(axis=1)
         vertices = np.vstack([vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
-        parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-        faces = np.vstack([np.stack(p, axis=1) for p in parts])
-    return Triangles(radius * vertices, faces)
+        faces = np.hstack([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]).T
+    exact = ExactField("sphere", np.array([radius, 0.0, 0.0]))
+    surface = Rounded(radius * vertices, faces, exact, 4 * np.pi * radius**2)
+    return _geometry(surface, exact), Symmetries([((0, 0, 0), axis) for axis in np.eye(3)])
 
 
-def box_symmetries(size: Array) -> Symmetries:
-    """Half turns about the axes; quarter turns too where two sides are equal: 4, 8 or 24 rotations."""
-    turns = [np.pi * axis for axis in np.eye(3)]
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        if abs(size[i] - size[j]) <= _SIDES_EQUAL * max(size[i], size[j]):
-            turns.append(np.pi / 2 * np.eye(3)[k])
-    return Symmetries(
-        rotations=se3.compose(se3.rotation_exp(np.array(turns)).round(), np.zeros((len(turns), 3)))
-    )
-
-
-def cylinder_symmetries() -> Symmetries:
-    """Any turn about z, and the half turn that swaps the caps."""
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    return Symmetries([((0, 0, 0), (0, 0, 1))], flip[None])
-
-
-def sphere_symmetries() -> Symmetries:
-    """Any turn about the centre."""
-    return Symmetries([((0, 0, 0), axis) for axis in np.eye(3)])
+def _geometry(surface: Triangles, exact: ExactField) -> Geometry:
+    vertices, size = surface.vertices, diameter(surface.vertices)
+    grid, _ = coarse_grid(vertices, size, float(np.ptp(vertices, axis=0).min()))
+    return measured(surface, grid.field(exact.evaluate(grid.nodes()).distance), exact, diameter=size)

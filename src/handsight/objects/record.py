@@ -10,14 +10,7 @@ from handsight._kernels import field as kernel
 from handsight._kernels import records
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array
-from handsight.objects.fields.field import (
-    BoxField,
-    CylinderField,
-    Field,
-    FieldValues,
-    GridField,
-    SphereField,
-)
+from handsight.objects.fields import ExactField, Field, FieldValues, GridField
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
@@ -26,6 +19,7 @@ if TYPE_CHECKING:
 Record = NDArray[np.void]
 Nodes = NDArray[np.float32]
 
+EXACT = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
 EDGE = 0.75
 """Radius of curvature [coarse cells] below which the surface counts as an edge."""
 LEAST_ERROR = (1e-4, 2e-3)
@@ -39,6 +33,8 @@ NORMAL_WEIGHT = 1.3
 BAND, TANGENTIAL, PATCH = 1.6, 0.32, 0.02
 """Of the samples' spacing: the tangential distance that costs nothing, the standard deviation of what is beyond it, and
 how far a patch is off its sample's plane."""
+RESOLUTION = 72
+"""At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
 MANY = 16_384
 """Points that are worth another thread."""
 
@@ -58,24 +54,21 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     """The record of an object."""
     record = np.zeros(1, dtype=records.MODEL)
     row, spacing = record[0], model.sample_spacing
-    coarse, fine, error = _nodes(model.coarse), _nodes(model.fine), np.empty(0, dtype=np.float32)
+    nodes = [_nodes(model.coarse), _nodes(model.fine)]
     _fill_field(row["coarse"], model.coarse, 0)
     row["coarse"]["variance_distance"] = (COARSE_ERROR[0] * model.coarse.cell) ** 2
     row["coarse"]["variance_normal"] = COARSE_ERROR[1] ** 2
-    _fill_field(row["fine"], model.fine, len(coarse))
+    _fill_field(row["fine"], model.fine, len(nodes[0]))
     row["radius"], row["center"] = model.radius, model.center_object
     row["bounds"] = model.bounds_object + MARGIN * model.diameter * np.array([[-1.0], [1.0]])
     row["edge_curvature2"] = 1 / (EDGE * model.coarse.cell) ** 2
-    row["error"]["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
-    row["error"]["least_normal"] = LEAST_ERROR[1] ** 2
-    if model.field_error is not None:
-        error = model.field_error.values.astype(np.float32).reshape(-1)
-        row["error"]["inverse_cell"], row["error"]["origin"] = (
-            1 / model.field_error.cell,
-            model.field_error.origin,
-        )
-        row["error"]["shape"] = model.field_error.values.shape[:3]
-        row["error"]["nodes"] = len(coarse) + len(fine)
+    error, place_by_place = row["error"], model.field_error
+    error["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
+    error["least_normal"] = LEAST_ERROR[1] ** 2
+    if place_by_place is not None:
+        error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
+        error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
+        nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
     _fill_symmetry(row["symmetry"], model.symmetries)
     row["normal_weight2"] = (NORMAL_WEIGHT * model.diameter) ** 2
     row["band"], row["tangential_weight"] = BAND * spacing, 1 / (TANGENTIAL * spacing) ** 2
@@ -85,7 +78,7 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     row["scan"][0] = (model.points_object**2).sum(axis=1)
     row["scan"][1:4], row["scan"][4:] = model.points_object.T, model.normals_object.T
     known = row["symmetry"]["kind"] != records.OTHER_SYMMETRY
-    return ModelRecord(record, np.concatenate([coarse, fine, error]), bool(known))
+    return ModelRecord(record, np.concatenate(nodes), bool(known))
 
 
 def field_record(field: Field) -> tuple[Record, Nodes]:
@@ -112,27 +105,20 @@ def _fill_field(row: np.void, field: Field, nodes: int) -> None:
     if isinstance(field, GridField):
         row["kind"], row["origin"], row["nodes"] = records.GRID, field.origin, nodes
         row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
-        return
-    if isinstance(field, BoxField):
-        row["kind"], row["origin"] = records.BOX, field.half
-    elif isinstance(field, CylinderField):
-        row["kind"], row["origin"] = records.CYLINDER, (field.radius, field.half_height, 0.0)
-    elif isinstance(field, SphereField):
-        row["kind"], row["origin"] = records.SPHERE, (field.radius, 0.0, 0.0)
-    else:
-        raise TypeError(f"field: expected a grid, box, cylinder or sphere, got {type(field).__name__}")
-    row["least_radius"] = field.least
+    elif isinstance(field, ExactField):
+        row["kind"], row["origin"] = EXACT[field.shape], field.sizes
+        row["least_radius"] = 2 * np.linalg.norm(field.sizes) / RESOLUTION
 
 
 def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:
-    row["kind"], row["axes"] = known_symmetry(symmetries), len(symmetries.axes)
-    for k, (_, direction) in enumerate(symmetries.axes):
-        row["pivot"], row["axis"][k] = symmetries.axes[0][0], direction
+    row["kind"], row["axes"] = _known_symmetry(symmetries), len(symmetries.axes)
+    for k, (point, direction) in enumerate(symmetries.axes):
+        row["pivot"], row["axis"][k] = point, direction
     count = min(len(symmetries.rotations), records.MOST_ROTATIONS)
     row["rotations"], row["rotation"][:count] = count, symmetries.rotations[:count, :3]
 
 
-def known_symmetry(symmetries: Symmetries) -> int:
+def _known_symmetry(symmetries: Symmetries) -> int:
     """Which of the kernels' kinds of symmetry an object has; OTHER_SYMMETRY where they know none like it."""
     if symmetries.trivial:
         return records.NO_SYMMETRY

@@ -1,7 +1,8 @@
-"""Surfaces, whatever they are made of: points drawn from them and spread over them, and how large they are."""
+"""Surfaces, of triangles or of points: what is drawn from them, and how large they are."""
 
 import contextlib
-from typing import Protocol
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,13 +11,11 @@ from handsight.errors import InvalidObject
 
 SMALLEST, LARGEST = 1e-6, 1e6
 """Sizes outside these [m] are refused."""
-SMALL, LARGE = 0.005, 2.0
-"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
-LLOYD_STEPS = 12
-CROWD = 20
-"""Points drawn for each that is kept."""
 MOST_COMPARED = 2000
 """Points whose distances are all taken."""
+LARGEST_HOLE = 0.25
+"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
+wide, inside and outside are a guess, and past a quarter that would be most of the object."""
 _SAME_POINT = 1e-9
 """Points closer than this part of the extent are one."""
 
@@ -25,42 +24,85 @@ class ObjectWarning(UserWarning):
     """Something about an object was repaired, or looks odd."""
 
 
-class Surface(Protocol):
-    """Something with an area from which points can be drawn."""
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """The surface of a triangle mesh."""
 
-    @property
-    def vertices(self) -> Array:
-        """(k, 3) points that bound it [m]."""
-        ...
-
-    @property
-    def faces(self) -> Indices:
-        """(m, 3) vertex indices of triangles, counterclockwise from outside; none of a cloud."""
-        ...
+    vertices: Array
+    """(k, 3) [m]."""
+    faces: Indices
+    """(m, 3) vertex indices, counterclockwise from outside."""
 
     @property
     def area(self) -> float:
-        """Total [m²]."""
-        ...
+        """Sum of the triangles' areas [m²]."""
+        return float(self.areas.sum())
+
+    @property
+    def corners(self) -> Array:
+        """(m, 3, 3) of each triangle [m]."""
+        return np.asarray(self.vertices[self.faces])
+
+    @cached_property
+    def doubled_normals(self) -> Array:
+        """(m, 3) outward normals as long as twice each triangle's area [m²]."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.asarray(np.cross(b - a, c - a))
+
+    @cached_property
+    def areas(self) -> Array:
+        """(m,) of each triangle [m²]."""
+        return np.asarray(np.linalg.norm(self.doubled_normals, axis=1) / 2)
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """n points (n, 3) [m], uniform over the area, and their unit outward normals (n, 3)."""
-        ...
+        """n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
+        return self.draw_on_faces(n, rng)[:2]
+
+    def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
+        """As `draw`, and the triangle (n,) of each."""
+        face = drawn_by_area(self.areas, n, rng)
+        u, v = rng.random((2, n))
+        flip = u + v > 1
+        u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+        a, b, c = (self.vertices[self.faces[face, k]] for k in range(3))
+        normals = self.doubled_normals[face]
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return a + u[:, None] * (b - a) + v[:, None] * (c - a), normals, face
 
 
-def spread(surface: Surface, n: int, seed: int = 0) -> tuple[Array, Array]:
-    """n points (n, 3) [m] with normals (n, 3), evenly apart and each for about the same area.
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Oriented surface points."""
 
-    The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the middle
-    of those it stands for. Normals count too, so that the two sides of a thin wall are kept apart.
-    """
-    from handsight._kernels.spreading import snapped, spread_out  # numba's import is long
+    vertices: Array
+    """(n, 3) [m]."""
+    normals: Array
+    """(n, 3) unit, outward."""
+    areas: Array
+    """(n,) the surface each stands for [m²]."""
 
-    points, normals = surface.draw(CROWD * n, np.random.default_rng(seed))
-    features = np.hstack([points, np.sqrt(surface.area / n) * normals])
-    # Back to draws, each once: a middle lies off a curved surface.
-    index = snapped(features, spread_out(features, n, LLOYD_STEPS))
-    return points[index], normals[index]
+    @property
+    def faces(self) -> Indices:
+        """(0, 3): a cloud has none."""
+        return np.empty((0, 3), dtype=np.int64)
+
+    @property
+    def area(self) -> float:
+        """Of all [m²]."""
+        return float(self.areas.sum())
+
+    @property
+    def spacing(self) -> float:
+        """About how far neighbours are apart [m]."""
+        return float(np.sqrt(np.median(self.areas)))
+
+    def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """n of the points (n, 3) [m] and their normals (n, 3), more often where they are sparse."""
+        index = drawn_by_area(self.areas, n, rng)
+        return self.vertices[index], self.normals[index]
+
+
+Surface = Triangles | Cloud
 
 
 def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
@@ -94,7 +136,6 @@ def diameter(points: Array) -> float:
     from scipy.spatial import ConvexHull, QhullError  # an object from the cache needs no scipy
     from scipy.spatial.distance import pdist
 
-    points = _outermost(points)
     if len(points) > MOST_COMPARED:
         with contextlib.suppress(QhullError):  # flat
             points = points[ConvexHull(points).vertices]
@@ -103,31 +144,3 @@ def diameter(points: Array) -> float:
         along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
         points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
     return float(pdist(points).max())
-
-
-def _outermost(points: Array) -> Array:
-    """Those of the points (n, 3) that may be one of the two farthest apart: of most objects a few."""
-    one = points[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax()]
-    for _ in range(3):
-        other = one
-        one = points[((points - other) ** 2).sum(axis=1).argmax()]
-    least = float(np.linalg.norm(one - other))
-    # Two that are farther apart than these are together at least as far from the middle between these.
-    gap = np.linalg.norm(points - (one + other) / 2, axis=1)
-    return np.asarray(points[gap >= (1 - 1e-9) * least - gap.max()])
-
-
-def unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """A sentence if the size suggests another unit than metres."""
-    extent = float((bounds[1] - bounds[0]).max())
-    if SMALL <= extent <= LARGE:
-        return ()
-    for unit, scale in (
-        ("millimetres", 0.001),
-        ("centimetres", 0.01),
-        ("inches", 0.0254),
-        ("metres, scaled down twice", 1000.0),
-    ):
-        if SMALL < extent * scale < LARGE / 4:
-            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
-    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

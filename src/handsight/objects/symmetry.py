@@ -18,6 +18,8 @@ MOST_ROTATIONS = 120
 """More than the icosahedron's 60: a larger group is a continuous axis, or a mistake."""
 SPIN_SAMPLES, SPIN_STEPS = 33, 6
 """Angles tried about a continuous axis, and Newton steps from the best of them."""
+_DIFFERENCE = 1e-5
+"""Of angles [rad], for the second derivative."""
 _SAME = 1e-6
 
 
@@ -143,16 +145,22 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
     """
     arc = np.mod(by_place - by_rotation + np.pi, 2 * np.pi) - np.pi
     # From here on φ is counted from `by_rotation`, and the place wants `arc`.
-    fractions = np.linspace(0.0, 1.0, SPIN_SAMPLES)
-    trial = arc[..., None] * fractions
+    trial = arc[..., None] * np.linspace(0.0, 1.0, SPIN_SAMPLES)
     cost = _left_over(trial, share[..., None]) ** 2 - 2 * pull[..., None] * np.cos(trial - arc[..., None])
     angle = np.take_along_axis(trial, cost.argmin(axis=-1)[..., None], axis=-1)[..., 0]
-    low, high = np.minimum(arc, 0.0), np.maximum(arc, 0.0)
+
+    def slope(angle: Array) -> Array:
+        """Half the derivative of the cost: θ θ' = θ / sin(θ/2) * share² sin(φ/2) cos(φ/2) / cos(θ/2)."""
+        # cos(θ/2) = share cos(φ/2), and θ / sin(θ/2) = 2 / sinc(θ/2).
+        ratio = 2 / np.sinc(_left_over(angle, share) / (2 * np.pi))
+        return np.asarray(ratio * share * np.sin(angle / 2) + pull * np.sin(angle - arc))
+
+    widest = np.abs(arc) / (SPIN_SAMPLES - 1)
     for _ in range(SPIN_STEPS):
-        slope, bend = _derivatives(angle, share, arc, pull)
-        step = np.where(bend > 0, -slope / np.where(bend > 0, bend, 1.0), 0.0)
-        widest = np.abs(arc) / (SPIN_SAMPLES - 1)
-        angle = np.clip(angle + np.clip(step, -widest, widest), low, high)
+        here = slope(angle)
+        bend = (slope(angle + _DIFFERENCE) - here) / _DIFFERENCE
+        step = np.where(bend > 0, -here / np.where(bend > 0, bend, 1.0), 0.0)
+        angle = np.clip(angle + np.clip(step, -widest, widest), np.minimum(arc, 0.0), np.maximum(arc, 0.0))
     return np.asarray(by_rotation + angle)
 
 
@@ -161,22 +169,6 @@ def _left_over(angle: Array, share: Array) -> Array:
     half = angle / 2
     sine = np.sqrt(np.maximum(1 - share**2, 0.0) + (share * np.sin(half)) ** 2)
     return np.asarray(2 * np.arctan2(sine, np.abs(share * np.cos(half))))
-
-
-def _derivatives(angle: Array, share: Array, arc: Array, pull: Array) -> tuple[Array, Array]:
-    """Half the first and second derivative of the cost by the angle."""
-    theta = _left_over(angle, share)
-    sine = np.sin(theta / 2)
-    small = sine < 1e-6
-    safe = np.where(small, 1.0, sine)
-    # θ θ' = θ / sin(θ/2) * share sin(φ/2) * share cos(φ/2) / cos(θ/2), and cos(θ/2) = share cos(φ/2).
-    ratio = np.where(small, 2.0, theta / safe)
-    along = share * np.sin(angle / 2)
-    slope = ratio * along
-    rate = np.where(small, 1.0, along / safe)
-    by_ratio = np.where(small, 0.0, (1 - theta / 2 * np.cos(theta / 2) / safe) / safe) * rate
-    bend = by_ratio * along + ratio * share * np.cos(angle / 2) / 2
-    return slope + pull * np.sin(angle - arc), bend + pull * np.cos(angle - arc)
 
 
 def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]:
@@ -207,14 +199,10 @@ def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]
 def _closed(generators: list[Array]) -> Array:
     """All products (k, 4, 4) of the generators, the identity first."""
     group = [np.eye(4)]
-    fresh = list(group)
-    while fresh:
-        products = [a @ g for a in fresh for g in generators]
-        fresh = []
-        for T in products:
-            if not any(np.abs(T - known).max() < _SAME for known in group):
-                group.append(T)
-                fresh.append(T)
+    for T in group:  # which grows while it is walked
+        for product in (T @ generator for generator in generators):
+            if not any(np.abs(product - known).max() < _SAME for known in group):
+                group.append(product)
         if len(group) > MOST_ROTATIONS:
             raise InvalidInput(f"rotations: expected a finite group, got over {MOST_ROTATIONS} products")
     return np.stack(group)
@@ -225,8 +213,7 @@ def _check_axis_kept(axes: tuple[tuple[Array, Array], ...], T: Array) -> None:
         return
     point, axis = axes[0]
     gap = se3.apply(T, point[None])[0] - point
-    turned = T[:3, :3] @ axis
     size = max(1e-3, float(np.abs(point).max()))
     moved = np.linalg.norm(gap if len(axes) > 1 else np.cross(gap, axis)) > 1e-5 * size
-    if moved or (len(axes) == 1 and np.linalg.norm(np.cross(turned, axis)) > 1e-5):
+    if moved or (len(axes) == 1 and np.linalg.norm(np.cross(T[:3, :3] @ axis, axis)) > 1e-5):
         raise InvalidInput("rotations: expected rotations that keep the continuous axis in place")

@@ -1,6 +1,6 @@
 """Symmetries that an object's geometry suggests; whether its print breaks them is for a person to say."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ WORST = 98
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Axis:
+class _Axis(NamedTuple):
     point: Array
     direction: Array
     order: int
@@ -42,19 +41,18 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     """
     limit = TOLERANCE * model.diameter if tolerance is None else checks.positive(tolerance, "tolerance")
     judge = _Judge(model, limit)
-    if judge.round():
-        return Symmetries([(judge.center, axis) for axis in np.eye(3)])
     directions = judge.directions()
     for direction in directions:
-        axis = judge.continuous(direction)
-        if axis is not None:
-            return judge.of_revolution(axis)
+        line = judge.continuous(direction)
+        if line is not None:
+            return judge.of_revolution(*line)
     axes: list[_Axis] = []
     for direction in directions:
-        if not any(abs(direction @ a.direction) > 0.999 for a in axes):
-            found = judge.finite(direction)
-            if found is not None and not any(abs(found.direction @ a.direction) > 0.98 for a in axes):
-                axes.append(found)
+        if any(abs(direction @ axis.direction) > 0.999 for axis in axes):
+            continue
+        found = judge.finite(direction)
+        if found is not None and not any(abs(found.direction @ axis.direction) > 0.98 for axis in axes):
+            axes.append(found)
     return judge.group(axes)
 
 
@@ -72,13 +70,6 @@ class _Judge:
     def worst(self, T: Array) -> float:
         """The distance [m] that nearly all samples keep to after `T`."""
         return float(np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), WORST))
-
-    def round(self) -> bool:
-        """Whether every turn about the centre keeps the surface."""
-        if self.moments[0] < (1 - ALIKE) * self.moments[2]:
-            return False
-        vectors = np.random.default_rng(5).normal(size=(24, 3))
-        return all(self.worst(about(self.center, v)) < self.limit for v in vectors)
 
     def directions(self) -> Array:
         """Directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
@@ -116,9 +107,8 @@ class _Judge:
         vector = se3.rotation_log(T[:3, :3])
         direction = vector / np.linalg.norm(vector)
         offset = se3.apply(T, self.center[None])[0] - self.center
-        point = np.linalg.lstsq(np.eye(3) - T[:3, :3], offset - (offset @ direction) * direction, rcond=1e-6)[
-            0
-        ]
+        across = offset - (offset @ direction) * direction
+        point, *_ = np.linalg.lstsq(np.eye(3) - T[:3, :3], across, rcond=1e-6)
         return self.center + point, direction
 
     def continuous(self, direction: Array) -> tuple[Array, Array] | None:
@@ -145,11 +135,12 @@ class _Judge:
                 return _Axis(point, axis, order)
         return None
 
-    def of_revolution(self, line: tuple[Array, Array]) -> Symmetries:
-        """The symmetries about a continuous axis: with the half turn that swaps its ends, where it holds."""
-        point, axis = line
+    def of_revolution(self, point: Array, axis: Array) -> Symmetries:
+        """About a continuous axis: a ball's, or with the half turn that swaps its ends, or without."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
+        if self.continuous(side) is not None:
+            return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))
         if T is not None:
             # Only the height at which it swaps is free.
@@ -157,7 +148,7 @@ class _Judge:
             flip = about(half, np.pi * side)
             if self.worst(flip) < self.limit:
                 return Symmetries([(half, axis)], flip[None])
-        return Symmetries([line])
+        return Symmetries([(point, axis)])
 
     def group(self, axes: list[_Axis]) -> Symmetries:
         """The largest group of these axes, set exactly at their proper angles, that keeps the surface."""
@@ -165,15 +156,12 @@ class _Judge:
             return Symmetries()
         axes = sorted(axes, key=lambda a: -a.order)
         center = np.mean([a.point for a in axes], axis=0) if len(axes) > 1 else axes[0].point
-        for vectors in (*_polyhedral(axes), *_dihedral(axes), _turns(axes[:1])):
+        cyclic = 2 * np.pi / axes[0].order * axes[0].direction
+        for vectors in (*_polyhedral(axes), *_dihedral(axes), cyclic[None]):
             found = Symmetries(rotations=about(center, vectors))
             if all(self.worst(T) < 1.2 * self.limit for T in found.rotations):
                 return found
         return Symmetries()
-
-
-def _turns(axes: list[_Axis]) -> Array:
-    return np.array([2 * np.pi / a.order * a.direction for a in axes])
 
 
 def _frame(x: Array, near_y: Array) -> Array:
@@ -185,13 +173,12 @@ def _frame(x: Array, near_y: Array) -> Array:
 
 def _polyhedral(axes: list[_Axis]) -> list[Array]:
     """Generators of the cube's and the tetrahedron's rotations, where the axes have room for them."""
-    by_order = {n: [a for a in axes if a.order % n == 0] for n in (2, 3, 4)}
     found = []
     for order in (4, 2):
-        square = by_order[order]
-        pairs = [(a, b) for a in square for b in square if abs(a.direction @ b.direction) < 0.1]
-        if pairs and len(by_order[3]) > 1:
-            frame = _frame(pairs[0][0].direction, pairs[0][1].direction)
+        square = [a.direction for a in axes if a.order % order == 0]
+        pairs = [(a, b) for a in square for b in square if abs(a @ b) < 0.1]
+        if pairs and sum(a.order % 3 == 0 for a in axes) > 1:
+            frame = _frame(*pairs[0])
             diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
             found.append(np.vstack([2 * np.pi / order * frame, diagonal]))
     return found
@@ -201,9 +188,8 @@ def _dihedral(axes: list[_Axis]) -> list[Array]:
     """Generators of an axis with half turns across it."""
     found = []
     for main in axes:
-        for across in axes:
-            if across.order % 2 == 0 and abs(across.direction @ main.direction) < 0.1:
-                frame = _frame(main.direction, across.direction)
-                found.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
-                break
+        across = [a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1]
+        if across:
+            frame = _frame(main.direction, across[0])
+            found.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
     return found

@@ -97,16 +97,16 @@ def _by_trimesh(data: bytes, kind: str) -> Shape:
     import trimesh  # long to import, and not needed for an object from the cache
 
     scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
-    vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
+    vertices, faces, start = [], [], 0
     for part in scene.geometry.values():
         points = np.asarray(part.vertices, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3:
             raise BadText(f"expected 3 coordinates a point, got shape {points.shape}")
         vertices.append(points)
-        triangles = getattr(part, "faces", None)
-        if triangles is not None:
-            faces.append(np.asarray(triangles, dtype=np.int64).reshape(-1, 3) + start)
+        faces.append(np.asarray(getattr(part, "faces", ()), dtype=np.int64).reshape(-1, 3) + start)
         start += len(points)
+    if not any(map(len, faces)):
+        raise BadText("expected triangles, got none")
     return Shape(np.concatenate(vertices), np.concatenate(faces))
 
 
@@ -120,22 +120,16 @@ def _stl(data: bytes) -> Shape:
         if b"endsolid" not in data[-4096:].lower():
             raise BadText("expected 'endsolid' at the end: is it cut short?")
         data = _plain(data)
-    return _with_faces(_by_trimesh(data, "stl"))
+    return _by_trimesh(data, "stl")
 
 
 def _obj(data: bytes) -> Shape:
-    return _with_faces(_by_trimesh(_plain(data), "obj"))
+    return _by_trimesh(_plain(data), "obj")
 
 
 def _plain(data: bytes) -> bytes:
     """Text whose comments may be in any encoding, as UTF-8."""
     return data.decode("latin-1").encode("utf-8")
-
-
-def _with_faces(shape: Shape) -> Shape:
-    if shape.faces is None or not len(shape.faces):
-        raise BadText("expected triangles, got none")
-    return shape
 
 
 def _ply(data: bytes) -> Shape:
@@ -161,11 +155,9 @@ def _ply(data: bytes) -> Shape:
 
 def _rows(data: Any) -> int:
     """How many rows a PLY element came with: trimesh keeps a dict of columns or a structured array."""
-    if data is None:
-        return 0
     if isinstance(data, dict):
-        return len(next(iter(data.values()))) if data else 0
-    return len(data)
+        data = next(iter(data.values()), None)
+    return 0 if data is None else len(data)
 
 
 def _columns(table: Any, names: tuple[str, ...]) -> Array | None:
@@ -197,11 +189,6 @@ def _xyz(data: bytes) -> Shape:
 
 
 READERS: dict[str, Callable[[bytes], Shape]] = {
-    ".stl": _stl,
-    ".obj": _obj,
-    ".ply": _ply,
-    ".off": _off,
-    ".pcd": _pcd,
-    ".xyz": _xyz,
-}
-"""Extension to reader; a new format is a new line."""
+    ".stl": _stl, ".obj": _obj, ".ply": _ply, ".off": _off, ".pcd": _pcd, ".xyz": _xyz,
+}  # fmt: skip
+"""Extension to reader; a new format is a new entry."""

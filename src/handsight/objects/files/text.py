@@ -1,5 +1,7 @@
 """Numbers in text files: XYZ rows and the Object File Format."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from handsight.checks import Array, Indices
@@ -18,7 +20,15 @@ def number_rows(data: bytes) -> Array:
     for k, words in enumerate(lines):
         if len(words) != width:
             raise BadText(f"row {k + 1}: expected {width} columns, got {len(words)}")
-    return _numbers([word for words in lines for word in words]).reshape(-1, width)
+    return number_table([word for words in lines for word in words], width)
+
+
+def number_table(words: Sequence[str | bytes], width: int) -> Array:
+    """(n, width) numbers, row by row."""
+    try:
+        return np.array(words, dtype=np.float64).reshape(-1, width)
+    except ValueError as error:
+        raise BadText(f"expected numbers: {str(error)[:80]}") from None
 
 
 def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
@@ -30,10 +40,8 @@ def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
     header = lines[0][0].upper() if lines else ""
     if header not in ("OFF", "NOFF", "COFF", "CNOFF"):
         raise BadText(f"expected OFF, NOFF, COFF or CNOFF, got {header[:20]!r}")
-    if len(lines[0]) > 1:  # the counts on the header's line
-        lines[0] = lines[0][1:]
-    else:
-        lines = lines[1:]
+    # The counts may be on the header's line.
+    lines = [lines[0][1:], *lines[1:]] if len(lines[0]) > 1 else lines[1:]
     if not lines or len(lines[0]) < 2 or not all(word.isdigit() for word in lines[0][:2]):
         raise BadText("expected the counts of vertices and faces after the header")
     count, polygons = int(lines[0][0]), int(lines[0][1])
@@ -44,7 +52,7 @@ def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
     for k, words in enumerate(rows):
         if len(words) < wide:
             raise BadText(f"vertex {k}: expected {wide} numbers, got {len(words)}")
-    table = _numbers([word for words in rows for word in words[:wide]]).reshape(-1, wide)
+    table = number_table([word for words in rows for word in words[:wide]], wide)
     faces = _fans(lines[1 + count : 1 + count + polygons])
     return table[:, :3], table[:, 3:] if wide == 6 else None, faces
 
@@ -54,13 +62,6 @@ def _lines(data: bytes) -> list[list[str]]:
     text = data.decode("latin-1").replace(",", " ")
     rows = (line.split("#", 1)[0].split() for line in text.splitlines())
     return [row for row in rows if row]
-
-
-def _numbers(words: list[str]) -> Array:
-    try:
-        return np.array(words, dtype=np.float64) if words else np.empty(0)
-    except ValueError as error:
-        raise BadText(f"expected numbers: {str(error)[:80]}") from None
 
 
 def _fans(rows: list[list[str]]) -> Indices:

@@ -1,14 +1,13 @@
 """A mesh as it should be, from a mesh as it came, and what had to be done to it in words."""
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from handsight.checks import Array, Indices
+from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
-from handsight.objects.meshes.box_tree import BoxTree, box_tree
-from handsight.objects.meshes.topology import consistent, pieces
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.meshes.winding import Winding
-from handsight.objects.surface import check_extent, distinct
+from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
+from handsight.objects.surface import Triangles, check_extent, distinct
 
 _FLAT = 1e-12
 """A triangle whose height is below this part of its longest side has no area."""
@@ -25,9 +24,11 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     """
     remarks: list[str] = []
     points, triangles = _referenced(mesh.vertices, mesh.faces, remarks)
-    points, triangles = _merged(points, triangles)
+    # STL, and OBJ with texture, repeat vertices for every triangle.
+    first, which = distinct(points, check_extent(points, "vertices"))
+    points, triangles = points[first], which[triangles]
     triangles = _distinct(points, triangles, remarks)
-    triangles, turned, orientable = consistent(triangles)
+    triangles, turned, orientable = _consistent(triangles)
     if turned:
         remarks.append(f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours")
     if not orientable:
@@ -40,22 +41,14 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
 
 def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[Array, Indices]:
     """Only vertices that triangles use; those must be finite."""
-    used = np.unique(triangles)
+    used, which = np.unique(triangles, return_inverse=True)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():
         bad = int(used[~finite[used]][0])
         raise InvalidObject(f"vertices[{bad}]: expected 3 finite numbers, got {points[bad].tolist()}")
     if not finite.all():
         remarks.append(f"{int((~finite).sum())} unused vertices that are not finite were dropped")
-    new = np.zeros(len(points), dtype=np.int64)
-    new[used] = np.arange(len(used))
-    return points[used], new[triangles]
-
-
-def _merged(points: Array, triangles: Indices) -> tuple[Array, Indices]:
-    """Equal vertices as one: STL, and OBJ with texture, repeat them for every triangle."""
-    first, which = distinct(points, check_extent(points, "vertices"))
-    return points[first], which[triangles]
+    return points[used], which.reshape(-1, 3)
 
 
 def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
@@ -69,37 +62,57 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     if flat.any():
         remarks.append(f"{int(flat.sum())} triangles without area were dropped")
     triangles = triangles[~flat]
-    first = np.unique(_named(np.sort(triangles, axis=1), len(points)), return_index=True)[1]
+    first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)[1]
     if len(first) < len(triangles):
         remarks.append(f"{len(triangles) - len(first)} repeated triangles were dropped")
     return triangles[np.sort(first)]
 
 
-def _named(triangles: Indices, count: int) -> Indices:
-    """(m,) a number for each triangle of `count` vertices, the same for the same corners."""
-    pair = np.unique(triangles[:, 0] * count + triangles[:, 1], return_inverse=True)[1].reshape(-1)
-    return np.asarray(pair * count + triangles[:, 2])
+def _consistent(faces: Indices) -> tuple[Indices, int, bool]:
+    """Triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
+    _, of_face, count = edges_of(faces)
+    order = np.argsort(of_face, axis=None, kind="stable")
+    # Of each edge of just two triangles, its places in these; they agree where they run through it oppositely.
+    first = (np.cumsum(count) - count)[count == 2]
+    i, j = order[first], order[first + 1]
+    forward = (faces < np.roll(faces, -1, axis=1)).reshape(-1)
+    agree = forward[i] != forward[j]
+    if agree.all():
+        return faces, 0, True
+    flip, orientable = agreeing(i // 3, j // 3, agree, len(faces))
+    return _turned_over(faces, flip), int(flip.sum()), orientable
 
 
 def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles:
     """The mesh with every piece that was inside out turned."""
-    piece = pieces(mesh.faces)
+    piece = _pieces(mesh.faces)
     count = int(piece.max()) + 1
-    area = np.bincount(piece, mesh.areas)
     points, normals, face = side_samples(mesh)
-    front = Winding.of_mesh(mesh, tree).at(points + _step(mesh) * normals)
+    step = 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))  # less than any wall is thick
+    front = Winding.of_mesh(mesh, tree).at(points + step * normals)
     inverted = np.zeros(count, dtype=bool)
     for k in np.unique(piece[face]):
         inverted[k] = np.median(front[piece[face] == k]) < INSIDE_OUT
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
-    small = area < SMALL_PIECE * area.sum()
-    if count > 1 and small.any():
-        share = 100 * area[small].sum() / area.sum()
-        remarks.append(f"{int(small.sum())} small separate pieces ({share:.2g} % of the area) were left in")
-    flip = inverted[piece]
-    return Triangles(mesh.vertices, np.where(flip[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces))
+    share = np.bincount(piece, mesh.areas) / mesh.area
+    small = share < SMALL_PIECE
+    if small.any():
+        percent = f"{100 * share[small].sum():.2g} %"
+        remarks.append(f"{int(small.sum())} small separate pieces ({percent} of the area) were left in")
+    return Triangles(mesh.vertices, _turned_over(mesh.faces, inverted[piece]))
+
+
+def _pieces(faces: Indices) -> Indices:
+    """(m,) the connected piece of each triangle, through shared vertices."""
+    label = components(faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1), int(faces.max()) + 1)
+    return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1)
+
+
+def _turned_over(faces: Indices, flip: Mask) -> Indices:
+    """Triangles (m, 3), those in `flip` (m,) seen from the other side."""
+    return np.where(flip[:, None], faces[:, [0, 2, 1]], faces)
 
 
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
@@ -107,6 +120,37 @@ def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
     return mesh.draw_on_faces(SIDE_SAMPLES, np.random.default_rng(3))
 
 
-def _step(mesh: Triangles) -> float:
-    """How far in front of the surface its winding number is taken [m]: less than any wall is thick."""
-    return 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
+    """The edges of triangles (m, 3): vertices (e, 2), the smaller first; edges (m, 3) of each triangle; triangles (e,).
+
+    A triangle's edges are those from its corner 0 to 1, 1 to 2 and 2 to 0; last is how many triangles an edge has.
+    """
+    ordered = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    size = int(faces.max()) + 1
+    _, first, which, count = np.unique(
+        ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
+    )
+    return ordered[first], which.reshape(-1, 3), count
+
+
+def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
+    """Which (size,) of things to turn, so that linked ones, i (l,) and j (l,), agree, and whether all could.
+
+    `agree` (l,): whether they do as they are. Each thing stands twice in a graph, as it is and turned; those that
+    agree are linked side to side, others crosswise. What is connected to a thing "as it is" is how its neighbours
+    must stand.
+    """
+    row = np.concatenate([i, i + size])
+    column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])
+    label = components(row, column, 2 * size)
+    as_is, turned = label[:size], label[size:]
+    # The two halves of a piece carry two labels; the more common one "as it is" wins.
+    votes = np.bincount(as_is, minlength=label.max() + 1)
+    flip = (votes[turned] > votes[as_is]) | ((votes[turned] == votes[as_is]) & (turned < as_is))
+    return flip, bool((as_is != turned).all())
+
+
+def components(row: Indices, column: Indices, size: int) -> Indices:
+    """(size,) the connected component of each node of a graph with links from `row` (l,) to `column` (l,)."""
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size, size))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -1,24 +1,16 @@
-"""The two distance fields of a triangle mesh."""
+"""What is measured on a triangle mesh: its two distance fields, and which side of it is inside."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.fields.grids import Fields, Grid, grids, interpolated
-from handsight.objects.meshes.box_tree import BoxTree
-from handsight.objects.meshes.closest_points import ClosestPoints, ClosestPointSearch
-from handsight.objects.meshes.repair import side_samples
-from handsight.objects.meshes.topology import Holes, holes_of, pseudonormals
-from handsight.objects.meshes.triangles import Triangles
-from handsight.objects.meshes.winding import Winding
-from handsight.objects.surface import diameter
+from handsight.objects.fields import Grid, grids, sharpened
+from handsight.objects.geometry import Geometry, measured
+from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding
+from handsight.objects.meshes.repair import components, edges_of, repaired, side_samples
+from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 
-BAND = 4
-"""Fine nodes within this many cells of the surface carry exact distances."""
-LARGEST_HOLE = 0.25
-"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
-wide, inside and outside are a guess, and past a quarter that would be most of the object."""
 CLOSED_SHARE = 0.95
 LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
@@ -26,22 +18,58 @@ VOTES = 16
 """Nodes of each linked set whose winding numbers are taken."""
 
 
-def mesh_fields(mesh: Triangles, tree: BoxTree) -> Fields:
-    """The smooth and the sharp field of a repaired mesh, and whether it has an inside; `tree` over its triangles."""
+def mesh_geometry(mesh: Triangles) -> Geometry:
+    """What is to be known of a mesh as it came: repaired, then measured; raises InvalidObject where nothing is left."""
+    mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
-    coarse, fine, remarks = grids(mesh.vertices, size)
+    coarse, fine, coarser = grids(mesh.vertices, size)
     search, winding, holes = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree), holes_of(mesh)
-    closed = is_closed(mesh, winding, holes, size)
+    closed = _is_closed(mesh, winding, holes, size)
     side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
+
+    def exact(index: Indices, within: float) -> tuple[Indices, Array]:
+        closest, near = search.closest(fine.nodes_at(index), within)
+        return index[near], side.signed(index[near], fine, closest)
+
     nodes = coarse.nodes()
     values = side.signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
-    sharp = _refined(coarse, values, fine, search, side)
-    return Fields(coarse.field(values), fine.field(sharp), size, closed, remarks)
+    sharp = fine.field(sharpened(coarse, values, fine, exact))
+    remarks = (*remarks, *coarser)
+    return measured(mesh, coarse.field(values), sharp, diameter=size, closed=closed, remarks=remarks)
 
 
-def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
+@dataclass(frozen=True, slots=True, eq=False)
+class Holes:
+    """Where a surface ends."""
+
+    middles: Array
+    """(h, 3) of each connected run of boundary edges [m]."""
+    extents: Array
+    """(h,) the diagonal of its bounding box [m]."""
+    segments: Array
+    """(b, 2, 3) every boundary edge [m]."""
+
+
+def holes_of(mesh: Triangles) -> Holes:
+    """The boundary of a mesh: edges with one triangle, in connected runs."""
+    edges, _, count = edges_of(mesh.faces)
+    pairs = edges[count == 1]
+    segments = mesh.vertices[pairs]
+    if not len(pairs):
+        return Holes(np.empty((0, 3)), np.empty(0), segments)
+    used, local = np.unique(pairs, return_inverse=True)
+    start, end = local.reshape(-1, 2).T
+    label = components(start, end, len(used))
+    low = np.full((label.max() + 1, 3), np.inf)
+    high = -low
+    np.minimum.at(low, label, mesh.vertices[used])
+    np.maximum.at(high, label, mesh.vertices[used])
+    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1), segments)
+
+
+def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
     """Whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
-    if len(holes.extents) and holes.extents.max() > LARGEST_HOLE * diameter:
+    if holes.extents.max(initial=0.0) > LARGEST_HOLE * diameter:
         return False
     points, normals, _ = side_samples(mesh)
     step = 1e-4 * diameter
@@ -49,20 +77,6 @@ def is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) 
     # Where pieces overlap the count goes to 2 and the surface is no boundary: that is closed too.
     good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
     return bool(good.mean() >= CLOSED_SHARE)
-
-
-def _refined(
-    coarse: Grid, values: Array, fine: Grid, search: ClosestPointSearch, side: "ByWinding | ByNormal"
-) -> Array:
-    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones."""
-    sharp = interpolated(coarse, values, fine)
-    band = BAND * fine.cell
-    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
-    index = np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2)
-    closest, near = search.closest(fine.nodes_at(index), within=band)
-    index = index[near]
-    sharp[index] = side.signed(index, fine, closest)
-    return sharp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +137,7 @@ class ByNormal:
         """`spacing` [m]: between the points that stand for the rim."""
         from scipy.spatial import cKDTree  # half of this room's import, for open surfaces alone
 
-        self._normals = pseudonormals(mesh)
+        self._normals = _pseudonormals(mesh)
         start, along = holes.segments[:, 0], holes.segments[:, 1] - holes.segments[:, 0]
         count = np.ceil(np.linalg.norm(along, axis=1) / spacing).astype(np.int64) + 1
         segment = np.repeat(np.arange(len(start)), count)
@@ -143,3 +157,21 @@ class ByNormal:
         rim = np.full(len(index), np.inf) if self._rim is None else self._rim.query(closest.points)[0]
         d = closest.distance
         return np.asarray(np.where(behind, d - 2 * np.minimum(d, rim), d))
+
+
+def _pseudonormals(mesh: Triangles) -> Array:
+    """(m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
+
+    Angle-weighted, so that their sign tells the side of the nearest point wherever it lies (Baerentzen and
+    Aanaes 2005).
+    """
+    faces = mesh.faces
+    normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]
+    (edges, of_face, _), corners = edges_of(faces), mesh.corners
+    at_edge, at_vertex = np.zeros((len(edges), 3)), np.zeros((len(mesh.vertices), 3))
+    for k in range(3):
+        np.add.at(at_edge, of_face[:, k], normal)
+        u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
+        np.add.at(at_vertex, faces[:, k], angle[:, None] * normal)
+    return np.concatenate([normal[:, None], at_edge[of_face], at_vertex[faces]], axis=1)

@@ -1,0 +1,207 @@
+"""Distance fields: how far a point is from the surface, with two derivatives, and the grids they are sampled on.
+
+Points, gradients and Hessians are in the object's frame. Distances are metres, negative inside. A field is data alone;
+what it is worth at a point is computed by `handsight._kernels.field`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight.checks import Array, Indices
+from handsight.errors import InvalidInput
+
+COARSE_PER_DIAMETER = 18
+COARSE_PER_WIDTH = 4
+COARSE_MOST_NODES = 400_000
+FINE_PER_COARSE = 4
+FINE_MARGIN = 8
+FINE_MOST_NODES = 4_000_000
+BAND = 4
+"""Fine nodes within this many cells of the surface carry exact distances."""
+
+
+class FieldValues(NamedTuple):
+    """A distance field at n points of the object's frame."""
+
+    distance: Array
+    """(n,) to the surface [m], negative inside."""
+    gradient: Array
+    """(n, 3) derivative of the distance; about unit, outward near the surface."""
+    hessian: Array
+    """(n, 3, 3) derivative of the gradient [1/m]."""
+
+
+class Field:
+    """A distance field of an object: a grid, or exact.
+
+    Exact ones are centred at the object's origin. On the medial axis, where the nearest point is not unique, the
+    choice is fixed: the first axis, the positive side, the side wall before the cap.
+    """
+
+    def evaluate(self, points_object: Array) -> FieldValues:
+        """Distance and derivatives at the points (n, 3) [m]; nothing is checked, this is the hot path."""
+        from handsight.objects.record import evaluate  # numba's import is long
+
+        return evaluate(*self._record, points_object)
+
+    @cached_property
+    def _record(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
+        from handsight.objects.record import field_record  # as above
+
+        return field_record(self)
+
+    def __reduce__(self) -> tuple[type["Field"], tuple[Any, ...]]:
+        """For pickle: rebuilt from what it was made of."""
+        return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class GridField(Field):
+    """A uniform cubic B-spline over a grid of distances, its nodes used as coefficients.
+
+    Without the prefilter of interpolation the spline smooths the samples by about a third of a cell (their
+    mean over a kernel of variance cell²/3 per axis): wanted, because noise and facets have no curvature to
+    offer. Second derivatives are continuous.
+
+    Outside the grid the distance goes on as that to the surface point below the nearest point of the grid. With m and g
+    the distance and gradient there and w the way out, that point is about -m g away, so f = |w + m g| =
+    √(m² |g|² + 2 m g·w + |w|²), taken with |g| = 1 where w is 0 so that f is continuous. The gradient is exact and
+    continuous, bounded because |m H| ≤ 1 on a distance field; the Hessian is that of the distance to a point. Where the
+    edge of the grid lies inside the object (no model has this) f goes on linearly.
+    """
+
+    origin: Array
+    """(3,) node (0, 0, 0) [m]."""
+    cell: float
+    """Between neighbouring nodes [m]."""
+    values: NDArray[np.float32]
+    """(nx, ny, nz) distances [m], each side at least 4; read-only."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for too few nodes."""
+        if self.values.ndim != 3 or min(self.values.shape) < 4:
+            raise InvalidInput(f"values: expected at least 4 x 4 x 4 nodes, got shape {self.values.shape}")
+        values = np.ascontiguousarray(self.values, dtype=np.float32)
+        values.flags.writeable = False
+        object.__setattr__(self, "values", values)
+
+
+@dataclass(frozen=True, eq=False)
+class ExactField(Field):
+    """The exact distance field of a box, of a cylinder whose axis is z, or of a ball."""
+
+    shape: Literal["box", "cylinder", "sphere"]
+    sizes: Array
+    """(3,) [m]: half the sides; or radius, half the height and 0; or radius, 0 and 0. As long as half the diameter."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldError:
+    """How far a fine field is off the surface it was made of, place by place, on a grid over the object.
+
+    A grid rounds off edges and irons out facets; near a rim its normal may be wrong by tens of degrees where on
+    a face it is right to one. A contact is only as good as the model where it touches.
+    """
+
+    origin: Array
+    """(3,) the first node [m]."""
+    cell: float
+    """Spacing of the nodes [m]."""
+    values: Array
+    """(nx, ny, nz, 2): variance of the distance [m²] and of the normal per axis [rad²]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """A regular grid of nodes."""
+
+    origin: Array
+    """(3,) node (0, 0, 0) [m]."""
+    cell: float
+    """Between neighbours [m]."""
+    shape: tuple[int, int, int]
+
+    def nodes(self) -> Array:
+        """(nx ny nz, 3) positions [m], z fastest."""
+        return self.nodes_at(np.arange(int(np.prod(self.shape))))
+
+    def nodes_at(self, index: Indices) -> Array:
+        """(n, 3) positions [m] of the nodes with these places in the flat order."""
+        return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
+
+    def field(self, values: Array) -> GridField:
+        """The smooth field of these distances (nx ny nz,) [m] at the nodes."""
+        return GridField(self.origin, self.cell, values.reshape(self.shape).astype(np.float32))
+
+
+def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:
+    """The coarse and the fine grid around vertices (k, 3) [m], and a sentence if they had to be coarser."""
+    centered = vertices - vertices.mean(axis=0)
+    principal = np.linalg.eigh(centered.T @ centered)[1]
+    width = min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min())
+    coarse, thin = coarse_grid(vertices, diameter, float(width))
+    cell = coarse.cell / FINE_PER_COARSE
+    fine, capped = _grid(vertices, cell, lambda c: FINE_MARGIN * c, FINE_MOST_NODES)
+    if not (thin or capped):
+        return coarse, fine, ()
+    cells = f"{1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm"
+    return coarse, fine, (f"very long or thin: its distance fields are coarser than usual, cells of {cells}",)
+
+
+def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, bool]:
+    """The grid of the smooth field, and whether it had to be coarser than the object's width asks.
+
+    `diameter`, `width` (the thinnest extent; 0: a sheet) [m]. Half the diameter of margin.
+    """
+    cell = diameter / COARSE_PER_DIAMETER
+    if width > 1e-6 * diameter:
+        cell = min(cell, width / COARSE_PER_WIDTH)
+    return _grid(vertices, cell, lambda c: max(diameter / 2, 3 * c), COARSE_MOST_NODES)
+
+
+def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: int) -> tuple[Grid, bool]:
+    enlarged = False
+    while True:
+        shape = np.ceil((np.ptp(vertices, axis=0) + 2 * margin(cell)) / cell) + 3
+        if np.prod(shape) <= most:
+            return centered_grid(vertices, cell, shape), enlarged
+        cell, enlarged = cell * 1.1, True
+
+
+def centered_grid(vertices: Array, cell: float, shape: Array) -> Grid:
+    """A grid of `shape` (3,) whose middle is that of the vertices (k, 3) [m]."""
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    nx, ny, nz = (int(s) for s in shape)
+    return Grid(middle - (shape - 1) / 2 * cell, float(cell), (nx, ny, nz))
+
+
+def sharpened(
+    coarse: Grid, values: Array, fine: Grid, exact: Callable[[Indices, float], tuple[Indices, Array]]
+) -> Array:
+    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones, `values` (n,) [m].
+
+    `exact` tells which of these nodes are within a distance [m] of the surface, or more of them, and their distances.
+    """
+    sharp = _interpolated(coarse, values, fine)
+    band = BAND * fine.cell
+    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
+    index, distance = exact(np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2), band)
+    sharp[index] = distance
+    return sharp
+
+
+def _interpolated(coarse: Grid, values: Array, fine: Grid) -> Array:
+    """Values (n,) at every fine node, linear between the coarse ones, which reach farther."""
+    start = (fine.origin - coarse.origin) / coarse.cell
+    axes = [s + np.arange(n) * (fine.cell / coarse.cell) for s, n in zip(start, fine.shape, strict=True)]
+    table = values.reshape(coarse.shape)
+    for k, at in enumerate(axes):
+        low = np.clip(at.astype(np.int64), 0, coarse.shape[k] - 2)
+        share = (at - low).reshape([-1 if j == k else 1 for j in range(3)])
+        table = (1 - share) * np.take(table, low, axis=k) + share * np.take(table, low + 1, axis=k)
+    return np.asarray(table.reshape(-1))
