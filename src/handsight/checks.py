@@ -87,9 +87,9 @@ def describe(shape: tuple[int | None, ...]) -> str:
 def among(name: str, valid: Iterable[str]) -> str:
     """`; the nearest valid one is 'x'`, or, where none is alike, the first few of them: for the end of a message."""
     known = sorted(valid)
-    alike = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if alike:
-        return f"; the nearest valid one is {alike[0]!r}"
+    lower = {one.lower(): one for one in known}
+    if alike := difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5):
+        return f"; the nearest valid one is {lower[alike[0]]!r}"
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; valid: {listed}" if known else ""
 

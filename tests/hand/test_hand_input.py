@@ -48,9 +48,12 @@ def test_the_palm_in_the_world_needs_the_arms_joints(robot):
     [
         (
             {"Knuckel": 0.0},
-            "joint_positions: expected joints of two_fingers.urdf, got 'Knuckel' (did you mean 'knuckle'?)",
+            "joint_positions: expected joints of two_fingers.urdf, got 'Knuckel'; the nearest valid one is 'knuckle'",
         ),
-        ({"q": 0.0}, "joint_positions: expected joints of two_fingers.urdf, got 'q'"),
+        (
+            {"q": 0.0},
+            "joint_positions: expected joints of two_fingers.urdf, got 'q'; valid: jaw, knuckle, lift, shoulder",
+        ),
         ({"lift": np.nan}, "joint_positions['lift']: expected a finite number, got nan"),
         ({"knuckle": -0.56}, "joint_positions['knuckle']: expected -0.2 to 1.6, got -0.56"),
         ({"knuckle": 1.96}, "joint_positions['knuckle']: expected -0.2 to 1.6, got 1.96"),
@@ -103,13 +106,21 @@ def test_points_that_fit_no_tips_are_refused(robot, points, tips, message):
 @pytest.mark.parametrize(
     ("palm", "tips", "message"),
     [
-        ("plam", {}, "palm: expected a body of two_fingers.urdf, got 'plam' (did you mean 'palm'?)"),
-        ("PALM", {}, "palm: expected a body of two_fingers.urdf, got 'PALM' (did you mean 'palm'?)"),
-        ("", {}, "palm: expected a body of two_fingers.urdf, got ''"),
+        (
+            "plam",
+            {},
+            "palm: expected a body of two_fingers.urdf, got 'plam'; the nearest valid one is 'palm'",
+        ),
+        (
+            "PALM",
+            {},
+            "palm: expected a body of two_fingers.urdf, got 'PALM'; the nearest valid one is 'palm'",
+        ),
+        ("", {}, "palm: expected a body of two_fingers.urdf, got ''; valid: arm, base, far, mount, palm, sliding, turning, world"),
         (
             "palm",
             {"ff": "turning_"},
-            "tips['ff']: expected a body of two_fingers.urdf, got 'turning_' (did you mean 'turning'?)",
+            "tips['ff']: expected a body of two_fingers.urdf, got 'turning_'; the nearest valid one is 'turning'",
         ),
         (
             "palm",
@@ -125,5 +136,5 @@ def test_bodies_that_are_not_there_or_hang_on_other_joints_are_named(robot_file,
 
 def test_the_nearest_body_is_found_without_its_prefix():
     shadow_file()
-    with pytest.raises(InvalidInput, match=r"got 'ffdistal' \(did you mean 'robot0:ffdistal'\?\)$"):
+    with pytest.raises(InvalidInput, match=r"got 'ffdistal'; the nearest valid one is 'robot0:ffdistal'$"):
         Hand.from_file(SHADOW, palm="robot0:palm", tips={"ff": "ffdistal"})

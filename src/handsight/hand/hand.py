@@ -2,9 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +10,7 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of, missing
+from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, check_positions, joints_of
 from handsight.hand.description import Description, read
 from handsight.hand.surface import HandSurface, sample, triangles_of
 
@@ -43,15 +41,11 @@ class HandPose:
         metre. Raises InvalidInput.
         """
         count = len(self.Ts_palm_tip)
-        if tips is None:
-            points, rows = checks.finite(points_palm, "points_palm", (count, 3)), np.arange(count)
-            return self.chains.jacobians(points, rows, self.axes_palm)
-        points = checks.finite(points_palm, "points_palm", (len(tips), 3))
-        if not all(0 <= tip < count for tip in tips):
-            raise InvalidInput(
-                f"tips: expected numbers from 0 to {count - 1}, got {checks.brief(list(tips))}"
-            )
-        return self.chains.jacobians(points, np.asarray(tips, dtype=np.int64), self.axes_palm)
+        rows = np.asarray(range(count) if tips is None else tips, dtype=np.int64)
+        points = checks.finite(points_palm, "points_palm", (len(rows), 3))
+        if not all(0 <= row < count for row in rows.tolist()):
+            raise InvalidInput(f"tips: expected numbers from 0 to {count - 1}, got {checks.brief(rows)}")
+        return self.chains.jacobians(points, rows, self.axes_palm)
 
 
 class Hand:
@@ -82,9 +76,12 @@ class Hand:
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
         self._chains = chains(self._model, self._palm, bodies, self._name)
         self.moving = self._chains.joints
-        self._kinds, limits = _joints(self._model)
+        names = [str(self._model.joint(i).name) for i in range(self._model.njnt)]
+        used = [i for i, name in enumerate(names) if name and self._model.jnt_type[i] in (HINGE, SLIDE)]
+        self._kinds = {names[i]: int(self._model.jnt_type[i]) for i in used}
         self.joint_names = tuple(self._kinds)
-        self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
+        limited = self._model.jnt_limited[used].astype(bool)[:, None]
+        self.limits = np.where(limited, self._model.jnt_range[used], [-np.inf, np.inf])
         self._arm: Chains | None = None
 
     @classmethod
@@ -129,24 +126,18 @@ class Hand:
         Raises InvalidInput for a joint that the file does not have, one that is missing for the tips, a position that
         is not finite, and one that is beyond a limit by more than 0.35 rad (2 cm).
         """
-        if not isinstance(joint_positions, Mapping):
-            came = checks.brief(joint_positions)
-            raise InvalidInput(f"joint_positions: expected a mapping from joint to position, got {came}")
-        for name, value in joint_positions.items():
+        named = joint_positions if isinstance(joint_positions, Mapping) else {}
+        for name in named:
             if name not in self._kinds:
-                raise InvalidInput(
-                    f"joint_positions: expected joints of {self._name}, got {name!r}{_nearest(name, self.joint_names)}"
-                )
-            checks.finite(value, f"joint_positions[{name!r}]", ())
-        if not all(name in joint_positions for name in self.moving):
-            raise InvalidInput(missing(joint_positions, self.moving))
+                near = checks.among(str(name), self.joint_names)
+                raise InvalidInput(f"joint_positions: expected joints of {self._name}, got {name!r}{near}")
+        check_positions(joint_positions, [*self.moving, *named])
         for name, (value, low, high) in self.outside_limits(joint_positions, 0.0).items():
-            if not low - BEYOND[self._kinds[name]] <= value <= high + BEYOND[self._kinds[name]]:
-                in_degrees = self._kinds[name] == HINGE and abs(value) > DEGREES
-                raise InvalidInput(
-                    f"joint_positions[{name!r}]: expected {low:.4g} to {high:.4g}, got {value:.4g}"
-                    + (" (degrees?)" if in_degrees else "")
-                )
+            beyond = BEYOND[self._kinds[name]]
+            if not low - beyond <= value <= high + beyond:
+                hint = " (degrees?)" if self._kinds[name] == HINGE and abs(value) > DEGREES else ""
+                expected = f"joint_positions[{name!r}]: expected {low:.4g} to {high:.4g}"
+                raise InvalidInput(f"{expected}, got {value:.4g}{hint}")
 
     def outside_limits(
         self, joint_positions: Mapping[str, float], tolerance: float = 0.02
@@ -199,25 +190,6 @@ class Hand:
 
     def _body(self, name: str, argument: str) -> int:
         if name not in self._bodies:
-            raise InvalidInput(
-                f"{argument}: expected a body of {self._name}, got {name!r}{_nearest(name, self._bodies)}"
-            )
+            near = checks.among(str(name), self._bodies)
+            raise InvalidInput(f"{argument}: expected a body of {self._name}, got {name!r}{near}")
         return self._bodies[name]
-
-
-def _joints(model: Any) -> tuple[dict[str, int], list[tuple[float, float]]]:
-    """Kinds of the hinges and slides that have a name, and their limits."""
-    kinds, limits = {}, []
-    for i in range(model.njnt):
-        name, kind = str(model.joint(i).name), int(model.jnt_type[i])
-        if name and kind in (HINGE, SLIDE):
-            kinds[name] = kind
-            limits.append(tuple(model.jnt_range[i].tolist()) if model.jnt_limited[i] else (-np.inf, np.inf))
-    return kinds, limits
-
-
-def _nearest(name: object, names: Collection[str]) -> str:
-    """Of the names the one that was perhaps meant, in parentheses."""
-    lower = {valid.lower(): valid for valid in names}
-    found = get_close_matches(str(name).lower(), lower, n=1, cutoff=0.4)
-    return f" (did you mean {lower[found[0]]!r}?)" if found else ""
