@@ -116,7 +116,11 @@ def test_points_that_fit_no_tips_are_refused(robot, points, tips, message):
             {},
             "palm: expected a body of two_fingers.urdf, got 'PALM'; the nearest valid one is 'palm'",
         ),
-        ("", {}, "palm: expected a body of two_fingers.urdf, got ''; valid: arm, base, far, mount, palm, sliding, turning, world"),
+        (
+            "",
+            {},
+            "palm: expected a body of two_fingers.urdf, got ''; valid: arm, base, far, mount, palm, sliding, turning, world",
+        ),
         (
             "palm",
             {"ff": "turning_"},
