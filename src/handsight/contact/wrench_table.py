@@ -11,11 +11,13 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any, TextIO
 
+import msgspec
 import numpy as np
 
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
+from handsight.explain import explain, named
 
 Place = str | os.PathLike[str] | TextIO
 
@@ -130,12 +132,19 @@ def _number(cell: str, where: str, column: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:
-        number = float(cell)
+        return float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
     except ValueError:
-        number = None
-    if number is None or "_" in cell:
-        raise InvalidFile(f"{where}, column {column}: expected a number, got {checks.brief(cell)!r}")
-    return number
+        came = checks.brief(cell)
+        raise InvalidFile(f"{where}, column {column}: expected a number, got {came!r}") from None
+
+
+class _Line(msgspec.Struct, forbid_unknown_fields=True):
+    """A wrench as JSON; null is a reading that is missing."""
+
+    force: tuple[float | None, float | None, float | None]
+    torque: tuple[float | None, float | None, float | None]
+    stamp: float | str | None = None
+    finger: float | str | None = None
 
 
 def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
@@ -146,43 +155,18 @@ def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
         where = f"{name}: line {i}"
         try:
             row = json.loads(line)
+            wrench = msgspec.convert(row, _Line)
+        except msgspec.ValidationError as error:
+            field, said = explain(error, _Line, row)
+            raise InvalidFile(f"{where}: {named(field) or 'wrench'}: {said}") from None
         except (ValueError, RecursionError) as error:
             raise InvalidFile(f"{where}: expected a JSON object, got {error}") from None
-        if not isinstance(row, dict):
-            raise InvalidFile(f"{where}: expected a JSON object, got {checks.brief(row)}")
-        for key in row:
-            if key not in (*LABELS, "force", "torque"):
-                raise InvalidFile(f"{where}: expected keys stamp, finger, force, torque, got {key[:40]!r}")
-        numbers = [*_triple(row, "force", where), *_triple(row, "torque", where)]
-        labels = {key: _label(row[key], where, key) for key in LABELS if key in row}
+        labels = {key: row[key] for key in LABELS if key in row}
         first = labels if first is None else first
         if labels.keys() != first.keys():
             came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
             raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
-        yield labels, numbers
-
-
-def _triple(row: dict[str, Any], key: str, where: str) -> list[float]:
-    """Three numbers, NaN where null."""
-    if key not in row:
-        raise InvalidFile(f"{where}: expected the keys force and torque, got no {key}")
-    value = row[key]
-    if (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(type(x) in (int, float, type(None)) for x in value)
-    ):
-        try:
-            return [math.nan if x is None else float(x) for x in value]
-        except OverflowError:
-            pass
-    raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}")
-
-
-def _label(value: object, where: str, key: str) -> object:
-    if isinstance(value, bool) or not isinstance(value, str | int | float | None):
-        raise InvalidFile(f"{where}, key {key}: expected a text or a number, got {checks.brief(value)}")
-    return value
+        yield labels, [math.nan if x is None else x for x in (*wrench.force, *wrench.torque)]
 
 
 def source_name(place: Place) -> str:

@@ -43,14 +43,14 @@ class Chains:
         try:
             values = np.array([joint_positions[name] for name in self.joints])
         except (LookupError, TypeError, ValueError):  # one is missing, no mapping, one of arrays
-            check_positions(joint_positions, self.joints)
+            _check_positions(joint_positions, self.joints)
             raise
         # Numbers in strings are no numbers.
         numbers = values.ndim == 1 and values.dtype.kind in "iuf"
         if not numbers or not chain.poses(
             values.astype(float), self.starts, self.steps, self.homes, Ts, axes
         ):
-            check_positions(joint_positions, self.joints)
+            _check_positions(joint_positions, self.joints)
             raise InvalidInput("joint_positions: expected a finite number for each joint")
         return Ts, axes
 
@@ -61,7 +61,7 @@ class Chains:
         return out
 
 
-def check_positions(joint_positions: object, joints: Iterable[str]) -> None:
+def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
     """Raises InvalidInput where the position of one of the joints is missing or no finite number."""
     if not isinstance(joint_positions, Mapping):
         came = checks.brief(joint_positions)

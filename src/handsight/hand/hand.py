@@ -10,14 +10,10 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, check_positions, joints_of
+from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
 from handsight.hand.description import Description, read
 from handsight.hand.surface import HandSurface, sample, triangles_of
 
-BEYOND = {HINGE: 0.35, SLIDE: 0.02}
-"""[rad], [m]: a position this far beyond a limit is an error of units or names; calibration makes less."""
-DEGREES = 6.5
-"""[rad]; more than a whole turn."""
 _WORLD = 0
 
 
@@ -76,12 +72,11 @@ class Hand:
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
         self._chains = chains(self._model, self._palm, bodies, self._name)
         self.moving = self._chains.joints
-        names = [str(self._model.joint(i).name) for i in range(self._model.njnt)]
-        used = [i for i, name in enumerate(names) if name and self._model.jnt_type[i] in (HINGE, SLIDE)]
-        self._kinds = {names[i]: int(self._model.jnt_type[i]) for i in used}
-        self.joint_names = tuple(self._kinds)
-        limited = self._model.jnt_limited[used].astype(bool)[:, None]
-        self.limits = np.where(limited, self._model.jnt_range[used], [-np.inf, np.inf])
+        joints = [self._model.joint(i) for i in range(self._model.njnt)]
+        joints = [joint for joint in joints if joint.name and joint.type in (HINGE, SLIDE)]
+        self.joint_names = tuple(str(joint.name) for joint in joints)
+        limits = [joint.range if joint.limited else (-np.inf, np.inf) for joint in joints]
+        self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
         self._arm: Chains | None = None
 
     @classmethod
@@ -100,7 +95,7 @@ class Hand:
 
         `joint_positions`: by name [rad], for slides [m]; all of `moving`, others are passed over (robots publish arm
         and hand together). Coupled joints are read as the others are. Raises InvalidInput naming what is missing or
-        not finite; `check` looks at more.
+        not finite.
         """
         return self._chains.poses(joint_positions)[0]
 
@@ -119,39 +114,6 @@ class Hand:
             self._arm = chains(self._model, _WORLD, [self._palm], self._name)
         Ts_world_palm, _ = self._arm.poses(joint_positions)
         return np.asarray(Ts_world_palm[0])
-
-    def check(self, joint_positions: Mapping[str, float]) -> None:
-        """Nothing, where the positions can be this robot's.
-
-        Raises InvalidInput for a joint that the file does not have, one that is missing for the tips, a position that
-        is not finite, and one that is beyond a limit by more than 0.35 rad (2 cm).
-        """
-        named = joint_positions if isinstance(joint_positions, Mapping) else {}
-        for name in named:
-            if name not in self._kinds:
-                near = checks.among(str(name), self.joint_names)
-                raise InvalidInput(f"joint_positions: expected joints of {self._name}, got {name!r}{near}")
-        check_positions(joint_positions, [*self.moving, *named])
-        for name, (value, low, high) in self.outside_limits(joint_positions, 0.0).items():
-            beyond = BEYOND[self._kinds[name]]
-            if not low - beyond <= value <= high + beyond:
-                hint = " (degrees?)" if self._kinds[name] == HINGE and abs(value) > DEGREES else ""
-                expected = f"joint_positions[{name!r}]: expected {low:.4g} to {high:.4g}"
-                raise InvalidInput(f"{expected}, got {value:.4g}{hint}")
-
-    def outside_limits(
-        self, joint_positions: Mapping[str, float], tolerance: float = 0.02
-    ) -> dict[str, tuple[float, float, float]]:
-        """By joint: position, least and greatest, where it is outside by more than `tolerance` [rad] or [m].
-
-        Joints that are not the file's are passed over.
-        """
-        found = {}
-        for name, (low, high) in zip(self.joint_names, self.limits.tolist(), strict=True):
-            value = joint_positions.get(name)
-            if value is not None and not low - tolerance <= value <= high + tolerance:
-                found[name] = (float(value), low, high)
-        return found
 
     def surface(
         self, count: int, *, seed: int = 0, shrink: float = 0.0015, without: Collection[str] = ()
