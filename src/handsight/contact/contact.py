@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,7 @@ class Reason(IntEnum):
     """The reading holds NaN or infinity."""
 
 
-REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = (
-    "contact",
-    "free",
-    "off_cap",
-    "beyond_friction",
-    "invalid",
-)
+REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = ("contact", *get_args(ReasonName))
 """The reasons in words, at their numbers."""
 
 
@@ -118,38 +112,23 @@ class ContactBatch:
     """(n,) a `Reason` each."""
     rows: NDArray[np.intp]
     """(k,) the wrench each contact came from, ascending."""
-    records: NDArray[Any]
-    """(k,) the contacts as one array: point, normal, force, force_normal, torque."""
+    points: Array
+    """(k, 3) [m]."""
+    normals: Array
+    """(k, 3) unit; the way the object pushes."""
+    forces: Array
+    """(k, 3) of the object on the tip [N]."""
+    forces_normal: Array
+    """(k,) [N], above zero."""
+    torques: Array
+    """(k,) local torque about the normal [N m]."""
     fingertip: Fingertip
     """The tip that felt them."""
     sigmas: Array
     """(6,) one standard deviation per axis of a reading's force [N] and torque [N m]."""
+    records: NDArray[Any] = field(repr=False)
+    """(k,) the contacts as kernels take them."""
     _covariances: Array | None = field(default=None, init=False, repr=False)
-
-    @property
-    def points(self) -> Array:
-        """(k, 3) [m]."""
-        return np.asarray(self.records["point"])
-
-    @property
-    def normals(self) -> Array:
-        """(k, 3) unit; the way the object pushes."""
-        return np.asarray(self.records["normal"])
-
-    @property
-    def forces(self) -> Array:
-        """(k, 3) of the object on the tip [N]."""
-        return np.asarray(self.records["force"])
-
-    @property
-    def forces_normal(self) -> Array:
-        """(k,) [N], above zero."""
-        return np.asarray(self.records["force_normal"])
-
-    @property
-    def torques(self) -> Array:
-        """(k,) local torque about the normal [N m]."""
-        return np.asarray(self.records["torque"])
 
     @property
     def covariances(self) -> Array:

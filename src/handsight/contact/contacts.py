@@ -50,10 +50,9 @@ class Contacts:
         points = _points(points_palm)
         normals, has_normal = _normals(normals_palm, len(points))
         if covariance is None:
-            covariance_palm = np.zeros((len(points), 6, 6))
-            for block, sigma, name in ((0, sigma_point, "sigma_point"), (3, sigma_normal, "sigma_normal")):
-                variance = _sigmas(sigma, name, len(points)) ** 2
-                covariance_palm[:, block : block + 3, block : block + 3] = variance[:, None, None] * np.eye(3)
+            sigmas = ((sigma_point, "sigma_point"), (sigma_normal, "sigma_normal"))
+            variances = np.stack([_sigmas(sigma, name, len(points)) ** 2 for sigma, name in sigmas], axis=1)
+            covariance_palm = np.repeat(variances, 3, axis=1)[:, :, None] * np.eye(6)
         else:
             covariance_palm = _by_row(checks.covariance, covariance, "covariance", (6, 6))
             _same_length(covariance_palm, "covariance", len(points))

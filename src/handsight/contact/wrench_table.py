@@ -43,16 +43,12 @@ _Row = tuple[dict[str, Any], list[float]]
 class WrenchRows:
     """Some consecutive rows of a wrench table."""
 
-    labels: dict[str, list[Any]]
-    """`stamp` and `finger`, those that the table has: a value for each row, text from CSV."""
+    labels: list[dict[str, Any]]
+    """For each row its `stamp` and `finger`, those that the table has; text from CSV."""
     forces: Array
     """(n, 3) [N]; NaN where the table has no number."""
     torques: Array
     """(n, 3) [N m]; NaN where the table has no number."""
-
-    def each_labels(self) -> Iterable[tuple[Any, ...]]:
-        """Stamp and finger of each row, as far as there are."""
-        return zip(*self.labels.values(), strict=True) if self.labels else [()] * len(self.forces)
 
 
 def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
@@ -69,8 +65,7 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
             while some := list(islice(rows, chunk)):
                 empty = False
                 numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
-                labels = {key: [labels[key] for labels, _ in some] for key in some[0][0]}
-                yield WrenchRows(labels, numbers[:, :3], numbers[:, 3:])
+                yield WrenchRows([labels for labels, _ in some], numbers[:, :3], numbers[:, 3:])
     except OSError as error:
         raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
@@ -82,13 +77,9 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
 def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
     """The rows of either format."""
     lines = iter(lines)
-    begun: list[str] = []
-    for line in lines:
-        begun.append(line.removeprefix("\ufeff") if not begun else line)
-        if begun[-1].strip():
-            break
-    else:
-        return iter(())
+    begun = [next(lines, "").removeprefix("\ufeff")]
+    while not begun[-1].strip() and (line := next(lines, "")):
+        begun.append(line)
     parse = _json_rows if begun[-1].lstrip().startswith("{") else _csv_rows
     return parse(chain(begun, lines), name)
 
@@ -96,12 +87,12 @@ def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
     reader = csv.reader(lines, strict=True)
     try:
-        header: list[str] | None = None
+        header: list[str] = []
         for cells in reader:
-            if not any(cell.strip() for cell in cells) and len(cells) < 2:
+            if len(cells) < 2 and not "".join(cells).strip():
                 continue
             where = f"{name}: line {reader.line_num}"
-            if header is None:
+            if not header:
                 header = _header(cells, where)
                 continue
             if len(cells) != len(header):

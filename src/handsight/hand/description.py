@@ -8,7 +8,6 @@ another program fails to load.
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -36,20 +35,8 @@ class HandWarning(UserWarning):
     """Something about a robot's description that costs part of it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Description:
-    """A robot as MuJoCo compiled it."""
-
-    name: str
-    """The file's, for messages."""
-    model: Any
-    """mujoco.MjModel."""
-    missing_meshes: tuple[str, ...]
-    """Files of shapes that were left out."""
-
-
-def read(path: str | Path) -> Description:
-    """The robot of a URDF or MJCF file.
+def read(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+    """The robot of a URDF or MJCF file as a mujoco.MjModel, and the mesh files whose shapes were left out.
 
     Raises InvalidFile, MissingExtra; warns where meshes of a URDF's collision shapes are left out.
     """
@@ -72,7 +59,7 @@ def read(path: str | Path) -> Description:
         raise InvalidFile(f"{found.name}: expected finite numbers for all links and joints, got NaN")
     if model.nbody < 2:
         raise InvalidFile(f"{found.name}: expected a robot with links, got none")
-    return Description(found.name, model, missing)
+    return model, missing
 
 
 class _Builder(ET.TreeBuilder):
@@ -103,7 +90,7 @@ def _urdf(mujoco: Any, root: ET.Element, path: Path) -> tuple[Any, tuple[str, ..
     if missing:
         said = f"{path.name}: {len(missing)} collision meshes left out, not there or neither OBJ nor binary STL: "
         more = ", ..." if len(missing) > 1 else ""
-        warnings.warn(said + missing[0] + more, HandWarning, stacklevel=4)
+        warnings.warn(said + missing[0] + more, HandWarning, stacklevel=5)
     try:
         spec = mujoco.MjSpec.from_string(ET.tostring(urdf.robot, encoding="unicode"), assets=urdf.assets)
         for mesh in spec.meshes:  # open and flat ones have no volume

@@ -11,7 +11,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
-from handsight.hand.description import Description, read
+from handsight.hand.description import read
 from handsight.hand.surface import HandSurface, sample, triangles_of
 
 _WORLD = 0
@@ -62,11 +62,11 @@ class Hand:
     missing_meshes: tuple[str, ...]
     """Mesh files that are not there or cannot be read; their shapes are left out of the surface."""
 
-    def __init__(self, file: str, description: Description, palm: str, tips: Mapping[str, str]) -> None:
-        """Of a description that has been read; `Hand.from_file` is the door."""
-        self.file, self.palm, self.tips = file, palm, dict(tips)
-        self.missing_meshes = description.missing_meshes
-        self._name, self._model = description.name, description.model
+    def __init__(self, path: str | Path, palm: str, tips: Mapping[str, str]) -> None:
+        """See `from_file`."""
+        self.file, self.palm, self.tips = str(path), palm, dict(tips)
+        self._name = Path(path).name
+        self._model, self.missing_meshes = read(path)
         self._bodies = {name: i for i in range(self._model.nbody) if (name := str(self._model.body(i).name))}
         self._palm = self._body(palm, "palm")
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
@@ -88,7 +88,7 @@ class Hand:
         the file is none of that kind, InvalidInput where it has no such body or the way from palm to a tip leads over
         other joints than hinges and slides, MissingExtra without MuJoCo.
         """
-        return cls(str(path), read(path), palm, {} if tips is None else tips)
+        return cls(path, palm, tips or {})
 
     def Ts_palm_tip(self, joint_positions: Mapping[str, float]) -> Array:
         """(t, 4, 4) poses of the tips in the palm, in the order of `tips`.
