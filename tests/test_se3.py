@@ -214,12 +214,12 @@ def spoilt(row, column, value):
 @pytest.mark.parametrize(
     ("T", "message"),
     [
-        ("pose", "T_a_b: expected 4 x 4 numbers, got 'pose'"),
-        ([[1, 2], [3]], "T_a_b: expected 4 x 4 numbers"),
-        (np.eye(3), r"T_a_b: expected shape \(4, 4\), got \(3, 3\)"),
-        (np.eye(4)[None], r"T_a_b: expected shape \(4, 4\), got \(1, 4, 4\)"),
-        (spoilt(0, 3, np.nan), "T_a_b: expected finite numbers, got NaN or infinity"),
-        (spoilt(0, 0, np.inf), "T_a_b: expected finite numbers, got NaN or infinity"),
+        ("pose", r"T_a_b: expected finite numbers of shape \(4, 4\), got pose"),
+        ([[1, 2], [3]], r"T_a_b: expected finite numbers of shape \(4, 4\), got \[\[1, 2\], \[3\]\]"),
+        (np.eye(3), r"T_a_b: expected finite numbers of shape \(4, 4\), got shape \(3, 3\)"),
+        (np.eye(4)[None], r"T_a_b: expected finite numbers of shape \(4, 4\), got shape \(1, 4, 4\)"),
+        (spoilt(0, 3, np.nan), r"T_a_b: expected finite numbers of shape \(4, 4\), got NaN or infinity"),
+        (spoilt(0, 0, np.inf), r"T_a_b: expected finite numbers of shape \(4, 4\), got NaN or infinity"),
         (spoilt(0, 0, 1.001), r"T_a_b: rotation is not orthonormal \(drift 2\.0e-03\)"),
         (spoilt(0, 0, -1), r"T_a_b: expected a rotation, got a reflection \(determinant -1\)"),
         (spoilt(3, 0, 0.1), r"T_a_b: expected the last row \[0, 0, 0, 1\], got \[0\.1, 0\.0, 0\.0, 1\.0\]"),

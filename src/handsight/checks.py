@@ -18,7 +18,7 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     try:
         array = np.asarray(value)
     except ValueError:  # ragged
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}") from None
+        array = np.array("")
     # Neither numbers in strings nor truth values nor integers beyond 64 bits pass for numbers.
     if array.size and (array.dtype.kind not in "iuf" or _holds_truth(value)):
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
@@ -29,7 +29,8 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
+        came = brief(value) if array.size <= 8 else "NaN or infinity"
+        raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
     return array
 
 

@@ -11,19 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight.checks import Array, finite, unit
-from handsight.errors import InvalidTransform
+from handsight.errors import InvalidInput, InvalidTransform
 
 
 def check(T: ArrayLike, name: str) -> Array:
     """`T` itself, (4, 4), if it is a rigid transform; raises InvalidTransform otherwise."""
     try:
-        array = np.array(T, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidTransform(f"{name}: expected 4 x 4 numbers, got {T!r:.60}") from None
-    if array.shape != (4, 4):
-        raise InvalidTransform(f"{name}: expected shape (4, 4), got {array.shape}")
-    if not np.isfinite(array).all():
-        raise InvalidTransform(f"{name}: expected finite numbers, got NaN or infinity")
+        array = finite(T, name, (4, 4))
+    except InvalidInput as error:
+        raise InvalidTransform(str(error)) from None
     R = array[:3, :3]
     drift = np.abs(R.T @ R - np.eye(3)).max()
     if not drift < 1e-6:

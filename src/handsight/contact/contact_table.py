@@ -17,7 +17,7 @@ from handsight.checks import Array
 from handsight.contact.contact import REASON_NAMES, ContactBatch
 from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
-from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches, source_name
+from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches
 from handsight.errors import InvalidFile, InvalidInput
 
 Format = Literal["csv", "jsonl"]
@@ -135,9 +135,7 @@ def _destination(destination: Place) -> Iterator[TextIO]:
     try:
         file = part.open("w", encoding="utf-8", newline="")
     except OSError as error:
-        raise InvalidFile(
-            f"{source_name(destination)}: cannot be written: {error.strerror or error}"
-        ) from None
+        raise InvalidFile(f"{destination}: cannot be written: {error.strerror or error}") from None
     try:
         with file:
             yield file

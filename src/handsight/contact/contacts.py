@@ -100,20 +100,19 @@ class Contacts:
 
     def select(self, mask_or_indices: ArrayLike) -> "Contacts":
         """Some of the contacts: a mask (n,) bool, or indices, which may reorder and repeat; at least one."""
-        chosen = np.asarray(mask_or_indices)
-        n = len(self)
+        chosen, n = np.asarray(mask_or_indices), len(self)
         if chosen.dtype == np.bool_ and chosen.shape == (n,):
             chosen = np.flatnonzero(chosen)
         if chosen.size == 0:
             raise InvalidInput("select: expected at least one contact, got none")
         if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
-            raise InvalidInput(
-                f"select: expected a mask of {n} or indices below {n}, got {checks.brief(mask_or_indices)}"
-            )
+            came = checks.brief(mask_or_indices)
+            raise InvalidInput(f"select: expected a mask of {n} or indices below {n}, got {came}")
         return _made(*(getattr(self, name)[chosen] for name in _GIVEN))
 
 
 _GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance")
+_RECORDED = ("point", "normal", "has_normal", "covariance")
 
 
 def _made(*arrays: NDArray[Any]) -> Contacts:
@@ -125,9 +124,7 @@ def _made(*arrays: NDArray[Any]) -> Contacts:
 
 def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
     record = np.empty(len(arrays[0]), dtype=CONTACT)
-    for name, field, array in zip(
-        _GIVEN, ("point", "normal", "has_normal", "covariance"), arrays, strict=True
-    ):
+    for name, field, array in zip(_GIVEN, _RECORDED, arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
         record[field] = array
@@ -149,10 +146,8 @@ def _points(points_palm: ArrayLike) -> Array:
         raise InvalidInput("points_palm: expected at least one contact, got no contacts")
     points = _by_row(checks.finite, points_palm, "points_palm", (3,))
     for i in np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST):
-        came = checks.brief(points[i])
-        raise InvalidInput(
-            f"points_palm[{i}]: expected metres within {FARTHEST:g}, got {came} (millimetres?)"
-        )
+        came = f"{checks.brief(points[i])} (millimetres?)"
+        raise InvalidInput(f"points_palm[{i}]: expected metres within {FARTHEST:g}, got {came}")
     return points
 
 

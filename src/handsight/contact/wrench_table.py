@@ -57,7 +57,7 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
     Blank lines are no rows. Raises InvalidFile naming the file, the line, the column, what was expected and what came;
     also for a file without a row.
     """
-    name = source_name(source)
+    name = str(source if isinstance(source, str | os.PathLike) else getattr(source, "name", "stream"))
     empty = True
     try:
         with _source(source) as lines:
@@ -158,13 +158,6 @@ def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
             came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
             raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
         yield labels, [math.nan if x is None else x for x in (*wrench.force, *wrench.torque)]
-
-
-def source_name(place: Place) -> str:
-    """What messages call a path or a stream."""
-    if isinstance(place, str | os.PathLike):
-        return os.fspath(place)
-    return str(getattr(place, "name", "stream"))
 
 
 def _source(source: Place) -> AbstractContextManager[TextIO]:
