@@ -51,7 +51,7 @@ MISTAKES = [
     ("joint_offset_deg: ", "joint_offset_deg: '1' #", "hand.joint_offset_deg: expected a finite number, got 1 (a text)"),
     ("joint_offset_deg: ", "joint_offset_deg: -1 #", "hand.joint_offset_deg: expected a number of at least 0, got -1"),
     ("joint_offset_deg: ", "joint_offset_deg: .nan #", "hand.joint_offset_deg: expected a finite number, got nan"),
-    ("joint_offset_deg: ", f"joint_offset_deg: 0x{'f' * 5000} #", "hand.joint_offset_deg: expected a finite number, got a whole number of 20000 bits"),
+    ("joint_offset_deg: ", f"joint_offset_deg: 0x{'f' * 5000} #", "hand.joint_offset_deg: expected a finite number, got a whole number of thousands of digits"),
     ("  height: ", "  height: true #", "table.height: expected a finite number, got True"),
     ("  height: ", "  height: 0 mm #", "table.height: expected a finite number, got 0 mm (a text)"),
     ("sigma_height: ", "sigma_height: 0 #", "table.sigma_height: expected a number above 0, got 0"),

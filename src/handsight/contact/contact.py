@@ -112,23 +112,28 @@ class ContactBatch:
     """(n,) a `Reason` each."""
     rows: NDArray[np.intp]
     """(k,) the wrench each contact came from, ascending."""
-    points: Array
-    """(k, 3) [m]."""
-    normals: Array
-    """(k, 3) unit; the way the object pushes."""
-    forces: Array
-    """(k, 3) of the object on the tip [N]."""
-    forces_normal: Array
-    """(k,) [N], above zero."""
-    torques: Array
-    """(k,) local torque about the normal [N m]."""
+    records: NDArray[Any] = field(repr=False)
+    """(k,) the contacts as kernels take them."""
     fingertip: Fingertip
     """The tip that felt them."""
     sigmas: Array
     """(6,) one standard deviation per axis of a reading's force [N] and torque [N m]."""
-    records: NDArray[Any] = field(repr=False)
-    """(k,) the contacts as kernels take them."""
+    points: Array = field(init=False)
+    """(k, 3) [m]."""
+    normals: Array = field(init=False)
+    """(k, 3) unit; the way the object pushes."""
+    forces: Array = field(init=False)
+    """(k, 3) of the object on the tip [N]."""
+    forces_normal: Array = field(init=False)
+    """(k,) [N], above zero."""
+    torques: Array = field(init=False)
+    """(k,) local torque about the normal [N m]."""
     _covariances: Array | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        columns = ("points", "normals", "forces", "forces_normal", "torques")
+        for column, name in zip(columns, self.records.dtype.names or (), strict=True):
+            object.__setattr__(self, column, self.records[name])
 
     @property
     def covariances(self) -> Array:

@@ -82,19 +82,7 @@ def contacts_from_wrenches(
 
     reasons, rows, records = (np.empty(n, dtype=kind) for kind in (np.int8, np.intp, TIP_CONTACT))
     k = sense(F, M, fingertip.record, reasons, rows, records)
-    found = _first(records, k)
-    return ContactBatch(
-        reasons=reasons,
-        rows=_first(rows, k),
-        points=found["point"],
-        normals=found["normal"],
-        forces=found["force"],
-        forces_normal=found["force_normal"],
-        torques=found["torque"],
-        fingertip=fingertip,
-        sigmas=sigmas,
-        records=found,
-    )
+    return ContactBatch(reasons, _first(rows, k), _first(records, k), fingertip, sigmas)
 
 
 @cache

@@ -46,14 +46,17 @@ def read(path: str | Path) -> tuple[Any, tuple[str, ...]]:
     except ImportError:
         raise MissingExtra(f"{found.name}: needs MuJoCo: pip install 'handsight[robot]'") from None
     root = _root(found)
-    if root.tag == "mujoco":
-        model, missing = _mjcf(mujoco, found)
-    elif root.tag == "robot":
-        model, missing = _urdf(mujoco, root, found)
-    else:
-        raise InvalidFile(
-            f"{found.name}: expected a URDF (<robot>) or an MJCF (<mujoco>), got <{root.tag:.40}>"
-        )
+    if root.tag not in ("mujoco", "robot"):
+        expected = "expected a URDF (<robot>) or an MJCF (<mujoco>)"
+        raise InvalidFile(f"{found.name}: {expected}, got <{root.tag:.40}>")
+    try:
+        spec, missing = _mjcf(mujoco, found) if root.tag == "mujoco" else _urdf(mujoco, root, found)
+        model = spec.compile()
+    except InvalidFile:
+        raise
+    except (ValueError, mujoco.FatalError) as error:
+        said = " ".join(str(error).split())
+        raise InvalidFile(f"{found.name}: MuJoCo cannot make a robot of it: {said}") from None
     numbers = (model.body_pos, model.body_quat, model.jnt_axis, model.jnt_pos, model.qpos0)
     if not all(np.isfinite(part).all() for part in numbers):
         raise InvalidFile(f"{found.name}: expected finite numbers for all links and joints, got NaN")
@@ -91,30 +94,23 @@ def _urdf(mujoco: Any, root: ET.Element, path: Path) -> tuple[Any, tuple[str, ..
         said = f"{path.name}: {len(missing)} collision meshes left out, not there or neither OBJ nor binary STL: "
         more = ", ..." if len(missing) > 1 else ""
         warnings.warn(said + missing[0] + more, HandWarning, stacklevel=5)
-    try:
-        spec = mujoco.MjSpec.from_string(ET.tostring(urdf.robot, encoding="unicode"), assets=urdf.assets)
-        for mesh in spec.meshes:  # open and flat ones have no volume
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise InvalidFile(_refused(path, error)) from None
-    return model, tuple(dict.fromkeys(urdf.missing["visual"] + missing))
+    spec = mujoco.MjSpec.from_string(ET.tostring(urdf.robot, encoding="unicode"), assets=urdf.assets)
+    for mesh in spec.meshes:  # open and flat ones have no volume
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return spec, tuple(dict.fromkeys(urdf.missing["visual"] + missing))
 
 
 def _mjcf(mujoco: Any, path: Path) -> tuple[Any, tuple[str, ...]]:
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.fusestatic = False
-        spec.compiler.discardvisual = False
-        spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
-        missing = _missing_meshes(spec, path)
-        for geom in [geom for geom in spec.geoms if geom.meshname in missing]:
-            spec.delete(geom)
-        for mesh in [mesh for mesh in spec.meshes if mesh.name in missing]:
-            spec.delete(mesh)
-        return spec.compile(), tuple(missing.values())
-    except (ValueError, mujoco.FatalError) as error:
-        raise InvalidFile(_refused(path, error)) from None
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic = False
+    spec.compiler.discardvisual = False
+    spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
+    missing = _missing_meshes(spec, path)
+    for geom in [geom for geom in spec.geoms if geom.meshname in missing]:
+        spec.delete(geom)
+    for mesh in [mesh for mesh in spec.meshes if mesh.name in missing]:
+        spec.delete(mesh)
+    return spec, tuple(missing.values())
 
 
 def _missing_meshes(spec: Any, path: Path) -> dict[str, str]:
@@ -126,10 +122,6 @@ def _missing_meshes(spec: Any, path: Path) -> dict[str, str]:
         for name, file in files.items()
         if not (folder / (file.name if spec.strippath else file)).is_file()
     }
-
-
-def _refused(path: Path, error: Exception) -> str:
-    return f"{path.name}: MuJoCo cannot make a robot of it: {' '.join(str(error).split())}"
 
 
 class _Urdf:

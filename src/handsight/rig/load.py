@@ -18,7 +18,7 @@ def load(path: Path) -> Rig:
     file = YamlFile(path)
     version = file.values.get("version")
     if isinstance(version, int | float) and version != VERSION:  # its other keys are that version's
-        raise file.wrong(("version",), f"expected {VERSION}, got {version:g}")
+        raise file.wrong(("version",), f"expected {VERSION}, got {checks.brief(version)}")
     form = file.read(RigForm)
     world = form.world or WorldForm()
     return Rig(

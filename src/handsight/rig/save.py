@@ -37,8 +37,8 @@ version: 1
 hand:
   file: {_said(_file(rig.hand.file))}   # URDF or MJCF
   palm: {_said(rig.hand.palm)}
-  joint_offset_deg: {_degrees(rig.sigma_joint_offset)}   # constant error of each joint angle
-  joint_noise_deg: {_degrees(rig.sigma_joint)}
+  joint_offset_deg: {_said(np.rad2deg(rig.sigma_joint_offset))}   # constant error of each joint angle
+  joint_noise_deg: {_said(np.rad2deg(rig.sigma_joint))}
 fingers:
 {_fingers(rig.fingers)}{_camera(rig.camera)}{_table(rig.table)}world:
   palm_from: {rig.world_from or "nowhere"}   # tf, joints (the hand's file has the arm in it), nowhere
@@ -71,7 +71,7 @@ frame: {_said(finger.frame)}   # the body the tip moves with
 surface: {pose_text(finger.T_frame_surface)}   # the shape's centre in it; the tip points along +z
 tip: {_tip(tip)}
 sigma_point: {_said(finger.sigma_point)}   # calibration, softness: what joints and sensor do not explain
-sigma_normal_deg: {_degrees(finger.sigma_normal)}
+sigma_normal_deg: {_said(np.rad2deg(finger.sigma_normal))}
 sensor:
   pose: {pose_text(finger.T_frame_surface @ T_surface_sensor)}   # in the frame
   reading: {known.reading}   # a tip at rest reads its weight along gravity: on_sensor; against it: on_tip
@@ -115,7 +115,7 @@ def _table(table: Table | None) -> str:
 table:   # objects stand on it until they are lifted
   height: {_said(table.height)}   # of its top in the world
   sigma_height: {_said(table.sigma_height)}
-  sigma_tilt_deg: {_degrees(table.sigma_tilt)}
+  sigma_tilt_deg: {_said(np.rad2deg(table.sigma_tilt))}
 """
 
 
@@ -151,10 +151,6 @@ def _section(name: str, entries: Mapping[str, object]) -> str:
 def _lines(entries: Mapping[str, object]) -> str:
     """A line for each entry that is not None."""
     return "".join(f"  {key}: {_said(value)}\n" for key, value in entries.items() if value is not None)
-
-
-def _degrees(angle: float) -> str:
-    return _said(np.rad2deg(angle))
 
 
 def _said(value: Any) -> str:

@@ -77,15 +77,9 @@ class YamlFile:
             return {str(key): self._plain(part, (*field, key)) for key, part in value.items()}
         if isinstance(value, list):
             return [self._plain(part, (*field, i)) for i, part in enumerate(value)]
-        if isinstance(value, bool):
-            return value
-        if isinstance(value, int) and value.bit_length() > 64:
-            raise self.wrong(
-                field, f"expected a finite number, got a whole number of {value.bit_length()} bits"
-            )
         if isinstance(value, float) and not math.isfinite(value):
             raise self.wrong(field, f"expected a finite number, got {float(value)}")
-        for kind in (int, float, str):
+        for kind in (bool, int, float, str):
             if isinstance(value, kind):
                 return kind(value)
         return value
