@@ -112,28 +112,38 @@ class ContactBatch:
     """(n,) a `Reason` each."""
     rows: NDArray[np.intp]
     """(k,) the wrench each contact came from, ascending."""
-    records: NDArray[Any] = field(repr=False)
-    """(k,) the contacts as kernels take them."""
+    records: NDArray[Any]
+    """(k,) the contacts as one array: point, normal, force, force_normal, torque."""
     fingertip: Fingertip
     """The tip that felt them."""
     sigmas: Array
     """(6,) one standard deviation per axis of a reading's force [N] and torque [N m]."""
-    points: Array = field(init=False)
-    """(k, 3) [m]."""
-    normals: Array = field(init=False)
-    """(k, 3) unit; the way the object pushes."""
-    forces: Array = field(init=False)
-    """(k, 3) of the object on the tip [N]."""
-    forces_normal: Array = field(init=False)
-    """(k,) [N], above zero."""
-    torques: Array = field(init=False)
-    """(k,) local torque about the normal [N m]."""
     _covariances: Array | None = field(default=None, init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        columns = ("points", "normals", "forces", "forces_normal", "torques")
-        for column, name in zip(columns, self.records.dtype.names or (), strict=True):
-            object.__setattr__(self, column, self.records[name])
+    @property
+    def points(self) -> Array:
+        """(k, 3) [m]."""
+        return np.asarray(self.records["point"])
+
+    @property
+    def normals(self) -> Array:
+        """(k, 3) unit; the way the object pushes."""
+        return np.asarray(self.records["normal"])
+
+    @property
+    def forces(self) -> Array:
+        """(k, 3) of the object on the tip [N]."""
+        return np.asarray(self.records["force"])
+
+    @property
+    def forces_normal(self) -> Array:
+        """(k,) [N], above zero."""
+        return np.asarray(self.records["force_normal"])
+
+    @property
+    def torques(self) -> Array:
+        """(k,) local torque about the normal [N m]."""
+        return np.asarray(self.records["torque"])
 
     @property
     def covariances(self) -> Array:
