@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.records import CONTACT
-from handsight.checks import Array
+from handsight.checks import Array, Mask
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 
@@ -25,7 +25,7 @@ class Contacts:
     """(n, 3), n ≥ 1 [m]."""
     normals_palm: Array
     """(n, 3) unit, the object's outward normals; rows of zeros where `has_normal` is False."""
-    has_normal: NDArray[np.bool_]
+    has_normal: Mask
     """(n,)"""
     covariance: Array
     """(n, 6, 6) of (point [m], normal) along the palm's axes. A unit normal varies in its
@@ -132,7 +132,7 @@ def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
     object.__setattr__(contacts, "record", record)
 
 
-def _tangent(covariance: Array, normals: Array, has_normal: NDArray[np.bool_]) -> Array:
+def _tangent(covariance: Array, normals: Array, has_normal: Mask) -> Array:
     """`covariance` without the part along the normals, and without any where there is none."""
     B = np.zeros((len(normals), 6, 6))
     B[:, :3, :3] = np.eye(3)
@@ -141,8 +141,8 @@ def _tangent(covariance: Array, normals: Array, has_normal: NDArray[np.bool_]) -
     return symmetric(B @ covariance @ B.swapaxes(-1, -2))
 
 
-def _points(points_palm: ArrayLike) -> Array:
-    if isinstance(points_palm, np.ndarray | Sequence) and _axes(points_palm) and not len(points_palm):
+def _points(points_palm: Any) -> Array:
+    if _axes(points_palm) and not len(points_palm):
         raise InvalidInput("points_palm: expected at least one contact, got no contacts")
     points = _by_row(checks.finite, points_palm, "points_palm", (3,))
     for i in np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST):
@@ -151,9 +151,7 @@ def _points(points_palm: ArrayLike) -> Array:
     return points
 
 
-def _normals(
-    normals_palm: ArrayLike | Sequence[ArrayLike | None] | None, n: int
-) -> tuple[Array, NDArray[np.bool_]]:
+def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
     """(n, 3) unit or zero, and which are there."""
     normals, has_normal = np.zeros((n, 3)), np.zeros(n, dtype=bool)
     if normals_palm is None:
@@ -179,19 +177,13 @@ def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
     return sigmas
 
 
-def _by_row(
-    check: Callable[[ArrayLike, str, tuple[int | None, ...]], Array],
-    value: ArrayLike,
-    name: str,
-    shape: tuple[int | None, ...],
-) -> Array:
+def _by_row(check: Callable[..., Array], value: Any, name: str, shape: tuple[int, ...]) -> Array:
     """`check` of the whole; where it fails, the message names the row at fault if one is."""
     try:
         return check(value, name, (None, *shape))
     except InvalidInput:
-        if isinstance(value, np.ndarray | Sequence) and _axes(value):
-            for i, row in enumerate(value):
-                check(row, f"{name}[{i}]", shape)
+        for i, row in enumerate(value if _axes(value) else ()):
+            check(row, f"{name}[{i}]", shape)
         raise
 
 

@@ -136,9 +136,8 @@ class _Urdf:
 
     def __init__(self, root: ET.Element, path: Path) -> None:
         if any("xacro" in part.tag.partition("}")[0] for part in root.iter() if part.tag.startswith("{")):
-            raise InvalidFile(
-                f"{path.name}: expected a URDF, got a xacro file; `xacro {path.name}` makes a URDF of it"
-            )
+            hint = f"`xacro {path.name}` makes a URDF of it"
+            raise InvalidFile(f"{path.name}: expected a URDF, got a xacro file; {hint}")
         self._path = path
         self._names: dict[tuple[Path, str], str] = {}  # of each mesh file in each scale
         self.robot, self.assets = ET.Element("robot", name="hand"), {}
