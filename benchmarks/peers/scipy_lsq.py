@@ -99,7 +99,7 @@ class _Fit:
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """(4 n + 6, 6)."""
         R, _, _, _, normals = self._matched(x)
-        by_turn = se3.left_jacobian(x[3:])
+        by_turn = left_jacobian(x[3:])
         normals_palm = normals @ R.T
         arm = self._felt.points_palm - self._middle - x[:3]
         rows = -np.hstack([normals_palm, np.cross(arm, normals_palm) @ by_turn]) / self._sigma_point[:, None]
@@ -107,3 +107,11 @@ class _Fit:
         turned = -np.einsum("ji,njk->nik", R, se3.skew(self._felt.normals_palm)) @ by_turn
         bent = np.concatenate([np.zeros_like(turned), turned], axis=2) / self._sigma_normal[:, :, None]
         return np.vstack([rows, bent.reshape(-1, 6), self._root])
+
+
+def left_jacobian(w: np.ndarray) -> np.ndarray:
+    """(3, 3) with `exp(w + dw) ≈ exp(left_jacobian(w) dw) exp(w)`."""
+    angle, S = np.linalg.norm(w), se3.skew(w)
+    # x - sin x cancels below 1e-2: there the series is exact to rounding.
+    cubic = 1 / 6 - angle**2 / 120 + angle**4 / 5040 if angle < 1e-2 else (angle - np.sin(angle)) / angle**3
+    return np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * S + cubic * (S @ S)

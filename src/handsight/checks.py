@@ -18,7 +18,7 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     try:
         array = np.asarray(value)
     except ValueError:  # ragged
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}") from None
+        array = np.array("")
     # Neither numbers in strings nor truth values nor integers beyond 64 bits pass for numbers.
     if array.size and (array.dtype.kind not in "iuf" or _holds_truth(value)):
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
@@ -29,7 +29,8 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
         raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
+        came = brief(value) if array.size <= 8 else "NaN or infinity"
+        raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
     return array
 
 
@@ -87,9 +88,9 @@ def describe(shape: tuple[int | None, ...]) -> str:
 def among(name: str, valid: Iterable[str]) -> str:
     """`; the nearest valid one is 'x'`, or, where none is alike, the first few of them: for the end of a message."""
     known = sorted(valid)
-    alike = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if alike:
-        return f"; the nearest valid one is {alike[0]!r}"
+    lower = {one.lower(): one for one in known}
+    if alike := difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5):
+        return f"; the nearest valid one is {lower[alike[0]]!r}"
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; valid: {listed}" if known else ""
 

@@ -65,10 +65,13 @@ def _sentence(said: str, path: Path, form: Any, value: Any) -> tuple[Path, str]:
     if said.startswith("Invalid enum value"):
         names = [str(name) for kind in _alternatives(form) for name in get_args(kind)]
         return path, f"expected one of {', '.join(names)}, got {value!r}{among(str(value), names)}"
-    if found := re.match(r"Expected `(\w+)[^`]*`(?: (>=?|<=?) ([\d.]+))?", said):
-        kind, bound, limit = found.groups()
-        expected = f"{_BOUNDS[bound]} {float(limit):g}" if bound else _kind(kind, form)
-        is_text = isinstance(value, str) and kind != "str"
+    if said == "Number out of range":
+        return path, f"expected a finite number, got {brief(value)}"
+    if found := re.match(r"Expected `([^`]+)`(?: (>=?|<=?) ([\d.]+))?", said):
+        kinds, bound, limit = found.groups()
+        names = [_kind(kind, form) for kind in kinds.split(" | ") if kind != "null"]
+        expected = f"{_BOUNDS[bound]} {float(limit):g}" if bound else " or ".join(names)
+        is_text = isinstance(value, str) and "str" not in kinds
         return path, f"expected {expected}, got {brief(value)}{' (a text)' if is_text else ''}"
     if found := re.match(r"(\w+): ", said):
         return (*path, found[1]), said[found.end() :]

@@ -32,9 +32,8 @@ class PoseMeasurement:
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
         if self.frame not in VISION_FRAMES:
-            raise InvalidInput(
-                f"vision.frame: expected one of {', '.join(VISION_FRAMES)}, got {self.frame!r}"
-            )
+            known = ", ".join(VISION_FRAMES)
+            raise InvalidInput(f"vision.frame: expected one of {known}, got {self.frame!r}")
         if self.covariance is not None:
             covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
             object.__setattr__(self, "covariance", covariance)

@@ -3,30 +3,23 @@
 `T_a_b` maps b-coordinates to a: `p_a = T_a_b @ p_b`. Neighbours cancel:
 `T_palm_object = T_palm_camera @ T_camera_object`.
 
-Two kinds of six numbers, translation [m] first, rotation [rad] second:
-
-* a *twist* `(v, ω)` of `exp`, `log` and `adjoint`: the group's own coordinates, where a screw is a line;
-* a *perturbation* `(δp, δθ)` of `moved` and `difference`: `p + δp`, `exp(δθ) @ R`, both along the outer
-  frame's axes. Covariances and Jacobians of a pose are for this one (ROS' PoseWithCovariance).
+A *perturbation* `(δp, δθ)`, translation [m] first, rotation [rad] second, gives `p + δp`, `exp(δθ) @ R`, both along
+the outer frame's axes. Covariances and Jacobians of a pose are for it (ROS' PoseWithCovariance).
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight.checks import Array, finite, unit
-from handsight.errors import InvalidTransform
+from handsight.errors import InvalidInput, InvalidTransform
 
 
 def check(T: ArrayLike, name: str) -> Array:
     """`T` itself, (4, 4), if it is a rigid transform; raises InvalidTransform otherwise."""
     try:
-        array = np.array(T, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidTransform(f"{name}: expected 4 x 4 numbers, got {T!r:.60}") from None
-    if array.shape != (4, 4):
-        raise InvalidTransform(f"{name}: expected shape (4, 4), got {array.shape}")
-    if not np.isfinite(array).all():
-        raise InvalidTransform(f"{name}: expected finite numbers, got NaN or infinity")
+        array = finite(T, name, (4, 4))
+    except InvalidInput as error:
+        raise InvalidTransform(str(error)) from None
     R = array[:3, :3]
     drift = np.abs(R.T @ R - np.eye(3)).max()
     if not drift < 1e-6:
@@ -126,66 +119,6 @@ def rotation_from_quaternion(quaternion_xyzw: Array) -> Array:
     q = quaternion_xyzw / np.linalg.norm(quaternion_xyzw, axis=-1, keepdims=True)
     S = skew(q[..., :3])
     return np.asarray(np.eye(3) + 2 * (q[..., 3, None, None] * S + S @ S))
-
-
-def left_jacobian(w: Array) -> Array:
-    """`exp(w + dw) ≈ exp(left_jacobian(w) dw) exp(w)`, (..., 3, 3)."""
-    angle = np.linalg.norm(w, axis=-1)[..., None, None]
-    S = skew(w)
-    small = angle < 1e-2
-    safe = np.where(small, 1.0, angle)
-    # x - sin x cancels below 1e-2: there the series is exact to rounding.
-    cubic = np.where(small, 1 / 6 - angle**2 / 120 + angle**4 / 5040, (safe - np.sin(safe)) / safe**3)
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * S + cubic * (S @ S))
-
-
-def left_jacobian_inverse(w: Array) -> Array:
-    """Derivative of `rotation_log(exp(δθ) exp(w))` by δθ at 0, (..., 3, 3); singular only at 2π."""
-    half = 0.5 * np.sqrt((w * w).sum(axis=-1))[..., None, None]
-    small = half < 5e-3
-    safe = np.where(small, 1.0, half)
-    factor = np.where(small, 1 / 12 + half**2 / 180, (1 - safe / np.tan(safe)) / (4 * safe * safe))
-    S = skew(w)
-    return np.asarray(_EYE - 0.5 * S + factor * (S @ S))
-
-
-def log_with_derivative(R: Array) -> tuple[Array, Array]:
-    """`rotation_log` (..., 3) and its `left_jacobian_inverse` (..., 3, 3), sharing what both need."""
-    vector = R.reshape(*R.shape[:-2], 9) @ _UNSKEW  # sin(angle) axis
-    sine = np.sqrt((vector * vector).sum(axis=-1))
-    cosine = (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1) / 2
-    # Near 0 and near π each has its own care to take.
-    if np.any(cosine < -0.9) or np.any(sine < 1e-2):
-        w = rotation_log(R)
-        return w, left_jacobian_inverse(w)
-    angle = np.arctan2(sine, cosine)
-    w = (angle / sine)[..., None] * vector
-    # (1 - (x/2) cot(x/2)) / x², cot(x/2) = (1 + cos x) / sin x
-    factor = (1 - angle * (1 + cosine) / (2 * sine)) / (angle * angle)
-    S = skew(w)
-    return w, np.asarray(_EYE - 0.5 * S + factor[..., None, None] * (S @ S))
-
-
-def exp(twist: Array) -> Array:
-    """Transforms (..., 4, 4) of twists (..., 6): translation part [m], rotation part [rad]."""
-    w = twist[..., 3:]
-    return compose(rotation_exp(w), np.einsum("...ij,...j->...i", left_jacobian(w), twist[..., :3]))
-
-
-def log(T: Array) -> Array:
-    """Twists (..., 6) with `exp(log(T)) = T`, rotation part of length ≤ π."""
-    w = rotation_log(T[..., :3, :3])
-    v = np.einsum("...ij,...j->...i", left_jacobian_inverse(w), T[..., :3, 3])
-    return np.concatenate([v, w], axis=-1)
-
-
-def adjoint(T_a_b: Array) -> Array:
-    """(..., 6, 6) matrices that carry a twist from b to a: `T exp(ξ) T⁻¹ = exp(adjoint(T) ξ)`."""
-    R, p = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
-    A = np.zeros((*T_a_b.shape[:-2], 6, 6))
-    A[..., :3, :3] = A[..., 3:, 3:] = R
-    A[..., :3, 3:] = skew(p) @ R
-    return A
 
 
 def moved(T: Array, perturbation: Array) -> Array:

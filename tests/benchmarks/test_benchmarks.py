@@ -9,6 +9,7 @@ import handsight as hs
 from benchmarks import __main__ as command
 from benchmarks import frontier, gate, peers, sensing, shapes, timing, workload
 from benchmarks.peers.paper_numba import PaperCompiled
+from benchmarks.peers.scipy_lsq import left_jacobian
 from benchmarks.workload import FAR, NEAR
 from handsight import se3
 from shared import scenes
@@ -234,3 +235,11 @@ def test_targets_that_were_not_measured_say_so():
     rows = targets.rows({"sections": {"correction": [alone]}, "ratios": {}})
     assert rows[0][1:] == ["50 µs", "≤ 60 µs", "met"]
     assert {row[1] for row in rows if "small_gicp" in row[0]} == {"not measured"}
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 9.99e-3, 1.01e-2, 0.5, 2.0, 3.0])
+def test_the_turn_of_scipys_peer_is_derived_rightly(angle):
+    w, steps = angle * np.array([0.36, -0.48, 0.8]), 1e-6 * np.eye(3)
+    back = se3.rotation_exp(w).T
+    ahead, behind = (se3.rotation_log(se3.rotation_exp(w + side * steps) @ back) for side in (1, -1))
+    np.testing.assert_allclose(left_jacobian(w), (ahead - behind).T / 2e-6, atol=1e-8)

@@ -164,28 +164,28 @@ def test_a_contact_reads_plainly():
         ("fx,fy,fz,tx,ty,tz\n0,0,0,0,0,1_0\n", "w: line 2, column tz: expected a number, got '1_0'"),
         ('fx,fy,fz,tx,ty,tz\n0,0,0,0,0,"1\n', "w: line 2: expected CSV, got unexpected end of data"),
         ('{"force": [0, 0, 0]\n', "w: line 1: expected a JSON object, got"),
-        ('{"force":[0,0,0],"torque":[0,0,0]}\n\n[1]\n', "w: line 3: expected a JSON object, got [1]"),
-        ('{"force":[0,0,0]}', "w: line 1: expected the keys force and torque, got no torque"),
-        ('{"force":[0,0],"torque":[0,0,0]}', "w: line 1, key force: expected 3 numbers, got [0, 0]"),
         (
-            '{"force":[0,0,true],"torque":[0,0,0]}',
-            "w: line 1, key force: expected 3 numbers, got [0, 0, True]",
+            '{"force":[0,0,0],"torque":[0,0,0]}\n\n[1]\n',
+            "w: line 3: wrench: expected keys and values, got [1]",
         ),
+        ('{"force":[0,0,0]}', "w: line 1: torque: expected, got nothing"),
+        ('{"force":[0,0],"torque":[0,0,0]}', "w: line 1: force: expected 3 finite numbers, got [0, 0]"),
+        ('{"force":[0,0,true],"torque":[0,0,0]}', "w: line 1: force[2]: expected a finite number, got True"),
         (
             '{"force":[0,0,0],"torque":["0",0,0]}',
-            "w: line 1, key torque: expected 3 numbers, got ['0', 0, 0]",
+            "w: line 1: torque[0]: expected a finite number, got 0 (a text)",
         ),
         (
             '{"force":[0,0,0],"torque":[0,0,1' + "0" * 400 + "]}",
-            "w: line 1, key torque: expected 3 numbers, got [0, 0, 1",
+            "w: line 1: torque[2]: expected a finite number, got 1000",
         ),
         (
             '{"Force":[0,0,0],"torque":[0,0,0]}',
-            "w: line 1: expected keys stamp, finger, force, torque, got 'Force'",
+            "w: line 1: Force: unknown key; the nearest valid one is 'force'",
         ),
         (
             '{"force":[0,0,0],"torque":[0,0,0],"stamp":[1]}',
-            "w: line 1, key stamp: expected a text or a number, got [1]",
+            "w: line 1: stamp: expected a finite number or a text, got [1]",
         ),
         (
             '{"force":[0,0,0],"torque":[0,0,0],"stamp":1}\n{"force":[0,0,0],"torque":[0,0,0]}',

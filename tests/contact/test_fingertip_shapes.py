@@ -24,7 +24,10 @@ from handsight.errors import InvalidInput, InvalidTransform
         ({"max_friction": 0}, "max_friction: expected a number above 0, got 0"),
         ({"min_force": -1}, "min_force: expected a number above 0, got -1"),
         ({"min_force": 1e-12}, "min_force: expected newtons, at least 1e-09, got 1e-12"),
-        ({"T_surface_sensor": np.eye(3)}, "T_surface_sensor: expected shape (4, 4), got (3, 3)"),
+        (
+            {"T_surface_sensor": np.eye(3)},
+            "T_surface_sensor: expected finite numbers of shape (4, 4), got shape (3, 3)",
+        ),
     ],
 )
 def test_a_wrong_ellipsoid_is_refused_by_field(arguments, message):

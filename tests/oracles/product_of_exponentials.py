@@ -1,6 +1,7 @@
 """Forward kinematics of hinges and slides as a product of exponentials (Murray, Li and Sastry 1994), body by body."""
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from handsight import se3
 
@@ -16,9 +17,10 @@ def poses_in_world(model, positions):
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             axis, anchor = model.jnt_axis[joint], model.jnt_pos[joint]
             slides = model.jnt_type[joint] == SLIDE
-            twist = np.array([*axis, 0, 0, 0] if slides else [*np.cross(anchor, axis), *axis])
+            twist = np.array([0, 0, 0, *axis] if slides else [*axis, *np.cross(anchor, axis)])
             zero = model.qpos0[model.jnt_qposadr[joint]]
-            Ts[body] = Ts[body] @ se3.exp(twist * (positions.get(model.joint(joint).name, zero) - zero))
+            along = positions.get(model.joint(joint).name, zero) - zero
+            Ts[body] = Ts[body] @ RigidTransform.from_exp_coords(twist * along).as_matrix()
     return Ts
 
 

@@ -68,15 +68,10 @@ def calibrate_wrench(
     )
     if not len(F) == len(M) == len(G):
         raise InvalidInput(f"forces, torques, gravities: expected one length, got {[len(F), len(M), len(G)]}")
-    sign = _sign(reading)
-    length = _check_gravities(G)
+    sign, length = _sign(reading), _check_gravities(G)
     g = sign * G / length
-    eye = np.broadcast_to(np.eye(3), (len(g), 3, 3))
-    design_force = np.concatenate([eye, g[:, :, None]], axis=2).reshape(-1, 4)
-    design_torque = np.concatenate([eye, -se3.skew(g)], axis=2).reshape(-1, 6)
-    condition = max(_condition(design_force, G), _condition(design_torque, G))
-    x_force = np.linalg.lstsq(design_force, F.ravel(), rcond=None)[0]
-    x_torque = np.linalg.lstsq(design_torque, M.ravel(), rcond=None)[0]
+    x_force, residual_force, condition_force = _fit(g[:, :, None], F, G)
+    x_torque, residual_torque, condition_torque = _fit(-se3.skew(g), M, G)
     mass = float(x_force[3]) / length
     if not mass > 0:
         raise InvalidInput(
@@ -89,9 +84,9 @@ def calibrate_wrench(
         bias_torque=x_torque[:3],
         mass=mass,
         center_of_mass=x_torque[3:] / (mass * length),
-        residual_force=_rms(F - (design_force @ x_force).reshape(-1, 3)),
-        residual_torque=_rms(M - (design_torque @ x_torque).reshape(-1, 3)),
-        condition=condition,
+        residual_force=residual_force,
+        residual_torque=residual_torque,
+        condition=max(condition_force, condition_torque),
         reading=reading,
     )
 
@@ -108,9 +103,8 @@ def compensate(
     F, M = checks.finite(forces, "forces", stack), checks.finite(torques, "torques", stack)
     G = checks.finite(gravities, "gravities", stack if np.ndim(gravities) > 1 else (3,))
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):
-        raise InvalidInput(
-            f"forces, torques, gravities: expected one shape, got {F.shape}, {M.shape}, {G.shape}"
-        )
+        shapes = f"{F.shape}, {M.shape}, {G.shape}"
+        raise InvalidInput(f"forces, torques, gravities: expected one shape, got {shapes}")
     sign = _sign(calibration.reading)
     weight = calibration.mass * G
     return (
@@ -131,17 +125,20 @@ def _check_gravities(gravities: Array) -> float:
         raise InvalidInput(f"gravities: expected at least {LEAST_ROWS} orientations, got {len(gravities)}")
     lengths = np.linalg.norm(gravities, axis=1)
     least, most = GRAVITY_RANGE
-    for i in np.flatnonzero(~((lengths >= least) & (lengths <= most))):
-        raise InvalidInput(
-            f"gravities[{i}]: expected a length of {least:g} to {most:g} m/s², got {lengths[i]:.4g}"
-            + (" (a unit vector?)" if abs(lengths[i] - 1) < 0.01 else "")
-        )
+    for i, length in enumerate(lengths):
+        if not least <= length <= most:
+            came = f"{length:.4g} (a unit vector?)" if abs(length - 1) < 0.01 else f"{length:.4g}"
+            raise InvalidInput(f"gravities[{i}]: expected a length of {least:g} to {most:g} m/s², got {came}")
     return float(np.sqrt((lengths**2).mean()))
 
 
-def _condition(design: Array, gravities: Array) -> float:
-    """The conditioning of a fit whose columns have like units; raises InvalidInput where it is hopeless."""
-    values = np.linalg.svd(design, compute_uv=False)
+def _fit(slopes: Array, readings: Array, gravities: Array) -> tuple[Array, Array, float]:
+    """Coefficients of a bias and of `slopes` (n, 3, k), the root mean square of what they leave, and the conditioning.
+
+    Raises InvalidInput where the fit is hopeless.
+    """
+    design = np.concatenate([np.broadcast_to(np.eye(3), (len(slopes), 3, 3)), slopes], axis=2)
+    x, _, _, values = np.linalg.lstsq(design.reshape(-1, design.shape[2]), readings.ravel(), rcond=None)
     if values[-1] * WORST_CONDITION < values[0]:
         directions = gravities / np.linalg.norm(gravities, axis=1, keepdims=True)
         spread = np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False)[1]
@@ -151,8 +148,4 @@ def _condition(design: Array, gravities: Array) -> float:
             f"of {spread_deg:.2g} degrees about the second (conditioning "
             f"{values[0] / max(values[-1], 1e-300):.2g}, at most {WORST_CONDITION:g})"
         )
-    return float(values[0] / values[-1])
-
-
-def _rms(residuals: Array) -> Array:
-    return np.asarray(np.sqrt((residuals**2).mean(axis=0)), dtype=np.float64)
+    return x, np.sqrt(((readings - design @ x) ** 2).mean(axis=0)), float(values[0] / values[-1])

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,7 @@ class Reason(IntEnum):
     """The reading holds NaN or infinity."""
 
 
-REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = (
-    "contact",
-    "free",
-    "off_cap",
-    "beyond_friction",
-    "invalid",
-)
+REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = ("contact", *get_args(ReasonName))
 """The reasons in words, at their numbers."""
 
 

@@ -17,7 +17,7 @@ from handsight.checks import Array
 from handsight.contact.contact import REASON_NAMES, ContactBatch
 from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
-from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches, source_name
+from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches
 from handsight.errors import InvalidFile, InvalidInput
 
 Format = Literal["csv", "jsonl"]
@@ -78,7 +78,7 @@ def convert(
         for i, rows in enumerate(read_wrenches(source)):
             batch = contacts_from_wrenches(rows.forces, rows.torques, fingertip, **sigmas)
             if format == "csv" and i == 0:
-                file.write(",".join([*rows.labels, *COLUMNS]) + "\n")
+                file.write(",".join([*rows.labels[0], *COLUMNS]) + "\n")
             writers[format](file, rows, batch)
             counts.update(batch.reasons.tolist())
     return {name: counts[reason] for reason, name in enumerate(REASON_NAMES)}
@@ -92,9 +92,9 @@ def _write_csv(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
     contacts = iter((numbers + 0.0).tolist())  # no -0
     absent = [""] * numbers.shape[1]
     writer = csv.writer(file, lineterminator="\n")
-    for labels, reason in zip(rows.each_labels(), batch.reasons.tolist(), strict=True):
+    for labels, reason in zip(rows.labels, batch.reasons.tolist(), strict=True):
         cells = absent if reason else [f"{number:.9g}" for number in next(contacts)]
-        writer.writerow([*labels, REASON_NAMES[reason], *cells])
+        writer.writerow([*labels.values(), REASON_NAMES[reason], *cells])
 
 
 def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
@@ -102,8 +102,8 @@ def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
     columns = (batch.points, batch.normals, *pushes, batch.covariances)
     contacts = zip(*(column.tolist() for column in columns), strict=True)
     encode = msgspec.json.Encoder().encode
-    for labels, reason in zip(rows.each_labels(), batch.reasons.tolist(), strict=True):
-        row = {key: _json_label(key, value) for key, value in zip(rows.labels, labels, strict=True)}
+    for labels, reason in zip(rows.labels, batch.reasons.tolist(), strict=True):
+        row = {key: _json_label(key, value) for key, value in labels.items()}
         row["reason"] = REASON_NAMES[reason]
         if not reason:
             row.update(zip(KEYS, next(contacts), strict=True))
@@ -135,9 +135,7 @@ def _destination(destination: Place) -> Iterator[TextIO]:
     try:
         file = part.open("w", encoding="utf-8", newline="")
     except OSError as error:
-        raise InvalidFile(
-            f"{source_name(destination)}: cannot be written: {error.strerror or error}"
-        ) from None
+        raise InvalidFile(f"{destination}: cannot be written: {error.strerror or error}") from None
     try:
         with file:
             yield file

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.records import CONTACT
-from handsight.checks import Array
+from handsight.checks import Array, Mask
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 
@@ -25,7 +25,7 @@ class Contacts:
     """(n, 3), n ≥ 1 [m]."""
     normals_palm: Array
     """(n, 3) unit, the object's outward normals; rows of zeros where `has_normal` is False."""
-    has_normal: NDArray[np.bool_]
+    has_normal: Mask
     """(n,)"""
     covariance: Array
     """(n, 6, 6) of (point [m], normal) along the palm's axes. A unit normal varies in its
@@ -50,10 +50,9 @@ class Contacts:
         points = _points(points_palm)
         normals, has_normal = _normals(normals_palm, len(points))
         if covariance is None:
-            covariance_palm = np.zeros((len(points), 6, 6))
-            for block, sigma, name in ((0, sigma_point, "sigma_point"), (3, sigma_normal, "sigma_normal")):
-                variance = _sigmas(sigma, name, len(points)) ** 2
-                covariance_palm[:, block : block + 3, block : block + 3] = variance[:, None, None] * np.eye(3)
+            sigmas = ((sigma_point, "sigma_point"), (sigma_normal, "sigma_normal"))
+            variances = np.stack([_sigmas(sigma, name, len(points)) ** 2 for sigma, name in sigmas], axis=1)
+            covariance_palm = np.repeat(variances, 3, axis=1)[:, :, None] * np.eye(6)
         else:
             covariance_palm = _by_row(checks.covariance, covariance, "covariance", (6, 6))
             _same_length(covariance_palm, "covariance", len(points))
@@ -101,20 +100,19 @@ class Contacts:
 
     def select(self, mask_or_indices: ArrayLike) -> "Contacts":
         """Some of the contacts: a mask (n,) bool, or indices, which may reorder and repeat; at least one."""
-        chosen = np.asarray(mask_or_indices)
-        n = len(self)
+        chosen, n = np.asarray(mask_or_indices), len(self)
         if chosen.dtype == np.bool_ and chosen.shape == (n,):
             chosen = np.flatnonzero(chosen)
         if chosen.size == 0:
             raise InvalidInput("select: expected at least one contact, got none")
         if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
-            raise InvalidInput(
-                f"select: expected a mask of {n} or indices below {n}, got {checks.brief(mask_or_indices)}"
-            )
+            came = checks.brief(mask_or_indices)
+            raise InvalidInput(f"select: expected a mask of {n} or indices below {n}, got {came}")
         return _made(*(getattr(self, name)[chosen] for name in _GIVEN))
 
 
 _GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance")
+_RECORDED = ("point", "normal", "has_normal", "covariance")
 
 
 def _made(*arrays: NDArray[Any]) -> Contacts:
@@ -126,9 +124,7 @@ def _made(*arrays: NDArray[Any]) -> Contacts:
 
 def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
     record = np.empty(len(arrays[0]), dtype=CONTACT)
-    for name, field, array in zip(
-        _GIVEN, ("point", "normal", "has_normal", "covariance"), arrays, strict=True
-    ):
+    for name, field, array in zip(_GIVEN, _RECORDED, arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
         record[field] = array
@@ -136,7 +132,7 @@ def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
     object.__setattr__(contacts, "record", record)
 
 
-def _tangent(covariance: Array, normals: Array, has_normal: NDArray[np.bool_]) -> Array:
+def _tangent(covariance: Array, normals: Array, has_normal: Mask) -> Array:
     """`covariance` without the part along the normals, and without any where there is none."""
     B = np.zeros((len(normals), 6, 6))
     B[:, :3, :3] = np.eye(3)
@@ -145,21 +141,17 @@ def _tangent(covariance: Array, normals: Array, has_normal: NDArray[np.bool_]) -
     return symmetric(B @ covariance @ B.swapaxes(-1, -2))
 
 
-def _points(points_palm: ArrayLike) -> Array:
-    if isinstance(points_palm, np.ndarray | Sequence) and _axes(points_palm) and not len(points_palm):
+def _points(points_palm: Any) -> Array:
+    if _axes(points_palm) and not len(points_palm):
         raise InvalidInput("points_palm: expected at least one contact, got no contacts")
     points = _by_row(checks.finite, points_palm, "points_palm", (3,))
     for i in np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST):
-        came = checks.brief(points[i])
-        raise InvalidInput(
-            f"points_palm[{i}]: expected metres within {FARTHEST:g}, got {came} (millimetres?)"
-        )
+        came = f"{checks.brief(points[i])} (millimetres?)"
+        raise InvalidInput(f"points_palm[{i}]: expected metres within {FARTHEST:g}, got {came}")
     return points
 
 
-def _normals(
-    normals_palm: ArrayLike | Sequence[ArrayLike | None] | None, n: int
-) -> tuple[Array, NDArray[np.bool_]]:
+def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
     """(n, 3) unit or zero, and which are there."""
     normals, has_normal = np.zeros((n, 3)), np.zeros(n, dtype=bool)
     if normals_palm is None:
@@ -185,19 +177,13 @@ def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
     return sigmas
 
 
-def _by_row(
-    check: Callable[[ArrayLike, str, tuple[int | None, ...]], Array],
-    value: ArrayLike,
-    name: str,
-    shape: tuple[int | None, ...],
-) -> Array:
+def _by_row(check: Callable[..., Array], value: Any, name: str, shape: tuple[int, ...]) -> Array:
     """`check` of the whole; where it fails, the message names the row at fault if one is."""
     try:
         return check(value, name, (None, *shape))
     except InvalidInput:
-        if isinstance(value, np.ndarray | Sequence) and _axes(value):
-            for i, row in enumerate(value):
-                check(row, f"{name}[{i}]", shape)
+        for i, row in enumerate(value if _axes(value) else ()):
+            check(row, f"{name}[{i}]", shape)
         raise
 
 

@@ -80,11 +80,7 @@ def contacts_from_wrenches(
     sigmas = _sigmas(sigma_force, sigma_torque).copy()
     from handsight._kernels.sensing import sense
 
-    reasons, rows, records = (
-        np.empty(n, dtype=np.int8),
-        np.empty(n, dtype=np.intp),
-        np.empty(n, dtype=TIP_CONTACT),
-    )
+    reasons, rows, records = (np.empty(n, dtype=kind) for kind in (np.int8, np.intp, TIP_CONTACT))
     k = sense(F, M, fingertip.record, reasons, rows, records)
     return ContactBatch(reasons, _first(rows, k), _first(records, k), fingertip, sigmas)
 
@@ -122,7 +118,7 @@ def _readings(value: ArrayLike, name: str) -> Array:
     try:
         array = np.asarray(value)
     except ValueError:  # ragged
-        raise InvalidInput(f"{name}: expected numbers of shape (n, 3), got {checks.brief(value)}") from None
+        array = np.array("")
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iuf":
         came = f"shape {array.shape}" if array.dtype.kind in "iuf" else checks.brief(value)
         raise InvalidInput(f"{name}: expected numbers of shape (n, 3), got {came}")

@@ -11,11 +11,13 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any, TextIO
 
+import msgspec
 import numpy as np
 
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
+from handsight.explain import explain, named
 
 Place = str | os.PathLike[str] | TextIO
 
@@ -41,16 +43,12 @@ _Row = tuple[dict[str, Any], list[float]]
 class WrenchRows:
     """Some consecutive rows of a wrench table."""
 
-    labels: dict[str, list[Any]]
-    """`stamp` and `finger`, those that the table has: a value for each row, text from CSV."""
+    labels: list[dict[str, Any]]
+    """For each row its `stamp` and `finger`, those that the table has; text from CSV."""
     forces: Array
     """(n, 3) [N]; NaN where the table has no number."""
     torques: Array
     """(n, 3) [N m]; NaN where the table has no number."""
-
-    def each_labels(self) -> Iterable[tuple[Any, ...]]:
-        """Stamp and finger of each row, as far as there are."""
-        return zip(*self.labels.values(), strict=True) if self.labels else [()] * len(self.forces)
 
 
 def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
@@ -59,7 +57,7 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
     Blank lines are no rows. Raises InvalidFile naming the file, the line, the column, what was expected and what came;
     also for a file without a row.
     """
-    name = source_name(source)
+    name = str(source if isinstance(source, str | os.PathLike) else getattr(source, "name", "stream"))
     empty = True
     try:
         with _source(source) as lines:
@@ -67,8 +65,7 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
             while some := list(islice(rows, chunk)):
                 empty = False
                 numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
-                labels = {key: [labels[key] for labels, _ in some] for key in some[0][0]}
-                yield WrenchRows(labels, numbers[:, :3], numbers[:, 3:])
+                yield WrenchRows([labels for labels, _ in some], numbers[:, :3], numbers[:, 3:])
     except OSError as error:
         raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
@@ -80,13 +77,9 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
 def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
     """The rows of either format."""
     lines = iter(lines)
-    begun: list[str] = []
-    for line in lines:
-        begun.append(line.removeprefix("\ufeff") if not begun else line)
-        if begun[-1].strip():
-            break
-    else:
-        return iter(())
+    begun = [next(lines, "").removeprefix("\ufeff")]
+    while not begun[-1].strip() and (line := next(lines, "")):
+        begun.append(line)
     parse = _json_rows if begun[-1].lstrip().startswith("{") else _csv_rows
     return parse(chain(begun, lines), name)
 
@@ -94,12 +87,12 @@ def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
     reader = csv.reader(lines, strict=True)
     try:
-        header: list[str] | None = None
+        header: list[str] = []
         for cells in reader:
-            if not any(cell.strip() for cell in cells) and len(cells) < 2:
+            if len(cells) < 2 and not "".join(cells).strip():
                 continue
             where = f"{name}: line {reader.line_num}"
-            if header is None:
+            if not header:
                 header = _header(cells, where)
                 continue
             if len(cells) != len(header):
@@ -130,12 +123,19 @@ def _number(cell: str, where: str, column: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:
-        number = float(cell)
+        return float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
     except ValueError:
-        number = None
-    if number is None or "_" in cell:
-        raise InvalidFile(f"{where}, column {column}: expected a number, got {checks.brief(cell)!r}")
-    return number
+        came = checks.brief(cell)
+        raise InvalidFile(f"{where}, column {column}: expected a number, got {came!r}") from None
+
+
+class _Line(msgspec.Struct, forbid_unknown_fields=True):
+    """A wrench as JSON; null is a reading that is missing."""
+
+    force: tuple[float | None, float | None, float | None]
+    torque: tuple[float | None, float | None, float | None]
+    stamp: float | str | None = None
+    finger: float | str | None = None
 
 
 def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
@@ -146,50 +146,18 @@ def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
         where = f"{name}: line {i}"
         try:
             row = json.loads(line)
+            wrench = msgspec.convert(row, _Line)
+        except msgspec.ValidationError as error:
+            field, said = explain(error, _Line, row)
+            raise InvalidFile(f"{where}: {named(field) or 'wrench'}: {said}") from None
         except (ValueError, RecursionError) as error:
             raise InvalidFile(f"{where}: expected a JSON object, got {error}") from None
-        if not isinstance(row, dict):
-            raise InvalidFile(f"{where}: expected a JSON object, got {checks.brief(row)}")
-        for key in row:
-            if key not in (*LABELS, "force", "torque"):
-                raise InvalidFile(f"{where}: expected keys stamp, finger, force, torque, got {key[:40]!r}")
-        numbers = [*_triple(row, "force", where), *_triple(row, "torque", where)]
-        labels = {key: _label(row[key], where, key) for key in LABELS if key in row}
+        labels = {key: row[key] for key in LABELS if key in row}
         first = labels if first is None else first
         if labels.keys() != first.keys():
             came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
             raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
-        yield labels, numbers
-
-
-def _triple(row: dict[str, Any], key: str, where: str) -> list[float]:
-    """Three numbers, NaN where null."""
-    if key not in row:
-        raise InvalidFile(f"{where}: expected the keys force and torque, got no {key}")
-    value = row[key]
-    if (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(type(x) in (int, float, type(None)) for x in value)
-    ):
-        try:
-            return [math.nan if x is None else float(x) for x in value]
-        except OverflowError:
-            pass
-    raise InvalidFile(f"{where}, key {key}: expected 3 numbers, got {checks.brief(value)}")
-
-
-def _label(value: object, where: str, key: str) -> object:
-    if isinstance(value, bool) or not isinstance(value, str | int | float | None):
-        raise InvalidFile(f"{where}, key {key}: expected a text or a number, got {checks.brief(value)}")
-    return value
-
-
-def source_name(place: Place) -> str:
-    """What messages call a path or a stream."""
-    if isinstance(place, str | os.PathLike):
-        return os.fspath(place)
-    return str(getattr(place, "name", "stream"))
+        yield labels, [math.nan if x is None else x for x in (*wrench.force, *wrench.torque)]
 
 
 def _source(source: Place) -> AbstractContextManager[TextIO]:

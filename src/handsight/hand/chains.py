@@ -4,7 +4,7 @@ MuJoCo reads the robot and does not move it: its kinematics with the change to t
 as long (65 µs with Jacobians against 15), and needs memory of its own for each thread.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,9 +40,18 @@ class Chains:
         Raises InvalidInput naming joints that are missing or whose position is no finite number.
         """
         Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
-        values = self._values(joint_positions)
-        if not chain.poses(values, self.starts, self.steps, self.homes, Ts, axes):
-            raise InvalidInput(_not_numbers(joint_positions, self.joints))
+        try:
+            values = np.array([joint_positions[name] for name in self.joints])
+        except (LookupError, TypeError, ValueError):  # one is missing, no mapping, one of arrays
+            _check_positions(joint_positions, self.joints)
+            raise
+        # Numbers in strings are no numbers.
+        numbers = values.ndim == 1 and values.dtype.kind in "iuf"
+        if not numbers or not chain.poses(
+            values.astype(float), self.starts, self.steps, self.homes, Ts, axes
+        ):
+            _check_positions(joint_positions, self.joints)
+            raise InvalidInput("joint_positions: expected a finite number for each joint")
         return Ts, axes
 
     def jacobians(self, points: Array, bodies: Indices, axes: Array) -> Array:
@@ -51,38 +60,17 @@ class Chains:
         chain.jacobians(points, bodies, self.starts, self.steps, axes, out)
         return out
 
-    def _values(self, joint_positions: Mapping[str, float]) -> Array:
-        try:
-            values = np.array([joint_positions[name] for name in self.joints])
-        except KeyError:
-            raise InvalidInput(missing(joint_positions, self.joints)) from None
-        except (TypeError, ValueError):  # no mapping, or one of arrays
-            raise InvalidInput(_not_numbers(joint_positions, self.joints)) from None
-        # Numbers in strings are no numbers.
-        if values.ndim != 1 or values.dtype.kind not in "iuf":
-            raise InvalidInput(_not_numbers(joint_positions, self.joints))
-        return values.astype(np.float64, copy=False)
 
-
-def missing(joint_positions: Mapping[str, float], joints: Sequence[str]) -> str:
-    """The sentence about joints that are needed and not there."""
-    absent = [name for name in joints if name not in joint_positions]
-    there = checks.brief(", ".join(map(str, joint_positions))) or "none"
-    return f"joint_positions: expected a position for {', '.join(absent)}; got {there}"
-
-
-def _not_numbers(joint_positions: object, joints: Sequence[str]) -> str:
-    """The sentence about the first joint whose position is no finite number."""
+def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
+    """Raises InvalidInput where the position of one of the joints is missing or no finite number."""
     if not isinstance(joint_positions, Mapping):
-        return (
-            f"joint_positions: expected a mapping from joint to position, got {checks.brief(joint_positions)}"
-        )
+        came = checks.brief(joint_positions)
+        raise InvalidInput(f"joint_positions: expected a mapping from joint to position, got {came}")
+    if absent := [name for name in joints if name not in joint_positions]:
+        there = checks.brief(", ".join(map(str, joint_positions))) or "none"
+        raise InvalidInput(f"joint_positions: expected a position for {', '.join(absent)}; got {there}")
     for name in joints:
-        try:
-            checks.finite(joint_positions[name], f"joint_positions[{name!r}]", ())
-        except InvalidInput as error:
-            return str(error)
-    return "joint_positions: expected a finite number for each joint"
+        checks.finite(joint_positions[name], f"joint_positions[{name!r}]", ())
 
 
 def chains(model: Any, base: int, bodies: Sequence[int], file: str) -> Chains:

@@ -2,9 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,14 +10,10 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of, missing
-from handsight.hand.description import Description, read
+from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
+from handsight.hand.description import read
 from handsight.hand.surface import HandSurface, sample, triangles_of
 
-BEYOND = {HINGE: 0.35, SLIDE: 0.02}
-"""[rad], [m]: a position this far beyond a limit is an error of units or names; calibration makes less."""
-DEGREES = 6.5
-"""[rad]; more than a whole turn."""
 _WORLD = 0
 
 
@@ -43,15 +37,11 @@ class HandPose:
         metre. Raises InvalidInput.
         """
         count = len(self.Ts_palm_tip)
-        if tips is None:
-            points, rows = checks.finite(points_palm, "points_palm", (count, 3)), np.arange(count)
-            return self.chains.jacobians(points, rows, self.axes_palm)
-        points = checks.finite(points_palm, "points_palm", (len(tips), 3))
-        if not all(0 <= tip < count for tip in tips):
-            raise InvalidInput(
-                f"tips: expected numbers from 0 to {count - 1}, got {checks.brief(list(tips))}"
-            )
-        return self.chains.jacobians(points, np.asarray(tips, dtype=np.int64), self.axes_palm)
+        rows = np.asarray(range(count) if tips is None else tips, dtype=np.int64)
+        points = checks.finite(points_palm, "points_palm", (len(rows), 3))
+        if not all(0 <= row < count for row in rows.tolist()):
+            raise InvalidInput(f"tips: expected numbers from 0 to {count - 1}, got {checks.brief(rows)}")
+        return self.chains.jacobians(points, rows, self.axes_palm)
 
 
 class Hand:
@@ -72,18 +62,20 @@ class Hand:
     missing_meshes: tuple[str, ...]
     """Mesh files that are not there or cannot be read; their shapes are left out of the surface."""
 
-    def __init__(self, file: str, description: Description, palm: str, tips: Mapping[str, str]) -> None:
-        """Of a description that has been read; `Hand.from_file` is the door."""
-        self.file, self.palm, self.tips = file, palm, dict(tips)
-        self.missing_meshes = description.missing_meshes
-        self._name, self._model = description.name, description.model
+    def __init__(self, path: str | Path, palm: str, tips: Mapping[str, str]) -> None:
+        """See `from_file`."""
+        self.file, self.palm, self.tips = str(path), palm, dict(tips)
+        self._name = Path(path).name
+        self._model, self.missing_meshes = read(path)
         self._bodies = {name: i for i in range(self._model.nbody) if (name := str(self._model.body(i).name))}
         self._palm = self._body(palm, "palm")
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
         self._chains = chains(self._model, self._palm, bodies, self._name)
         self.moving = self._chains.joints
-        self._kinds, limits = _joints(self._model)
-        self.joint_names = tuple(self._kinds)
+        joints = [self._model.joint(i) for i in range(self._model.njnt)]
+        joints = [joint for joint in joints if joint.name and joint.type in (HINGE, SLIDE)]
+        self.joint_names = tuple(str(joint.name) for joint in joints)
+        limits = [joint.range if joint.limited else (-np.inf, np.inf) for joint in joints]
         self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
         self._arm: Chains | None = None
 
@@ -96,14 +88,14 @@ class Hand:
         the file is none of that kind, InvalidInput where it has no such body or the way from palm to a tip leads over
         other joints than hinges and slides, MissingExtra without MuJoCo.
         """
-        return cls(str(path), read(path), palm, {} if tips is None else tips)
+        return cls(path, palm, tips or {})
 
     def Ts_palm_tip(self, joint_positions: Mapping[str, float]) -> Array:
         """(t, 4, 4) poses of the tips in the palm, in the order of `tips`.
 
         `joint_positions`: by name [rad], for slides [m]; all of `moving`, others are passed over (robots publish arm
         and hand together). Coupled joints are read as the others are. Raises InvalidInput naming what is missing or
-        not finite; `check` looks at more.
+        not finite.
         """
         return self._chains.poses(joint_positions)[0]
 
@@ -122,45 +114,6 @@ class Hand:
             self._arm = chains(self._model, _WORLD, [self._palm], self._name)
         Ts_world_palm, _ = self._arm.poses(joint_positions)
         return np.asarray(Ts_world_palm[0])
-
-    def check(self, joint_positions: Mapping[str, float]) -> None:
-        """Nothing, where the positions can be this robot's.
-
-        Raises InvalidInput for a joint that the file does not have, one that is missing for the tips, a position that
-        is not finite, and one that is beyond a limit by more than 0.35 rad (2 cm).
-        """
-        if not isinstance(joint_positions, Mapping):
-            came = checks.brief(joint_positions)
-            raise InvalidInput(f"joint_positions: expected a mapping from joint to position, got {came}")
-        for name, value in joint_positions.items():
-            if name not in self._kinds:
-                raise InvalidInput(
-                    f"joint_positions: expected joints of {self._name}, got {name!r}{_nearest(name, self.joint_names)}"
-                )
-            checks.finite(value, f"joint_positions[{name!r}]", ())
-        if not all(name in joint_positions for name in self.moving):
-            raise InvalidInput(missing(joint_positions, self.moving))
-        for name, (value, low, high) in self.outside_limits(joint_positions, 0.0).items():
-            if not low - BEYOND[self._kinds[name]] <= value <= high + BEYOND[self._kinds[name]]:
-                in_degrees = self._kinds[name] == HINGE and abs(value) > DEGREES
-                raise InvalidInput(
-                    f"joint_positions[{name!r}]: expected {low:.4g} to {high:.4g}, got {value:.4g}"
-                    + (" (degrees?)" if in_degrees else "")
-                )
-
-    def outside_limits(
-        self, joint_positions: Mapping[str, float], tolerance: float = 0.02
-    ) -> dict[str, tuple[float, float, float]]:
-        """By joint: position, least and greatest, where it is outside by more than `tolerance` [rad] or [m].
-
-        Joints that are not the file's are passed over.
-        """
-        found = {}
-        for name, (low, high) in zip(self.joint_names, self.limits.tolist(), strict=True):
-            value = joint_positions.get(name)
-            if value is not None and not low - tolerance <= value <= high + tolerance:
-                found[name] = (float(value), low, high)
-        return found
 
     def surface(
         self, count: int, *, seed: int = 0, shrink: float = 0.0015, without: Collection[str] = ()
@@ -199,25 +152,6 @@ class Hand:
 
     def _body(self, name: str, argument: str) -> int:
         if name not in self._bodies:
-            raise InvalidInput(
-                f"{argument}: expected a body of {self._name}, got {name!r}{_nearest(name, self._bodies)}"
-            )
+            near = checks.among(str(name), self._bodies)
+            raise InvalidInput(f"{argument}: expected a body of {self._name}, got {name!r}{near}")
         return self._bodies[name]
-
-
-def _joints(model: Any) -> tuple[dict[str, int], list[tuple[float, float]]]:
-    """Kinds of the hinges and slides that have a name, and their limits."""
-    kinds, limits = {}, []
-    for i in range(model.njnt):
-        name, kind = str(model.joint(i).name), int(model.jnt_type[i])
-        if name and kind in (HINGE, SLIDE):
-            kinds[name] = kind
-            limits.append(tuple(model.jnt_range[i].tolist()) if model.jnt_limited[i] else (-np.inf, np.inf))
-    return kinds, limits
-
-
-def _nearest(name: object, names: Collection[str]) -> str:
-    """Of the names the one that was perhaps meant, in parentheses."""
-    lower = {valid.lower(): valid for valid in names}
-    found = get_close_matches(str(name).lower(), lower, n=1, cutoff=0.4)
-    return f" (did you mean {lower[found[0]]!r}?)" if found else ""

@@ -20,9 +20,8 @@ def find_file(name: str | Path, beside: str | Path = ".") -> Path:
         path = Path(beside) / text.removeprefix("file://")
         if path.is_file():
             return path
-        raise InvalidFile(
-            f"{text}: expected a file, got {'a folder' if path.is_dir() else 'none of that name'}"
-        )
+        came = "a folder" if path.is_dir() else "none of that name"
+        raise InvalidFile(f"{text}: expected a file, got {came}")
     package, _, rest = text.removeprefix(PACKAGE).partition("/")
     folders = _ros_folders(package, Path(beside).absolute()) + _python_folders(package)
     for folder in folders:

@@ -12,9 +12,8 @@ from handsight._kernels import chain
 from handsight.checks import Array, Indices
 from handsight.hand.chains import Chains
 
-SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
+SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
-_CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,46 +73,37 @@ def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Arra
 def triangles_of(model: Any, body: int) -> Array:
     """(f, 3, 3) the shapes of a body [m]: those that touch, else those that are seen."""
     first = int(model.body_geomadr[body])
-    shapes = [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in _MADE]
+    shapes = [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in SHAPES]
     touching = [g for g in shapes if model.geom_contype[g] or model.geom_conaffinity[g]]
     found = [np.zeros((0, 3, 3))]
     for g in touching or shapes:
         R = se3.rotation_from_quaternion(model.geom_quat[g][[1, 2, 3, 0]])
-        corners = _MADE[int(model.geom_type[g])](model, g)
-        found.append(corners @ R.T + model.geom_pos[g])
+        found.append(_corners(model, g) @ R.T + model.geom_pos[g])
     return np.concatenate(found)
 
 
-def _ball(model: Any, g: int) -> Array:
-    size = model.geom_size[g]
-    radii = size if model.geom_type[g] == ELLIPSOID else size[:1]
-    return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)
-
-
-def _capsule(model: Any, g: int) -> Array:
-    radius, half, _ = model.geom_size[g]
-    mesh = trimesh.creation.capsule(2 * half, radius)
+def _corners(model: Any, g: int) -> Array:
+    """(f, 3, 3) a shape's triangles in its own axes [m]."""
+    kind, size = model.geom_type[g], model.geom_size[g]
+    if kind == MESH:
+        return _mesh(model, model.geom_dataid[g])
+    if kind in (SPHERE, ELLIPSOID):
+        radii = size if kind == ELLIPSOID else size[:1]
+        return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)
+    if kind == BOX:
+        return np.asarray(trimesh.creation.box(2 * size).triangles)
+    radius, half, _ = size
+    if kind == CYLINDER:
+        return np.asarray(trimesh.creation.cylinder(radius, 2 * half).triangles)
+    capsule = trimesh.creation.capsule(2 * half, radius)
     # trimesh has had it stand on the origin and about it.
-    return np.asarray(mesh.triangles - mesh.bounds.mean(axis=0))
+    return np.asarray(capsule.triangles - capsule.bounds.mean(axis=0))
 
 
-def _cylinder(model: Any, g: int) -> Array:
-    radius, half, _ = model.geom_size[g]
-    return np.asarray(trimesh.creation.cylinder(radius, 2 * half).triangles)
-
-
-def _box(model: Any, g: int) -> Array:
-    return np.asarray(trimesh.creation.box(2 * model.geom_size[g]).triangles)
-
-
-def _mesh(model: Any, g: int) -> Array:
-    mesh = model.geom_dataid[g]
+def _mesh(model: Any, mesh: int) -> Array:
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
     first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
     corners = vertices[model.mesh_face[first : first + count]]
     volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     return np.asarray(corners if volume > 0 else corners[:, ::-1])
-
-
-_MADE = {SPHERE: _ball, CAPSULE: _capsule, ELLIPSOID: _ball, CYLINDER: _cylinder, BOX: _box, MESH: _mesh}

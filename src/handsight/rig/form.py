@@ -3,16 +3,18 @@
 Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
 """
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Meta, field
 
-from handsight import checks, se3
+from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Ellipsoid, Fingertip, Sphere
+from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.errors import HandsightError
+from handsight.rig.rig import Camera, Finger, ObjectEntry
 
 VERSION = 1
 FARTHEST = 100.0
@@ -37,6 +39,10 @@ class Form(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
             if (value := getattr(self, item.name)) is not None
         }
 
+    def sigmas(self) -> dict[str, float]:
+        """Of what is said, the standard deviations."""
+        return {name: value for name, value in self.given().items() if name.startswith("sigma")}
+
 
 class PoseForm(Form):
     position: Vector = (0.0, 0.0, 0.0)
@@ -45,14 +51,11 @@ class PoseForm(Form):
     def __post_init__(self) -> None:
         if max(map(abs, self.position)) > FARTHEST:
             raise ValueError(f"position: expected metres, got {list(self.position)} (millimetres?)")
-        checks.unit(self.quaternion_xyzw, "quaternion_xyzw", (4,))
+        self.matrix()
 
     def matrix(self) -> Array:
-        """(4, 4)"""
-        quaternion = checks.unit(self.quaternion_xyzw, "quaternion_xyzw", (4,))
-        return se3.compose(
-            se3.rotation_from_quaternion(quaternion), np.array(self.position, dtype=np.float64)
-        )
+        """(4, 4); raises InvalidInput where the quaternion is zero."""
+        return se3.from_position_quaternion(self.position, self.quaternion_xyzw)
 
 
 class HandForm(Form):
@@ -117,6 +120,20 @@ class SensorForm(Form):
         if self.tip_mass > HEAVIEST:
             raise ValueError(f"tip_mass: expected kilograms, got {self.tip_mass:g} (grams?)")
 
+    def calibration(self) -> WrenchCalibration:
+        """What is known of the sensor and of what hangs on it."""
+        bias = self.bias or BiasForm()
+        return WrenchCalibration(
+            bias_force=np.array(bias.force),
+            bias_torque=np.array(bias.torque),
+            mass=self.tip_mass,
+            center_of_mass=np.array(self.tip_center),
+            residual_force=np.zeros(3),
+            residual_torque=np.zeros(3),
+            condition=1.0,
+            reading=self.reading,
+        )
+
 
 class FingerForm(Form):
     frame: Text
@@ -126,6 +143,20 @@ class FingerForm(Form):
     """In the frame."""
     sigma_point: AtLeastZero | None = None
     sigma_normal: AtLeastZero | None = field(name="sigma_normal_deg", default=None)
+
+    def finger(self) -> Finger:
+        """The part of the rig."""
+        sensor, T_frame_surface = self.sensor, (self.surface or PoseForm()).matrix()
+        T_surface_sensor = se3.inverse(T_frame_surface) @ (sensor.pose or PoseForm()).matrix()
+        return Finger(
+            frame=self.frame,
+            T_frame_surface=T_frame_surface,
+            tip=self.tip.shape(T_surface_sensor),
+            calibration=sensor.calibration(),
+            full_scale=sensor.full_scale,
+            **(sensor.noise or SensorNoiseForm()).sigmas(),
+            **self.sigmas(),
+        )
 
 
 class VisionNoiseForm(Form):
@@ -150,6 +181,18 @@ class CameraForm(Form):
     noise: VisionNoiseForm | None = None
     constant_error: VisionNoiseForm | None = None
     intrinsics: IntrinsicsForm | None = None
+
+    def camera(self) -> Camera:
+        """The part of the rig."""
+        constant, k = (self.constant_error or VisionNoiseForm()).sigmas(), self.intrinsics
+        return Camera(
+            on=self.fixed_to,
+            T_mount_camera=(self.pose or PoseForm()).matrix(),
+            intrinsics=None if k is None else np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]]),
+            size=None if k is None else (int(k.width), int(k.height)),
+            **(self.noise or VisionNoiseForm()).sigmas(),
+            **{f"{name}_constant": value for name, value in constant.items()},
+        )
 
 
 class TableForm(Form):
@@ -204,6 +247,15 @@ class ObjectForm(Form):
             raise ValueError(f"expected one of box, cylinder, mesh, got {' and '.join(said) or 'none'}")
         if self.scale is not None and self.mesh is None:
             raise ValueError(f"scale: expected beside mesh only, got it beside {said[0]}")
+
+    def entry(self, folder: Path) -> ObjectEntry:
+        """The part of the rig, its mesh beside a file of the folder."""
+        return ObjectEntry(
+            box=self.box,
+            cylinder=None if self.cylinder is None else (self.cylinder.radius, self.cylinder.height),
+            mesh=None if self.mesh is None else folder / self.mesh,
+            scale=1.0 if self.scale is None else self.scale,
+        )
 
 
 class RigForm(Form):

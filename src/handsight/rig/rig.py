@@ -1,4 +1,7 @@
-"""The robot as one value: hand, fingertips with their sensors, camera, table, and where each is heard."""
+"""The robot as one value: hand, fingertips with their sensors, camera, table, and where each is heard.
+
+Every sigma is one standard deviation per axis.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,9 +11,108 @@ from typing import Literal
 import numpy as np
 
 from handsight.checks import Array
+from handsight.contact import Fingertip, WrenchCalibration
+from handsight.errors import InvalidInput
 from handsight.hand import Hand
-from handsight.rig.load import load
-from handsight.rig.parts import Camera, Finger, ObjectEntry, Table, Topics
+from handsight.objects import ObjectModel
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Finger:
+    """One fingertip and the six-axis sensor it hangs on."""
+
+    frame: str
+    """The body of the hand's file that the tip moves with."""
+    T_frame_surface: Array
+    """(4, 4) the tip's frame (origin at the surface's centre, the tip points along +z) in the body's."""
+    tip: Fingertip
+    """Shape, cap and friction; its `T_surface_sensor` is where the sensor sits."""
+    calibration: WrenchCalibration
+    """Bias, mass and centre of mass in the sensor's frame, and which way it reads."""
+    sigma_force: float = 0.01
+    """Noise of a reading [N]."""
+    sigma_torque: float = 5e-5
+    """[N m]"""
+    sigma_point: float = 5e-4
+    """What joints and sensor do not explain: calibration, a soft tip [m]."""
+    sigma_normal: float = np.deg2rad(1.0)
+    """[rad]"""
+    full_scale: tuple[float, float] | None = None
+    """Largest force [N] and torque [N m] the sensor can read; at it the reading is no measurement."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Camera:
+    """What sees the object, where it is, and how far it may be wrong."""
+
+    on: Literal["world", "palm"] = "world"
+    """What it is fixed to."""
+    T_mount_camera: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) its optical frame in the world or the palm."""
+    intrinsics: Array | None = None
+    """(3, 3) of its images [pixels]; None: it gives poses only."""
+    size: tuple[int, int] | None = None
+    """(width, height) of its images [pixels]."""
+    sigma_position: float = 0.005
+    """Of a seen pose, from one to the next [m]."""
+    sigma_rotation: float = np.deg2rad(3.0)
+    """[rad]"""
+    sigma_position_constant: float = 0.05
+    """Of its constant error: what a wrong extrinsic calibration does to a seen pose [m]."""
+    sigma_rotation_constant: float = np.deg2rad(6.0)
+    """[rad]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A horizontal plane that the object stands on until it is lifted."""
+
+    height: float
+    """Of its top in the world, along +z [m]."""
+    sigma_height: float = 0.003
+    """[m]"""
+    sigma_tilt: float = np.deg2rad(1.0)
+    """Of the object's stand on it [rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Topics:
+    """Where a recording, or a running robot, says what."""
+
+    joint_states: str = "/joint_states"
+    wrenches: Mapping[str, str] = field(default_factory=dict)
+    """By finger."""
+    vision: str | None = "/vision/object"
+    """PoseStamped or PoseWithCovarianceStamped."""
+    tf: str | None = "/tf"
+    color: str | None = None
+    depth: str | None = None
+    camera_info: str | None = None
+    truth: str | None = None
+    """PoseStamped of the object in the palm, where it is known: never used, only compared with."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectEntry:
+    """An object the rig knows by name; one of box, cylinder, mesh."""
+
+    box: tuple[float, float, float] | None = None
+    """Sides [m]."""
+    cylinder: tuple[float, float] | None = None
+    """Radius and height [m]."""
+    mesh: Path | None = None
+    scale: float = 1.0
+    """Metres of a unit of the mesh."""
+
+    def model(self) -> ObjectModel:
+        """The object's surface; raises a HandsightError where it cannot be made."""
+        if self.box is not None:
+            return ObjectModel.box(self.box)
+        if self.cylinder is not None:
+            return ObjectModel.cylinder(*self.cylinder)
+        if self.mesh is None:
+            raise InvalidInput("object: expected one of box, cylinder, mesh, got none")
+        return ObjectModel.from_file(self.mesh, scale=self.scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -46,4 +148,6 @@ class Rig:
 
         Raises InvalidFile with file, line, and the nearest valid name where there is one.
         """
-        return load(Path(path), cls)
+        from handsight.rig.load import load  # which makes one
+
+        return load(Path(path))

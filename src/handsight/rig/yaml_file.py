@@ -26,15 +26,11 @@ class YamlFile:
         """Reads the file; raises InvalidFile where it is no mapping of names to values, MissingExtra."""
         self.path = path
         self._marked = _loaded(path)
+        self._count = 0
         try:
-            size = _size(self._marked, path, {})
+            self.values = self._plain(self._marked, ())
         except RecursionError:
             raise InvalidFile(f"{path}: expected YAML, got: too deep") from None
-        if size > MOST_VALUES:
-            raise InvalidFile(
-                f"{path}: expected at most {MOST_VALUES} values, got more (aliases of aliases?)"
-            )
-        self.values = self._plain(self._marked, ())
 
     def read(self, form: type[Form]) -> Form:
         """The file's values in a form; raises InvalidFile for the first that is not as the form wants it."""
@@ -63,20 +59,27 @@ class YamlFile:
         return line
 
     def _plain(self, value: Any, field: FieldPath) -> Any:
-        """YAML's own mappings, lists and numbers as Python's; raises InvalidFile for numbers that are not finite."""
+        """YAML's own mappings, lists and numbers as Python's, aliases written out.
+
+        Raises InvalidFile for too many, for tags, for keys that are no texts and numbers that are not finite.
+        """
+        self._count += 1
+        if self._count > MOST_VALUES:
+            said = f"expected at most {MOST_VALUES} values, got more (aliases of aliases?)"
+            raise InvalidFile(f"{self.path}: {said}")
+        tag = getattr(getattr(value, "tag", None), "value", None)
+        if tag is not None:
+            raise self.wrong(field, f"expected values without tags, got {checks.brief(str(tag))}")
         if isinstance(value, dict):
+            for key in value:
+                if not isinstance(key, str):
+                    raise self.wrong(field, f"expected names as keys, got {checks.brief(key)} (not quoted?)")
             return {str(key): self._plain(part, (*field, key)) for key, part in value.items()}
         if isinstance(value, list):
             return [self._plain(part, (*field, i)) for i, part in enumerate(value)]
-        if isinstance(value, bool):
-            return value
-        if isinstance(value, int) and value.bit_length() > 64:
-            raise self.wrong(
-                field, f"expected a finite number, got a whole number of {value.bit_length()} bits"
-            )
         if isinstance(value, float) and not math.isfinite(value):
             raise self.wrong(field, f"expected a finite number, got {float(value)}")
-        for kind in (int, float, str):
+        for kind in (bool, int, float, str):
             if isinstance(value, kind):
                 return kind(value)
         return value
@@ -110,26 +113,3 @@ def _loaded(path: Path) -> Any:
     if not isinstance(value, CommentedMap):
         raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(value)}")
     return value
-
-
-def _size(value: Any, path: Path, known: dict[int, int], line: int = 1) -> int:
-    """How many values it holds, aliases written out; raises InvalidFile for tags, and for keys that are no texts.
-
-    `line`: of what it is in, for single values, of which ruamel keeps none.
-    """
-    if isinstance(value, dict | list):
-        line = int(getattr(getattr(value, "lc", None), "line", line - 1)) + 1
-    tag = getattr(getattr(value, "tag", None), "value", None)
-    if tag is not None:
-        raise InvalidFile(f"{path}:{line}: expected values without tags, got {checks.brief(str(tag))}")
-    if not isinstance(value, dict | list):
-        return 1
-    if id(value) not in known:
-        known[id(value)] = MOST_VALUES  # for as long as it is not known: what holds itself has no end
-        for key in value if isinstance(value, dict) else ():
-            if not isinstance(key, str):
-                said = f"expected names as keys, got {checks.brief(key)} (not quoted?)"
-                raise InvalidFile(f"{path}:{line}: {said}")
-        parts = list(value.values() if isinstance(value, dict) else value)
-        known[id(value)] = 1 + sum(_size(part, path, known, line) for part in parts)
-    return known[id(value)]
