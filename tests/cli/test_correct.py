@@ -154,15 +154,18 @@ def test_a_reader_that_leaves_ends_it_quietly(tmp_path, workers):
 
 
 def test_a_worker_that_is_killed_costs_no_line(tmp_path):
-    problems, output = several(tmp_path / "p.jsonl", 400), tmp_path / "a.jsonl"
+    # So many that it is not done by the time its workers are found.
+    problems, output = several(tmp_path / "p.jsonl", 10_000), tmp_path / "a.jsonl"
     command = begun(["correct", problems, "--output", output, "--workers", 2])
     waited_for(lambda: output.exists() and output.stat().st_size > 10_000)
-    for worker in workers_of(command):
+    workers = workers_of(command)
+    assert len(workers) == 2
+    for worker in workers:
         worker.kill()
     _, said = command.communicate(timeout=120)
     assert command.returncode == 0, said
     answers = output.read_text().splitlines()
-    assert len(answers) == 400
+    assert len(answers) == 10_000
     assert all(list(json.loads(answer)) == KEYS for answer in answers)
 
 

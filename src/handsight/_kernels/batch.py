@@ -15,13 +15,13 @@ from handsight._kernels.dense6 import eigen, in_metres
 from handsight._kernels.levenberg import Evidence, descend
 from handsight._kernels.match import match
 from handsight._kernels.posterior import information, posterior_cost
-from handsight._kernels.prior_term import prior_cost, vision_prior, weak_position_prior
+from handsight._kernels.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
 from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
 from handsight._kernels.uncertainty import summarize
-from handsight._kernels.vec3 import Vec3, add, cross, dot, matrix, mul, norm, scale, store, sub, vector
+from handsight._kernels.vec3 import Vec3, add, cross, dot, norm, scale, store, sub, vector
 
 LIMITS = COARSE_LIMITS, FINE_LIMITS
 
@@ -78,21 +78,6 @@ def _residual(evidence: Evidence, contact: Any, pose: Pose) -> tuple[float, floa
 
 
 @inner
-def prior_width(model: Any, prior: Any) -> float:
-    """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
-    C, c = prior.covariance, mul(matrix(prior.pose.rotation), vector(model.center))
-    turn = C[3, 3] + C[4, 4] + C[5, 5]
-    # Of the object's center: δp + δθ × c.
-    spread = C[0, 0] + C[1, 1] + C[2, 2] + dot(c, c) * turn
-    for i in range(3):
-        for j in range(3):
-            spread -= c[i] * C[3 + i, 3 + j] * c[j]
-        k, m = (i + 1) % 3, (i + 2) % 3
-        spread += 2 * (C[i, 3 + k] * c[m] - C[i, 3 + m] * c[k])
-    return np.sqrt(spread + model.radius * model.radius * turn) / (2 * model.radius)
-
-
-@inner
 def _store_answer(pose: Pose, answer: Any) -> None:
     store_pose(pose, answer.pose)
     R, p = pose
@@ -132,7 +117,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         pose, answer.cost, answer.iterations, answer.converged = _solve(evidence, start, problem.follows != 0)
         pose = nearest(model[0], pose, prior_pose)
         _store_answer(pose, answer)
-        answer.first_order = 0
+        answer.first_order, answer.weight = 0, 1.0
         summarize(evidence, pose, answer)
         for i in range(len(terms)):
             row = residuals[problem.first + i]

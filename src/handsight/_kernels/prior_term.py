@@ -211,3 +211,18 @@ def prior_cost(prior: Any, pose: Pose) -> float:
     turn, _ = turn_between(prior, pose[0])
     A, B, D = block(prior.information, 0, 0), block(prior.information, 0, 3), block(prior.information, 3, 3)
     return dot(off, add(mul(A, off), scale(mul(B, turn), 2.0))) + dot(turn, mul(D, turn))
+
+
+@inner
+def prior_width(model: Any, prior: Any) -> float:
+    """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
+    C, c = prior.covariance, mul(matrix(prior.pose.rotation), vector(model.center))
+    turn = C[3, 3] + C[4, 4] + C[5, 5]
+    # Of the object's center: δp + δθ × c.
+    spread = C[0, 0] + C[1, 1] + C[2, 2] + dot(c, c) * turn
+    for i in range(3):
+        for j in range(3):
+            spread -= c[i] * C[3 + i, 3 + j] * c[j]
+        k, m = (i + 1) % 3, (i + 2) % 3
+        spread += 2 * (C[i, 3 + k] * c[m] - C[i, 3 + m] * c[k])
+    return np.sqrt(spread + model.radius * model.radius * turn) / (2 * model.radius)
