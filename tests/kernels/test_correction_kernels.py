@@ -194,6 +194,14 @@ def test_a_prior_knows_nothing_of_a_spin_about_an_axis_that_misses_the_origin():
         axis, through = T[:3, :3] @ direction, se3.apply(T, point[None])[0]
         spin = np.r_[np.cross(through, axis), axis]
         assert np.abs(equations[:6, :6] @ spin).max() < 1e-8 * np.abs(equations[:6, :6]).max()
+        # Near by, what vision says of the nearest of all spins; its covariance is of the object's origin.
+        spin[:3] = np.cross(through - T[:3, 3], axis)
+        information = np.linalg.inv(given.vision.covariance)
+        delta = 1e-5 * rng.normal(size=6)
+        nearest = delta - spin * (spin @ information @ delta) / (spin @ information @ spin)
+        near = descents_at(se3.moved(T, delta)[None])
+        cost = _prior(thing.record.model, given.prior, near, equations)
+        assert cost == pytest.approx(nearest @ information @ nearest, rel=1e-3)
 
 
 def left_to_descend(given, T_start):

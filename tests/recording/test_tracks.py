@@ -100,7 +100,7 @@ def test_no_rows_are_a_file_too(tmp_path, write):
 def test_a_row_is_checked():
     with pytest.raises(InvalidInput, match="row.stamp: expected a finite number, got nan"):
         TrackRow(np.nan, None, None, "lost")
-    with pytest.raises(InvalidInput, match="row.T_palm_object: expected shape"):
+    with pytest.raises(InvalidInput, match="row.T_palm_object: expected finite numbers of shape"):
         TrackRow(0.0, np.eye(3), None, "tracking")
     with pytest.raises(InvalidInput, match="row.covariance: expected a positive"):
         TrackRow(0.0, np.eye(4), -np.eye(6), "tracking")
