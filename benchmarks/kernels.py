@@ -12,12 +12,13 @@ from handsight._kernels.compiled import FAST
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight._kernels.threads import alone
+from handsight._kernels.warm import warm
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start
 
-__all__ = ["Evaluation", "alone", "fits_at_once", "kernel_call", "stages"]
+__all__ = ["Evaluation", "alone", "fits_at_once", "kernel_call", "stages", "warm"]
 
 Call = Callable[[], Any]
 PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (

@@ -96,6 +96,8 @@ def growth(parts: dict[str, list[Row]], folder: Path) -> None:
         (c, "", ""),
         (d, "", ""),
     ):
+        if panel is d and not rows:  # no time was left
+            continue
         panel.set_xscale("log")
         if section:
             ticks = sorted({row[key] for row in parts[section] if row[key]})

@@ -5,20 +5,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import handsight as hs
 from benchmarks import (
     blind,
     closest,
     correction,
     frontier,
     growth,
+    kernels,
     machine,
     peers,
     sensing,
     startup,
     workload,
 )
-from shared import scenes
 
 Row = dict[str, Any]
 QUICK = {"correction": 30.0, "batch": 3.0, "blind": 6.0, "closest": 6.0, "sensing": 3.0, "growth": 20.0}
@@ -56,13 +55,7 @@ class Suite:
     def warm(self) -> None:
         """Compiles what is not yet, outside all times."""
         begin = time.perf_counter()
-        problem = workload.draw("box", workload.NEAR, 0)
-        far = workload.draw("can", workload.FAR, 0)
-        points = scenes.behind_contacts(problem.scene, 10)
-        for given in (problem, far):
-            hs.correct_pose(given.model, given.contacts, vision=given.vision)
-        hs.correct_pose(problem.model, problem.contacts)
-        hs.correct_pose(problem.model, problem.contacts, vision=problem.vision, outside=points)
+        kernels.warm(lambda *_: None)
         self.say(f"compiled, or loaded what was, in {time.perf_counter() - begin:.1f} s")
 
     def run(self, name: str) -> None:

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight._kernels import batch, levenberg, prior_term, records
+from handsight._kernels import batch, levenberg, match, prior_term, records
 from handsight._kernels.compiled import FAST
 from handsight._kernels.settings import CANDIDATE_APART
 from handsight._kernels.simd import local
@@ -414,3 +414,76 @@ assert os.waitpid(child, 0)[1] == 0
         [sys.executable, "-c", PROGRAM + program], capture_output=True, timeout=500, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+def _match(model, contacts, descents, found, equations):
+    """Of each contact, at a pose: the nearest sample's point and normal, and its equations about the palm's origin."""
+    terms, pose = np.empty(len(contacts), TERM), pose_of(descents[0].pose)
+    batch._load_terms(contacts, terms)
+    for i in range(len(contacts)):
+        place, normal = match.nearest_sample(model[0], contacts[i], pose)
+        for k in range(3):
+            found[i, k], found[i, 3 + k] = place[k], normal[k]
+        equations[i] = 0.0
+        match.add_match(model[0], terms[i], pose, ((0.0, 0.0, 0.0), model[0].radius), equations[i])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_phase_1_lays_contacts_on_the_planes_of_their_nearest_samples(name):
+    for seed in range(6):
+        given, rng = problem(name, seed, bare=seed > 3), np.random.default_rng(seed)
+        record, contacts = given.model.record.model[0], given.contacts
+        w2, n = record["normal_weight2"], len(contacts)
+        T = se3.moved(given.vision.T_palm_object, np.repeat([0.01, 0.2], 3) * rng.normal(size=6))
+        found, equations = np.empty((n, 6)), np.empty((n, 7, 8))
+        _match(given.model.record.model, contacts.record, descents_at(T[None]), found, equations)
+
+        points = se3.apply(se3.inverse(T), contacts.points_palm)
+        normals = np.where(contacts.has_normal[:, None], contacts.normals_palm @ T[:3, :3], 0.0)
+        places, facing = given.model.points_object, given.model.normals_object
+        gaps = ((points[:, None] - places) ** 2).sum(axis=2) + w2 * ((normals[:, None] - facing) ** 2).sum(
+            axis=2
+        )
+        nearest = gaps.argmin(axis=1)
+        np.testing.assert_allclose(found, np.hstack([places[nearest], facing[nearest]]), atol=1e-12)
+
+        variance = np.diagonal(contacts.covariance, axis1=1, axis2=2)
+        for i in range(n):
+            # Held: which sample is the nearest.
+            place, normal = places[nearest[i]], facing[nearest[i]]
+
+            def residuals(pose, i=i, place=place, normal=normal, band=record["band"], contacts=contacts):
+                offset = contacts.points_palm[i] - se3.apply(pose, place[None])[0]
+                n_palm = pose[:3, :3] @ normal
+                aside = np.linalg.norm(offset - (offset @ n_palm) * n_palm)
+                return np.concatenate([[offset @ n_palm, aside - band], n_palm])
+
+            r = residuals(T)
+            J = oracle.jacobian(residuals, T, np.zeros(3)) / np.repeat([1.0, given.model.radius], 3)
+            r[2:] -= contacts.normals_palm[i] if contacts.has_normal[i] else r[2:]
+            sigma2 = np.r_[
+                variance[i, :3].mean() + record["sample_variance_distance"],
+                1 / record["tangential_weight"] if r[1] > 0 else np.inf,
+                np.full(3, variance[i, 3:].sum() / 2 + record["sample_variance_normal"]),
+            ]
+            if not contacts.has_normal[i]:
+                sigma2[2:] = np.inf
+            same_equations(equations[i], r / np.sqrt(sigma2), J / np.sqrt(sigma2)[:, None])
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", [{}, {"bare": True}, {"outside": 40}, {"blind": True}], ids=str)
+def test_modes_are_weighed_by_the_density_there(name, kind):
+    given, rng = problem(name, 3, **kind), np.random.default_rng(3)
+    T, used = problem(name, 3).vision.T_palm_object, np.ones((1, len(given.contacts)), dtype=bool)
+    Ts = se3.moved(np.broadcast_to(T, (8, 4, 4)), 0.01 * rng.normal(size=(8, 6)))
+    descents = descents_at(Ts)
+    batch.mode_weights(*given.model.record[:2], given.sets(used), given.prior, given.outside, descents)
+    np.testing.assert_allclose(descents["posterior_cost"], solve.cost(given, Ts, used), rtol=1e-9, atol=1e-9)
+    volume = descents["log_weight"] + descents["posterior_cost"] / 2
+    answers = solve._summaries(given, descents, used, first_order=True)
+    metres = modes.in_metres(answers["information"], given.model.radius)
+    floor = (1.0 if given.blind else 1e-9) / given.model.radius**2
+    expected = -0.5 * np.log(np.linalg.eigvalsh(metres).clip(floor)).sum(axis=1)
+    np.testing.assert_allclose(volume, expected, rtol=1e-6)
