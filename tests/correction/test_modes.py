@@ -112,6 +112,14 @@ def test_a_wall_on_one_side_of_the_mode_counts_by_half():
     assert values[1] == pytest.approx(1e6)
 
 
+def test_the_cost_is_read_a_deviation_and_a_half_away():
+    # Walls on both sides that stand 0.03 mm off: what they cost depends on how far away the cost is read.
+    walls = np.zeros(2, OUTSIDE)
+    walls["point"], walls["sigma"] = [(0.03003, 0.001, 0.002), (-0.03003, 0.001, 0.002)], 1e-4
+    values = secant(SHARP, OPEN, np.eye(4), walls)
+    assert values[0] == pytest.approx(((1.5 - 0.3) / 1.5) ** 2 * 1e8, rel=2e-3)
+
+
 def test_blind_a_slide_has_no_covariance_and_a_weight_all_the_same():
     contacts, _, _ = grasp(*can_contacts(), seed=3)
     estimate = hs.correct_pose(can(), contacts)

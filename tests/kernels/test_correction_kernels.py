@@ -34,9 +34,13 @@ NAMES = ["can", "box", "egg", "ball"]
 
 @functools.cache
 def model(name):
-    """Three exact fields, without an axis, with one and round, and a mesh with an error of its own."""
+    """Three exact fields, without an axis, with one and round, a mesh with an error of its own, one off its origin."""
     if name == "ball":
         return hs.ObjectModel.sphere(0.04)
+    if name == "off":
+        ball = trimesh.creation.icosphere(subdivisions=4, radius=0.04)
+        ball.apply_translation([0.08, 0.03, -0.02])
+        return hs.ObjectModel.from_mesh(ball.vertices, ball.faces)
     if name == "egg":
         ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
         u = ball.vertices
@@ -48,7 +52,7 @@ def model(name):
 
 def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False):
     """A grasp of the object with full covariances; `bare`: some contacts without a normal."""
-    rng = np.random.default_rng([seed, NAMES.index(name)])
+    rng = np.random.default_rng([seed, [*NAMES, "off"].index(name)])
     points, normals = model(name).sample(n, seed)
     T = se3.random(rng, spread=0.1)
     sizes = np.repeat(NOISE, 3)
@@ -278,7 +282,7 @@ def test_information_is_the_residuals_where_faces_are_touched():
         np.testing.assert_allclose(full.covariance @ full.information, np.eye(6), atol=1e-8)
 
 
-@pytest.mark.parametrize("name", ["can", "box", "ball"])
+@pytest.mark.parametrize("name", ["box", "can", "egg", "ball", "off"])
 def test_along_open_directions_contacts_notice_nothing(name):
     several = 0
     for seed in range(8):
@@ -289,15 +293,18 @@ def test_along_open_directions_contacts_notice_nothing(name):
         np.testing.assert_allclose(
             estimate.unobservable @ estimate.unobservable.T, np.eye(len(estimate.unobservable)), atol=1e-9
         )
+        center = se3.apply(T, given.model.center_object[None])[0]
         J = oracle.jacobian(
-            lambda pose, given=given, T=T: oracle.of_contacts(given, pose, T).reshape(-1), T, T[:3, 3]
+            lambda pose, given=given, T=T: oracle.of_contacts(given, pose, T).reshape(-1), T, center
         ) / np.repeat([1.0, radius], 3)
         values = np.linalg.eigvalsh(J.T @ J)
         several += len(estimate.unobservable)
-        if name == "ball":  # an exact field without edges: as many as the oracle counts
+        if name in ("ball", "off"):  # without edges: as many as the oracle counts, about the object's center
             assert len(estimate.unobservable) == (values < 9 / radius**2).sum()
             for direction in estimate.unobservable:
-                assert np.linalg.norm(J @ direction) * radius / 3 < 1
+                shift, turn = direction[:3], direction[3:] / radius
+                there = np.r_[shift + np.cross(turn, center - T[:3, 3]), radius * turn]
+                assert np.linalg.norm(J @ there) * radius / 3 < np.linalg.norm(there)
     assert several > 0
 
 
@@ -327,6 +334,7 @@ def test_many_problems_are_answered_as_each_alone():
             single = hs.correct_pose(p.model, p.contacts, vision=p.vision)
             np.testing.assert_array_equal(answer.T_palm_object, single.T_palm_object)
             np.testing.assert_array_equal(answer.information, single.information)
+            np.testing.assert_array_equal(answer.residual_rows, single.residual_rows)
             assert answer.outliers == single.outliers
 
 
