@@ -495,3 +495,29 @@ def test_modes_are_weighed_by_the_density_there(name, kind):
     floor = (1.0 if given.blind else 1e-9) / given.model.radius**2
     expected = -0.5 * np.log(np.linalg.eigvalsh(metres).clip(floor)).sum(axis=1)
     np.testing.assert_allclose(volume, expected, rtol=1e-6)
+
+
+def test_of_equal_poses_the_one_nearest_to_vision_is_answered():
+    given = problem("can", 1)
+    T, spin = given.vision.T_palm_object, se3.rotation_exp(np.array([0, 0, 1.0]))
+    spun = solve.solve_single_start(given, T @ se3.compose(spin, np.zeros(3)))
+    here = solve.solve_single_start(given, T)
+    np.testing.assert_allclose(spun.T_palm_object, here.T_palm_object, atol=1e-4)
+
+
+def test_blind_the_most_likely_place_along_a_slide_costs_what_the_contacts_say_of_it():
+    # Two exact contacts across the box fit wherever it slides; what its center is taken to be near is no misfit.
+    thing, half = scenes.box(), scenes.BOX[0] / 2
+    points, normals = (
+        np.array([[half, 0.01, 0.03], [-half, -0.01, 0.02]]),
+        np.array([[1.0, 0, 0], [-1.0, 0, 0]]),
+    )
+    T = se3.random(np.random.default_rng(0))
+    contacts = hs.Contacts(se3.apply(T, points), normals @ T[:3, :3].T, sigma_point=5e-4, sigma_normal=0.03)
+    given, used = Problem(thing, contacts, None, NO_OUTSIDE), np.ones((1, 2), dtype=bool)
+    slides = np.repeat(np.eye(6)[[1, 2]], 5, axis=0) * np.linspace(-0.02, 0.02, 10)[:, None]
+    minima, _ = solve.solve(
+        given, se3.moved(np.broadcast_to(T, (10, 4, 4)), slides @ np.kron(np.eye(2), T[:3, :3].T)), used
+    )
+    assert len(minima) > 1
+    assert (minima["cost"] < 0.01).all()
