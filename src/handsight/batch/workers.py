@@ -2,10 +2,12 @@
 
 import contextlib
 import functools
+import json
 import logging
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import time
 import warnings
@@ -68,6 +70,27 @@ def answer_lines(folder: str, lines: list[bytes]) -> Answers:
     return Answers(texts, seconds, [str(warning.message) for warning in caught])
 
 
+def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
+    """The file that a worker's answers are in.
+
+    Its name goes through the pool's pipe whole or not at all. Of a longer message a worker that dies may leave a part,
+    and the pool would wait for the rest forever.
+    """
+    with tempfile.NamedTemporaryFile("w", dir=folder, encoding="utf-8", delete=False) as file:
+        json.dump(work(lines), file)
+    return file.name
+
+
+def _from_file(named: Future[str], answers: Future[Answers]) -> None:
+    """Hands on what a worker answered, or that it did not."""
+    try:
+        path = Path(named.result())
+        answers.set_result(Answers(*json.loads(path.read_bytes())))
+        path.unlink()
+    except BaseException as error:  # whoever waits must hear of it
+        answers.set_exception(error)
+
+
 class Processes(contextlib.AbstractContextManager["Processes"]):
     """Worker processes of this machine; use it in `with`. When one dies all are replaced, and their chunks fail."""
 
@@ -79,12 +102,14 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         self.room = size
         """How many chunks they take at the same time: one each."""
         self._work, self._first = work, first
+        self._folder = tempfile.TemporaryDirectory(prefix="handsight-", ignore_cleanup_errors=True)
         # New programs, not forks: a thread pool does not survive a fork.
         self._context = multiprocessing.get_context("spawn")
         self._pool: ProcessPoolExecutor | None = None
 
     def __exit__(self, *_: object) -> None:
         self._end()
+        self._folder.cleanup()
 
     def _end(self) -> None:
         """Ends all workers, whatever they are doing."""
@@ -99,7 +124,10 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         while True:
             pool = self._pool or self._started()
             with contextlib.suppress(BrokenProcessPool), _spawning():
-                return pool.submit(self._work, lines)
+                named = pool.submit(_to_file, self._work, self._folder.name, lines)
+                answers: Future[Answers] = Future()
+                named.add_done_callback(functools.partial(_from_file, answers=answers))
+                return answers
             self._end()
 
     def answers(self, future: Future[Answers]) -> Answers | None:
