@@ -23,8 +23,9 @@ from handsight._kernels.symmetry import pose_of
 from handsight._kernels.threads import alone, in_parts
 from handsight.correction import modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
-from handsight.correction.problem import Problem, descents_at
+from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries
+from handsight.objects.symmetry import nearest
 from oracles import correction as oracle
 
 PRIOR_TERM, TERM, UNCERTAINTY = records.PRIOR_TERM, records.TERM, records.UNCERTAINTY
@@ -521,3 +522,23 @@ def test_blind_the_most_likely_place_along_a_slide_costs_what_the_contacts_say_o
     )
     assert len(minima) > 1
     assert (minima["cost"] < 0.01).all()
+
+
+@pytest.mark.parametrize("name", ["can", "box", "about a point"])
+def test_the_nearest_equivalent_is_that_of_plain_numpy(name):
+    thing, rng = scenes.box() if name == "about a point" else model(name), np.random.default_rng(6)
+    if name == "about a point":  # three half turns, whose shifts count as much as their turns
+        point, turns = (
+            np.array([0.03, -0.02, 0.05]),
+            [np.diag(d) for d in ([1.0, -1, -1], [-1, 1, -1], [-1, -1, 1])],
+        )
+        thing = thing.with_symmetries(
+            Symmetries(rotations=[se3.compose(R, point - R @ point) for R in turns])
+        )
+    T = se3.random(rng)
+    Ts = se3.random(rng, 200, spread=0.05)
+    descents, prior = descents_at(Ts), hs.PosePrior.from_sigmas(T, 0.01, 0.1).record
+    batch.nearest_all(thing.record.model, descents, prior)
+    expected = nearest(thing.symmetries, Ts, T, thing.radius)
+    np.testing.assert_allclose(poses_of(descents), expected, atol=1e-9)
+    assert name == "can" or 20 < np.isclose(expected, Ts, atol=1e-9).all(axis=(1, 2)).sum() < 180
