@@ -1,15 +1,6 @@
 """Intrinsic contact sensing (eq. 7) in plain NumPy: the slow truth of `handsight._kernels.sensing`.
 
-The object pushes with force F at p, and twists by a local torque along the normal. About the centre of the
-ellipsoid pᵀA p = 1 the torque is M = p × F + k A p: four equations for p and k. Bicchi, Salisbury and Brock
-(1993) solve them through a quartic in k whose answer is 0/0 where k vanishes. Here, instead:
-
-* With W = √A, q = W p, f = W F, m = |W| W⁻¹ M, κ = |W| k, eq. 7 becomes that of the unit sphere,
-  q × f + κ q = m, |q| = 1: an ellipsoid is a sphere seen through W.
-* c = q·f obeys c κ = f·m and c² - κ² = |f|² - |m|², that is (c + iκ)² = |f|² - |m|² + 2i f·m. One complex
-  square root gives both, and the object can only push: Re(c + iκ) < 0. Nothing cancels, and κ = 0 is no
-  special case.
-* q = (c f + κ m + f × m) / (|f|² + κ²); for κ = 0 this is where the wrench's axis pierces the sphere.
+Its formulas are derived in `handsight._kernels.sensing_steps`.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,7 @@
 """How numba compiles a function that kernels call and nobody else: to what a kernel links, and no further.
 
 By itself numba optimises such a function and makes machine code of it, with all that it calls, once for each level of
-calls above it. Left to the kernel, which inlines all of it anyway, that is done once: two thirds of the time to
-compile, and the same machine code.
+calls above it. Left to the kernel, which inlines all of it anyway, that is done once, and a third of the time is saved.
 """
 
 from typing import Any

@@ -11,8 +11,7 @@ from handsight._kernels.vec3 import Vec3, add, cross, dot, mul, scale, sub, tmul
 
 STEPS, STEP, GROWTH = 10, 0.25, 3.0
 """Of the search for the lowest point: how many, how far the first goes down [radii], and how each that was lower
-lengthens the next. It is exact on boxes and cylinders; on scans, whose fields are round at edges, it ends half a
-millimetre high in the median (seven meshes of `ycb_meshes`, 400 directions each), samples alone two."""
+lengthens the next. Exact on boxes and cylinders; on scans, whose fields are round at edges, it ends a little high."""
 
 
 @inner

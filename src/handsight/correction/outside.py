@@ -47,8 +47,8 @@ class Outside:
     """With all that is behind them."""
 
     def __post_init__(self) -> None:
-        if any(not isinstance(plane, Plane) for plane in self.planes):
-            raise InvalidInput(f"outside.planes: expected Planes, got {checks.brief(self.planes)}")
+        if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
+            raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
 
 
 def outside_records(
