@@ -1,5 +1,7 @@
 """What passes the public door comes out clean; what does not is named: what was expected, what came."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -163,3 +165,37 @@ def test_a_long_value_is_cut_to_eighty_characters():
     text = checks.brief(np.arange(1000))
     assert len(text) == 80
     assert text.endswith("...")
+
+
+@pytest.mark.parametrize(
+    ("check", "value", "message"),
+    [
+        (checks.position, [0, 0, 1001], "x: expected metres within 1000, got 1001"),
+        (checks.position, [0, -1e300, 0], "x: expected metres within 1000, got -1e+300"),
+        (checks.load, [0, 1e6, 0], "x: expected newtons and newton metres within 100000, got 1e+06"),
+    ],
+)
+def test_numbers_beyond_anything_on_a_robot_are_refused_by_name(check, value, message):
+    check([1000, 1000, -1000], "x", (3,))
+    with pytest.raises(InvalidInput, match=re.escape(message)):
+        check(value, "x", (3,))
+
+
+@pytest.mark.parametrize("value", [9e-10, 1001, 1e155, 1e-200])
+def test_a_sigma_that_no_sensor_has_is_refused(value):
+    assert checks.sigma(1e-9, "x") == 1e-9
+    assert checks.sigma(1000, "x") == 1000
+    with pytest.raises(InvalidInput, match="x: expected a number from 1e-09 to 1000, got"):
+        checks.sigma(value, "x")
+
+
+@pytest.mark.parametrize("value", [9e-10, 1001, 1e150])
+def test_a_covariance_that_no_sensor_has_is_refused(value):
+    variances = np.array([1.0, 1.0, 1.0, value**2, value**2, value**2])
+    with pytest.raises(InvalidInput, match="x: expected standard deviations from 1e-09 to 1000, got"):
+        checks.covariance(np.diag(variances), "x", (6, 6))
+
+
+def test_a_covariance_may_know_some_or_all_of_its_numbers_exactly():
+    checks.covariance(np.zeros((6, 6)), "x", (6, 6))
+    checks.covariance(np.diag([1e-6, 1e-38, 0, 0, 0, 0]), "x", (6, 6))

@@ -12,6 +12,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
+FARTHEST = 1e3
+"""No position on or near a robot is farther from any frame's origin [m]; beyond it numbers are not measurements."""
+STRONGEST = 1e5
+"""No fingertip reads a larger force [N] or torque [N m]."""
+FINEST = 1e-9
+"""Nothing is known more finely [m, rad]; squares of less than it drown in rounding."""
+
 
 def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     """`value` as float64 of that shape (None: any length), all finite; raises InvalidInput otherwise."""
@@ -49,6 +56,31 @@ def positive(value: ArrayLike, name: str) -> float:
     return number
 
 
+def position(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """`value` [m] as `finite` takes it, each number within `FARTHEST`; raises InvalidInput otherwise."""
+    return _within(finite(value, name, shape), name, FARTHEST, "metres")
+
+
+def load(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """`value` [N, N m] as `finite` takes it, each number within `STRONGEST`; raises InvalidInput otherwise."""
+    return _within(finite(value, name, shape), name, STRONGEST, "newtons and newton metres")
+
+
+def _within(array: Array, name: str, limit: float, unit: str) -> Array:
+    beyond = np.abs(array) > limit
+    if beyond.any():
+        raise InvalidInput(f"{name}: expected {unit} within {limit:g}, got {array[beyond][0]:g}")
+    return array
+
+
+def sigma(value: ArrayLike, name: str) -> float:
+    """`value` as a standard deviation [m or rad] from `FINEST` to `FARTHEST`; raises InvalidInput otherwise."""
+    number = positive(value, name)
+    if not FINEST <= number <= FARTHEST:
+        raise InvalidInput(f"{name}: expected a number from {FINEST:g} to {FARTHEST:g}, got {number:g}")
+    return number
+
+
 def unit(vectors: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     """`vectors` scaled to length 1 along the last axis; a zero vector raises InvalidInput."""
     array = finite(vectors, name, shape)
@@ -61,8 +93,20 @@ def unit(vectors: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
 
 
 def covariance(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
-    """`value` if symmetric and positive semidefinite (to rounding), made exactly symmetric."""
+    """`value` if symmetric and positive semidefinite (to rounding), made exactly symmetric; of pose or contact.
+
+    The largest deviation of each three numbers is zero (known exactly) or as `sigma` takes it.
+    """
     array = finite(value, name, shape)
+    variances = np.diagonal(array, axis1=-2, axis2=-1)
+    # A singular covariance has rounding's variance where it has none, so the largest of three is looked at.
+    widest = np.sqrt(
+        np.abs(variances.reshape(*variances.shape[:-1], variances.shape[-1] // 3, 3)).max(axis=-1)
+    )
+    strange = (widest > FARTHEST * (1 + 1e-9)) | ((widest > 0) & (widest < FINEST * (1 - 1e-9)))
+    if strange.any():
+        expected = f"expected standard deviations from {FINEST:g} to {FARTHEST:g}"
+        raise InvalidInput(f"{name}: {expected}, got {widest[strange][0]:g}")
     transposed = np.swapaxes(array, -1, -2)
     # Entries differ in unit (m², m rad, rad²): compare each with what its own variances allow.
     deviation = np.sqrt(np.abs(np.diagonal(array, axis1=-2, axis2=-1)))

@@ -1,8 +1,22 @@
 """What can be wrong with an input. Each message names the argument, what was expected and what came."""
 
+MOST_CHARACTERS = 1000
+"""Of a message: it quotes what came, which may be anything."""
+
+
+def printable(text: str) -> str:
+    """`text` in one line, with escapes such as \\x1b for what a terminal would obey or an encoding refuses."""
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if len(text) <= MOST_CHARACTERS else text[: MOST_CHARACTERS - 4] + " ..."
+
 
 class HandsightError(Exception):
     """Any input that handsight refuses; catch this to catch them all."""
+
+    def __init__(self, message: str = "") -> None:
+        """The message is kept as `printable`: parts of it come from files, topics and arguments."""
+        super().__init__(printable(message))
 
 
 class InvalidInput(HandsightError, ValueError):

@@ -10,14 +10,15 @@ the outer frame's axes. Covariances and Jacobians of a pose are for it (ROS' Pos
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handsight.checks import Array, finite, unit
+from handsight.checks import Array, finite, position, unit
 from handsight.errors import InvalidInput, InvalidTransform
 
 
 def check(T: ArrayLike, name: str) -> Array:
-    """`T` itself, (4, 4), if it is a rigid transform; raises InvalidTransform otherwise."""
+    """`T` itself, (4, 4), if it is a rigid transform on or near a robot; raises InvalidTransform otherwise."""
     try:
         array = finite(T, name, (4, 4))
+        position(array[:3, 3], f"{name}: translation", (3,))
     except InvalidInput as error:
         raise InvalidTransform(str(error)) from None
     R = array[:3, :3]

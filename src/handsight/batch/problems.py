@@ -96,7 +96,7 @@ class Reader:
             raise InvalidInput(f"samples: expected a whole number from 0, got {fields.samples!r}")
         outside = None
         if fields.outside is not None and fields.outside != []:
-            outside = checks.finite(fields.outside, "outside", (None, 3))
+            outside = checks.position(fields.outside, "outside", (None, 3))
         contacts, vision = _contacts(fields.contacts), _vision(fields.vision)
         return Problem(self.model(fields.object), contacts, vision, outside, fields.samples, fields.method)
 
@@ -115,7 +115,7 @@ class Reader:
         if fields.scale is not None and fields.mesh is None:
             raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
         if fields.mesh is not None:
-            scale = _positive(fields.scale, "object.scale", 1.0)
+            scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
             try:
                 return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
             except HandsightError as error:
@@ -212,17 +212,19 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
     normals: list[Array | None] = []
     for i, row in enumerate(rows):
         name = f"contacts[{i}]"
-        points[i] = checks.finite(row.point, f"{name}.point", (3,))
+        points[i] = checks.position(row.point, f"{name}.point", (3,))
         normals.append(None if row.normal is None else checks.unit(row.normal, f"{name}.normal", (3,)))
         if row.covariance is not None:
             if row.sigma_point is not None or row.sigma_normal_deg is not None:
                 raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
             covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
             continue
-        sigma_point = _positive(row.sigma_point, f"{name}.sigma_point", 1e-3)
+        sigma_point = (
+            1e-3 if row.sigma_point is None else checks.sigma(row.sigma_point, f"{name}.sigma_point")
+        )
         sigma_normal = 0.1
         if row.sigma_normal_deg is not None:
-            sigma_normal = np.deg2rad(checks.positive(row.sigma_normal_deg, f"{name}.sigma_normal_deg"))
+            sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg")
         covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
     try:
         return Contacts(points, normals, covariance=covariance)
@@ -233,7 +235,7 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
 def _vision(fields: VisionFields | None) -> PosePrior | None:
     if fields is None:
         return None
-    position = checks.finite(fields.position, "vision.position", (3,))
+    position = checks.position(fields.position, "vision.position", (3,))
     quaternion = checks.unit(fields.quaternion_xyzw, "vision.quaternion_xyzw", (4,))
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
     given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
@@ -244,17 +246,20 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
         )
     if fields.covariance is not None:
         return PosePrior(T, checks.covariance(fields.covariance, "vision.covariance", (6, 6)))
-    shift = _positive(fields.sigma_position, "vision.sigma_position")
-    turn = _positive(fields.sigma_rotation_deg, "vision.sigma_rotation_deg")
-    return PosePrior.from_sigmas(T, shift, np.deg2rad(turn))
+    for field in ("sigma_position", "sigma_rotation_deg"):
+        if getattr(fields, field) is None:
+            raise InvalidInput(f"vision.{field}: expected a number above 0, got nothing")
+    shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
+    return PosePrior.from_sigmas(T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg"))
 
 
-def _positive(value: Any, name: str, default: float | None = None) -> float:
-    if value is not None:
-        return checks.positive(value, name)
-    if default is None:
-        raise InvalidInput(f"{name}: expected a number above 0, got nothing")
-    return default
+def _radians(degrees: Any, name: str) -> float:
+    """A standard deviation that comes in degrees [rad]; its bounds are those of radians, told in degrees."""
+    radians = float(np.deg2rad(checks.positive(degrees, name)))
+    if not checks.FINEST <= radians <= checks.FARTHEST:
+        lowest, highest = np.rad2deg([checks.FINEST, checks.FARTHEST])
+        raise InvalidInput(f"{name}: expected degrees from {lowest:.1g} to {highest:.3g}, got {degrees:g}")
+    return radians
 
 
 def _pose(T: Array) -> dict[str, Array]:

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from handsight.errors import InvalidFile
+from handsight.errors import InvalidFile, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,8 +30,8 @@ def _messages() -> "Console":
 
 
 def say(message: str) -> None:
-    """Prints a line on stderr, as it stands."""
-    _messages().print(message, markup=False)
+    """Prints a line on stderr, as it stands but for what the terminal would obey."""
+    _messages().print(printable(message), markup=False)
 
 
 @cache

@@ -169,11 +169,11 @@ def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
 def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
     """(n,) positive."""
     if _axes(value) == 0:
-        return np.full(n, checks.positive(value, name))
+        return np.full(n, checks.sigma(value, name))
     sigmas = checks.finite(value, name, (None,))
     _same_length(sigmas, name, n)
-    for i in np.flatnonzero(~(sigmas > 0)):
-        raise InvalidInput(f"{name}[{i}]: expected a number above 0, got {sigmas[i]:g}")
+    for i in np.flatnonzero(~((sigmas >= checks.FINEST) & (sigmas <= checks.FARTHEST))):
+        checks.sigma(sigmas[i], f"{name}[{i}]")
     return sigmas
 
 

@@ -48,8 +48,8 @@ class PosePrior:
         cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float
     ) -> "PosePrior":
         """The prior with one standard deviation per axis of position [m] and of rotation [rad]."""
-        position = checks.positive(sigma_position, "sigma_position")
-        rotation = checks.positive(sigma_rotation, "sigma_rotation")
+        position = checks.sigma(sigma_position, "sigma_position")
+        rotation = checks.sigma(sigma_rotation, "sigma_rotation")
         T = se3.check(T_palm_object, "vision.T_palm_object")
         return cls(T, np.diag([position**2] * 3 + [rotation**2] * 3))
 

@@ -32,9 +32,9 @@ class Plane:
     """One standard deviation of where it is along its normal [m]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point_palm", checks.finite(self.point_palm, "plane.point_palm", (3,)))
+        object.__setattr__(self, "point_palm", checks.position(self.point_palm, "plane.point_palm", (3,)))
         object.__setattr__(self, "normal_palm", checks.unit(self.normal_palm, "plane.normal_palm", (3,)))
-        object.__setattr__(self, "sigma", checks.positive(self.sigma, "plane.sigma"))
+        object.__setattr__(self, "sigma", checks.sigma(self.sigma, "plane.sigma"))
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def outside_records(
         return NO_OUTSIDE
     given = outside if isinstance(outside, Outside) else Outside(outside)
     points = np.empty((0, 3))
-    if np.size(given.points_palm):
-        points = checks.finite(given.points_palm, "outside", (None, 3))
+    if not (isinstance(given.points_palm, np.ndarray | list | tuple) and not len(given.points_palm)):
+        points = checks.position(given.points_palm, "outside", (None, 3))
     if not model.closed:
         points = points[:0]
     rows = np.zeros(len(points) + len(given.planes), dtype=OUTSIDE)

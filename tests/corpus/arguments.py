@@ -1,0 +1,79 @@
+"""Numbers given to Python: contacts, priors, what is outside, transforms."""
+
+import random
+
+import numpy as np
+
+import handsight as hs
+from handsight.correction import Outside, Plane
+from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
+
+BOX = hs.ObjectModel.box([0.06, 0.09, 0.14])
+GOOD: dict[str, object] = {
+    "points": [[0.03, 0.0, 0.0], [-0.03, 0.01, 0.02], [0.0, 0.045, -0.03]],
+    "normals": [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]],
+    "sigma_point": 0.001,
+    "sigma_normal": 0.1,
+    "T": np.eye(4).tolist(),
+    "sigma_position": 0.02,
+    "sigma_rotation": 0.2,
+    "covariance": np.diag([4e-4] * 3 + [0.04] * 3).tolist(),
+    "outside": [[0.05, 0.1, 0.1], [0.2, 0.0, 0.0]],
+    "plane": [0.0, 0.0, -0.08],
+    "plane_normal": [0.0, 0.0, 1.0],
+    "plane_sigma": 0.001,
+}
+
+
+def correct(given: dict[str, object]) -> None:
+    """A correction of what is given; what is missing is not given."""
+    contacts = hs.Contacts(
+        *(given.get(name) for name in ("points", "normals", "sigma_point", "sigma_normal"))
+    )
+    if "covariance" in given and "sigma_position" not in given:
+        vision = hs.PosePrior(given.get("T"), given["covariance"])
+    else:
+        vision = hs.PosePrior.from_sigmas(
+            *(given.get(name) for name in ("T", "sigma_position", "sigma_rotation"))
+        )
+    plane = Plane(*(given.get(name) for name in ("plane", "plane_normal", "plane_sigma")))
+    estimate = hs.correct_pose(
+        BOX, contacts, vision=vision, outside=Outside(given.get("outside", ()), [plane])
+    )
+    check_pose(estimate.T_palm_object)
+    check_covariance(estimate.covariance)
+    assert np.isfinite(estimate.information).all()
+    assert np.linalg.eigvalsh(estimate.information).min() > -1e-6 * np.abs(estimate.information).max()
+    assert np.isfinite(estimate.residuals.distance).all()
+    assert abs(sum(h.weight for h in estimate.hypotheses) - 1) < 1e-9
+
+
+def correct_spoilt(rng: random.Random) -> None:
+    """With one number or two wrong."""
+    given = dict(GOOD)
+    if rng.random() < 0.5:
+        del given["sigma_position"]
+    for _ in range(rng.choice([1, 1, 2])):
+        key = rng.choice(sorted(given))
+        given[key] = spoilt_value(given[key], rng)
+    correct(given)
+
+
+DOORS = [Door("correct_pose", correct_spoilt, 300)]
+CASES = [
+    Case("a sigma of 1e155", lambda: correct({**GOOD, "sigma_point": 1e155}), "sigma_point: expected"),
+    Case("a prior 1e20 away", lambda: correct({**GOOD, "T": _at(1e20)}), "vision.T_palm_object: translation"),
+    Case(
+        "a prior 1e160 wide", lambda: correct({**GOOD, "sigma_position": 1e160}), "sigma_position: expected"
+    ),
+    Case(
+        "a point outside at 1e200", lambda: correct({**GOOD, "outside": [[1e200, 0, 0]]}), "outside: expected"
+    ),
+    Case("a plane known to 1e-12", lambda: correct({**GOOD, "plane_sigma": 1e-12}), "plane.sigma: expected"),
+]
+
+
+def _at(x: float) -> list[list[float]]:
+    T = np.eye(4)
+    T[0, 3] = x
+    return T.tolist()

@@ -1,0 +1,29 @@
+"""What is malformed is refused in a sentence or answered; `python -m tests.fuzz` brings other seeds."""
+
+import pytest
+
+from handsight.errors import HandsightError
+from tests.corpus.door import check_sentence, knock
+from tests.corpus.doors import CASES, DOORS
+
+
+@pytest.mark.parametrize("door", DOORS, ids=lambda door: door.name)
+def test_what_is_spoilt_is_answered_or_refused(door):
+    answered = sum(knock(door, seed) for seed in range(door.inputs))
+    # A door that refuses all, or takes all, is not tried by what it is brought.
+    assert 0 < answered < door.inputs
+
+
+def test_the_corpus_is_large():
+    assert sum(door.inputs for door in DOORS) + len(CASES) >= 2000
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_what_once_went_wrong(case):
+    if case.says is None:
+        case.bring()
+        return
+    with pytest.raises(HandsightError) as refused:
+        case.bring()
+    assert case.says in str(refused.value)
+    check_sentence(str(refused.value))
