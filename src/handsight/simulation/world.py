@@ -78,6 +78,7 @@ class World:
         """Poses and sensors of this very instant: a step leaves those of its beginning behind."""
         if self.phase == "close":
             self._hold_object(self._begin)
+        self._move_arm()  # else the arm is pulled to where it was to be a step ago
         self._mujoco.mj_forward(self.scene.model, self.data)
 
     def pose(self, name: str) -> Array:
