@@ -4,12 +4,15 @@ How kernels are kept is one way for all of them, so a small one stands for all: 
 """
 
 import os
+import shutil
 import subprocess
 import sys
 
 import pytest
 
 KERNEL = """
+import sys
+import numpy as np
 from handsight._kernels.compiled import entry
 
 @entry
@@ -19,50 +22,137 @@ def doubled(values):
         total += 2 * value
     return total
 
-import numpy as np
-print(doubled(np.ones(3)), doubled(np.ones(4)), doubled.stats.cache_hits)
+@entry
+def tripled(values):
+    total = 0.0
+    for value in values:
+        total += 3 * value
+    return total
+
+values = np.ones(3, dtype=sys.argv[1] if len(sys.argv) > 1 else "f8")
+hits = sum(sum(kernel.stats.cache_hits.values()) for kernel in (doubled, tripled) for _ in [kernel(values)])
+print(doubled(values), tripled(values), hits)
 """
+COMPILED, LOADED, HALF = "6.0 9.0 0\n", "6.0 9.0 2\n", "6.0 9.0 1\n"
 
 
-@pytest.fixture
-def ran(tmp_path):
-    program = tmp_path / "small_kernel.py"
+@pytest.fixture(scope="module")
+def started(tmp_path_factory):
+    program = tmp_path_factory.mktemp("program") / "small_kernel.py"
     program.write_text(KERNEL)
 
-    def run(folder):
+    def start(folder, *arguments):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-        command = [sys.executable, "-W", "always", program]
-        done = subprocess.run(command, capture_output=True, timeout=100, env=environment, text=True)
-        assert done.returncode == 0, done.stderr
-        return done
+        command = [sys.executable, "-W", "always", program, *arguments]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return subprocess.Popen(command, env=environment, text=True, **pipes)
+
+    return start
+
+
+@pytest.fixture(scope="module")
+def ran(started):
+    def run(folder, *arguments):
+        with started(folder, *arguments) as process:
+            out, said = process.communicate(timeout=100)
+        assert process.returncode == 0, said
+        return out, said
 
     return run
 
 
-def test_a_kernel_is_compiled_once_and_then_loaded(ran, tmp_path):
-    assert ran(tmp_path / "kept").stdout == "6.0 8.0 Counter()\n"
-    assert ran(tmp_path / "kept").stdout.startswith("6.0 8.0 Counter({")
+@pytest.fixture(scope="module")
+def compiled_once(ran, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("once")
+    assert ran(folder) == (COMPILED, "")
+    return folder
+
+
+@pytest.fixture
+def kept(compiled_once, tmp_path):
+    """A folder of kept kernels, and by kernel its file."""
+    shutil.copytree(compiled_once, tmp_path / "kept")
+    files = {path.name.split("-")[0].rpartition(".")[2]: path for path in (tmp_path / "kept").rglob("*.nbc")}
+    assert sorted(files) == ["doubled", "tripled"]
+    return tmp_path / "kept", files
+
+
+def test_a_kernel_is_compiled_once_and_then_loaded(ran, kept):
+    assert ran(kept[0]) == (LOADED, "")
 
 
 def test_where_kernels_cannot_be_kept_one_warning_says_so(ran, tmp_path):
     (tmp_path / "file").write_text("")
-    done = ran(tmp_path / "file" / "below")
-    assert done.stdout.startswith("6.0 8.0")
-    assert done.stderr.count("compiled kernels cannot be kept there") == 1
-    assert done.stderr.count("Warning") == 1
+    out, said = ran(tmp_path / "file" / "below")
+    assert out == COMPILED
+    assert said.count("compiled kernels cannot be kept there") == 1
+    assert said.count("Warning") == 1
 
 
-def test_a_damaged_kernel_is_compiled_again(ran, tmp_path):
-    expected = ran(tmp_path / "kept").stdout
-    kept = [path for path in (tmp_path / "kept").rglob("*") if path.is_file()]
-    assert len(kept) == 2
-    for path in kept:
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    for _ in range(2):  # the second time it is loaded again: what was damaged is not added to
-        done = ran(tmp_path / "kept")
-        assert done.stdout.split()[:2] == expected.split()[:2]
-        assert "Warning" not in done.stderr
-    assert done.stdout.startswith("6.0 8.0 Counter({")
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="modes as POSIX has them")
+def test_kernels_that_others_can_write_are_not_run(ran, kept, tmp_path, monkeypatch):
+    kept[0].chmod(0o777)
+    for file in kept[1].values():
+        file.write_bytes(b"theirs")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    for expected in (COMPILED, LOADED):
+        out, said = ran(kept[0])
+        assert out == expected
+        assert said.count("others can write to") == said.count("Warning") == 1
+    assert all(file.read_bytes() == b"theirs" for file in kept[1].values())
+
+
+def flipped(data):
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[: len(data) // 2],
+        flipped,
+        lambda data: b"",
+        lambda data: data[:4] + bytes(len(data) - 4),
+    ],
+    ids=["cut", "flipped", "empty", "zeros"],
+)
+def test_a_damaged_kernel_is_compiled_again_and_no_other(ran, kept, damage):
+    folder, files = kept
+    whole = files["doubled"].read_bytes()
+    files["doubled"].write_bytes(damage(whole))
+    assert ran(folder) == (HALF, "")
+    assert ran(folder) == (LOADED, "")
+
+
+def test_a_kernel_in_anothers_place_is_compiled_again(ran, kept):
+    folder, files = kept
+    doubled, tripled = (files[name].read_bytes() for name in ("doubled", "tripled"))
+    files["doubled"].write_bytes(tripled)
+    files["tripled"].write_bytes(doubled)
+    assert ran(folder) == (COMPILED, "")
+    assert ran(folder) == (LOADED, "")
+
+
+def test_a_kernel_that_cannot_be_read_is_compiled_each_time(ran, kept):
+    folder, files = kept
+    files["doubled"].unlink()
+    files["doubled"].mkdir()
+    out, said = ran(folder)
+    assert out == HALF
+    assert said.count("compiled kernels cannot be kept there") == 1
+
+
+def test_processes_that_compile_at_once_keep_what_each_compiled(started, ran, tmp_path):
+    kinds = ["f8", "f4", "i8", "f8"]
+    processes = [started(tmp_path / "kept", kind) for kind in kinds]
+    for process in processes:
+        with process:
+            out, said = process.communicate(timeout=200)
+        assert (out[:8], said) == ("6.0 9.0 ", "")
+    for kind in kinds[:3]:
+        assert ran(tmp_path / "kept", kind) == (LOADED, "")
+    assert len(list((tmp_path / "kept").rglob("*.*"))) == 6
 
 
 WARMED = """

@@ -7,6 +7,7 @@ file has changed. Here one stamp over all kernels decides, and the folder is han
 import contextlib
 import hashlib
 import os
+import pickle
 import shutil
 import warnings
 from collections.abc import Callable
@@ -14,10 +15,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import caching
+from numba.core import caching, serialize
 
+from handsight import cache_folder
 from handsight._kernels.linked import Linked
-from handsight.cache_folder import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -68,7 +69,8 @@ STAMP = _stamp()
 
 def folder() -> Path:
     """Where the machine code of this version is: in `$NUMBA_CACHE_DIR` where that is set, else handsight's cache."""
-    return Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()) / f"kernels-{STAMP}"
+    name, named = f"kernels-{STAMP}", os.environ.get("NUMBA_CACHE_DIR")
+    return cache_folder.own(Path(named), name) if named else cache_folder.cache_folder() / name
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
@@ -78,7 +80,10 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]
         self._line = function.__code__.co_firstlineno
 
     def get_cache_path(self) -> str:
-        return str(folder())
+        return ""  # `_Files` knows, each time anew
+
+    def ensure_cache_path(self) -> None:
+        """So does it."""
 
     def get_source_stamp(self) -> str:
         return STAMP
@@ -95,25 +100,50 @@ class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = [_Locator]  # noqa: RUF012 - numba's name and type
 
 
+class _Files:
+    """The files of one kernel, each the machine code for one signature and machine, named and sealed by what it is for.
+
+    Numba's own are numbered, with an index beside them. Processes that save at the same time mix them up, and of what
+    is damaged LLVM does not raise: it ends the process.
+    """
+
+    def __init__(self, kernel: str) -> None:
+        self._kernel = kernel
+
+    def load(self, key: Any) -> Any:
+        """What `save` was given. Raises OSError where there is nothing, ValueError where it is not that."""
+        return pickle.loads(cache_folder.read(*self._place(key)))
+
+    def save(self, key: Any, compiled: Any) -> None:
+        """Raises OSError."""
+        cache_folder.write(*self._place(key), serialize.dumps(compiled))
+
+    def _place(self, key: Any) -> tuple[Path, str]:
+        what = f"{STAMP} {self._kernel} {key!r}"
+        return folder() / f"{self._kernel}.{hashlib.sha256(what.encode()).hexdigest()[:16]}.nbc", what
+
+
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
     """Numba's cache, where a folder that cannot be read or written costs a warning."""
 
     _impl_class = _Impl
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = _Files(self._impl.filename_base)
+
     def load_overload(self, *args: Any) -> Any:
         kept = None
-        try:
+        with contextlib.suppress(
+            Exception
+        ):  # none yet, damaged, or of another build: compiled, and kept anew
             kept = super().load_overload(*args)
-        except Exception:  # a file cut short, or of another build: compiled again
-            with contextlib.suppress(OSError):
-                self.flush()  # else what is damaged would be added to
         while kept is None and on_compile:
             on_compile.pop()()
         return kept
 
     def save_overload(self, *args: Any) -> None:
         try:
-            self._impl.locator.ensure_cache_path()
             super().save_overload(*args)
         except OSError as error:
             _warn(error)

@@ -7,11 +7,8 @@ the hash of what it was computed from. Losing the folder costs time, nothing els
 import contextlib
 import hashlib
 import io
-import os
-import tempfile
 import warnings
-import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +16,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.cache_folder import cache_folder
+from handsight.cache_folder import cache_folder, read, write
 from handsight.objects.fields import FieldError, GridField
-from handsight.objects.geometry import Geometry, frozen
-from handsight.objects.surface import Cloud, ObjectWarning, Triangles
+from handsight.objects.geometry import SAMPLES, Geometry, frozen
+from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
 
 VERSION = 5
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
+MOST = 10 * LARGEST**2
+"""No number of an object is as large, in metres, square metres or radians."""
 _warned: set[str] = set()
 
 
@@ -47,12 +46,12 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     appears complete or not at all. Where the folder cannot be written, one ObjectWarning, and no error.
     """
     path = cache_folder() / f"field-{name}.msgpack"
-    with contextlib.suppress(OSError, ValueError, EOFError):
+    with contextlib.suppress(Exception):  # whatever is wrong with a file, it can be made again
         return _loaded(path, name)
     geometry = compute()
     try:
-        content = msgspec.msgpack.encode(geometry, enc_hook=_packed)
-        _store(path, _checksum(name, content) + content)
+        write(path, name, msgspec.msgpack.encode(geometry, enc_hook=_packed))
+        _forget_oldest(path.parent)
     except OSError as error:
         if str(path.parent) not in _warned:
             _warned.add(str(path.parent))
@@ -71,16 +70,9 @@ def _unpacked(_: int, data: memoryview) -> NDArray[Any]:
     return frozen(np.load(io.BytesIO(data), allow_pickle=False))
 
 
-def _checksum(name: str, content: bytes | memoryview) -> bytes:
-    return zlib.crc32(content, zlib.crc32(name.encode())).to_bytes(4, "little")
-
-
 def _loaded(path: Path, name: str) -> Geometry:
-    """Raises OSError where there is no such file, ValueError where it is not what was kept."""
-    data = memoryview(path.read_bytes())
-    if data[:4] != _checksum(name, data[4:]):
-        raise ValueError("damaged, or another object")
-    parts = msgspec.msgpack.decode(data[4:], ext_hook=_unpacked)
+    """Raises OSError where there is no such file, something else where it is not what was kept."""
+    parts = msgspec.msgpack.decode(read(path, name), ext_hook=_unpacked)
     kinds: dict[str, Callable[..., Any]] = {
         "coarse": GridField,
         "fine": GridField,
@@ -89,19 +81,63 @@ def _loaded(path: Path, name: str) -> Geometry:
     }
     for key, kind in kinds.items():
         parts[key] = kind(**parts[key])
-    return Geometry(**{**parts, "remarks": tuple(parts["remarks"])})
+    geometry = Geometry(**{**parts, "remarks": tuple(parts["remarks"])})
+    if not all(_fits(*one) for one in _arrays(geometry)) or not _numbers_fit(geometry):
+        raise ValueError("not an object's geometry")
+    return geometry
 
 
-def _store(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix="field-", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.replace(temporary, path)
-    finally:  # still there only where that failed
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-    with contextlib.suppress(OSError):  # another process may remove the same files at the same time
-        for old in sorted(path.parent.glob("field-*"), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
+def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[Any], type, tuple[int | None, ...]]]:
+    """Each array with its type and its shape, None for any length: a kernel reads as far as these say."""
+    yield geometry.points_object, np.float64, (SAMPLES, 3)
+    yield geometry.normals_object, np.float64, (SAMPLES, 3)
+    yield geometry.bounds_object, np.float64, (2, 3)
+    coarse, fine, error = _grids(geometry)
+    for grid in (coarse, fine, error):
+        yield grid.origin, np.float64, (3,)
+    yield coarse.values, np.float32, (None, None, None)
+    yield fine.values, np.float32, (None, None, None)
+    yield error.values, np.float64, (None, None, None, 2)
+    surface = geometry.surface
+    yield surface.vertices, np.float64, (None, 3)
+    if isinstance(surface, Cloud):
+        yield surface.normals, np.float64, surface.vertices.shape
+        yield surface.areas, np.float64, surface.vertices.shape[:1]
+    else:
+        yield surface.faces, np.int64, (None, 3)
+
+
+def _grids(geometry: Geometry) -> tuple[Any, ...]:
+    """All three: what is kept has them."""
+    return geometry.coarse, geometry.fine, geometry.field_error
+
+
+def _fits(array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> bool:
+    """Whether an array is of that type and shape, not empty, and of numbers that an object can have."""
+    return (
+        array.dtype == dtype
+        and len(array.shape) == len(shape)
+        and all(n > 0 and wanted in (n, None) for n, wanted in zip(array.shape, shape, strict=True))
+        and bool((np.abs(array) < MOST).all())
+    )
+
+
+def _numbers_fit(geometry: Geometry) -> bool:
+    """Whether lengths, errors and indices are such."""
+    lengths = [geometry.diameter, geometry.area, *(grid.cell for grid in _grids(geometry))]
+    errors, faces = (geometry.sigma_point, geometry.sigma_normal), geometry.surface.faces
+    return (
+        all(isinstance(x, float) and 1 / MOST < x < MOST for x in lengths)
+        and all(isinstance(x, float) and 0 <= x < MOST for x in errors)
+        and isinstance(geometry.closed, bool)
+        and all(isinstance(remark, str) for remark in geometry.remarks)
+        and _grids(geometry)[2].values.min() >= 0
+        and (isinstance(geometry.surface, Cloud) or 0 <= faces.min() <= faces.max() < len(geometry.vertices))
+    )
+
+
+def _forget_oldest(folder: Path) -> None:
+    """Other processes may do the same at the same time."""
+    with contextlib.suppress(OSError):
+        for old in sorted(folder.glob("field-*"), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
             old.unlink()

@@ -1,0 +1,115 @@
+"""An object's file in the cache, damaged, or written by somebody who means harm."""
+
+import functools
+import io
+import os
+import random
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import msgspec
+import numpy as np
+
+import handsight as hs
+from handsight import cache_folder
+from handsight.errors import InvalidFile
+from handsight.objects import Symmetries, cache
+from handsight.objects import model as making
+from handsight.objects.geometry import Geometry
+from handsight.objects.surface import Triangles
+from tests.corpus.door import STRANGE, Case, Door, check_pose, spoilt_bytes
+
+NAME = "0" * 64
+
+
+@functools.cache
+def small() -> tuple[Geometry, bytes]:
+    """A block of 30 x 45 x 25 mm, and what its file holds."""
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * [
+        0.015,
+        0.0225,
+        0.0125,
+    ]
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
+    faces += [(0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    geometry = making._of_mesh(Triangles(corners, np.array(faces)))
+    return geometry, msgspec.msgpack.encode(geometry, enc_hook=cache._packed)
+
+
+def remembered(data: bytes) -> Geometry:
+    """What is found under the name where the file is `data`; raises InvalidFile where it would be made again."""
+
+    def made_again() -> Geometry:
+        raise InvalidFile("the object's file is none: it would be made again")
+
+    with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, HANDSIGHT_CACHE=folder):
+        Path(folder, f"field-{NAME}.msgpack").write_bytes(data)
+        return cache.remembered(NAME, made_again)
+
+
+def sealed(content: bytes, name: str = NAME) -> bytes:
+    """With the checksum that belongs to it."""
+    return cache_folder.checksum(name, content) + content
+
+
+def damaged(rng: random.Random) -> None:
+    """Whatever is read is what was written, to the last bit."""
+    geometry, content = small()
+    data = sealed(content, rng.choice([NAME] * 9 + ["1" * 64]))
+    found = remembered(spoilt_bytes(data, rng) if rng.random() < 0.8 else data)
+    assert msgspec.msgpack.encode(found, enc_hook=cache._packed) == content
+    assert isinstance(found, type(geometry))
+
+
+def forged(rng: random.Random) -> None:
+    """Sealed again: what it says may be believed, and kernels stay within it."""
+    content = small()[1]
+    if rng.random() < 0.5:
+        content = spoilt_bytes(content, rng)
+    else:
+        parts = msgspec.msgpack.decode(content)
+        where = rng.choice([parts, parts["coarse"], parts["fine"], parts["field_error"], parts["surface"]])
+        key = rng.choice(sorted(where))
+        where[key] = spoilt_part(where[key], rng)
+        content = msgspec.msgpack.encode(parts)
+    use(remembered(sealed(content)))
+
+
+def spoilt_part(value: Any, rng: random.Random) -> Any:
+    """An array of another shape, type or content; a number that is none."""
+    if not isinstance(value, msgspec.msgpack.Ext):
+        wanted = [x for x in STRANGE if not isinstance(x, int) or abs(x) < 2**63]
+        return rng.choice([x for x in wanted if not isinstance(x, str) or x.isprintable()])
+    array = np.load(io.BytesIO(value.data)).copy()
+    change: Callable[[], np.ndarray] = rng.choice([
+        lambda: array[: len(array) // 2], lambda: array[..., None], lambda: array.reshape(-1), lambda: array[:0],
+        lambda: array.astype(rng.choice([np.float16, np.int32, np.complex128, ">f8", "S8"])),
+        lambda: np.where(np.arange(array.size).reshape(array.shape) == rng.randrange(array.size),
+                         rng.choice([np.nan, np.inf, -np.inf, 2.0**62, -1.0]), array).astype(array.dtype),
+        lambda: np.asfortranarray(array), lambda: array,
+    ])  # fmt: skip
+    with np.errstate(all="ignore"):
+        return cache._packed(change())
+
+
+def use(geometry: Geometry) -> None:
+    """Where the object is, drawn from and touched."""
+    model = hs.ObjectModel._from(geometry, "", Symmetries())
+    contacts = hs.Contacts([[0.015, 0, 0], [-0.015, 0.004, 0.002], [0, 0.0225, 0]], None, sigma_point=1e-3)
+    estimate = hs.correct_pose(model, contacts, vision=hs.PosePrior.from_sigmas(np.eye(4), 0.02, 0.2))
+    check_pose(estimate.T_palm_object)
+
+
+DOORS = [Door("an object's file, damaged", damaged, 200), Door("an object's file, forged", forged, 150)]
+CASES = [
+    Case("an object's file as it was", lambda: use(remembered(sealed(small()[1]))), None),
+    Case("an object's file cut", lambda: use(remembered(sealed(small()[1])[:-1])), "made again"),
+    Case("another object's file", lambda: use(remembered(sealed(small()[1], "1" * 64))), "made again"),
+    Case("an empty file of an object", lambda: use(remembered(b"")), "made again"),
+    Case(
+        "a file without an object", lambda: use(remembered(sealed(msgspec.msgpack.encode(3)))), "made again"
+    ),
+]

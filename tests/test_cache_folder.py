@@ -1,0 +1,203 @@
+"""Where things are kept: in a folder of the user's own that others cannot write to, and what is kept there is whole."""
+
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+from handsight import cache_folder
+from handsight.cache_folder import CacheWarning
+
+posix = pytest.mark.skipif(not hasattr(os, "getuid"), reason="modes and owners as POSIX has them")
+root = pytest.mark.skipif(getattr(os, "getuid", lambda: 1)() != 0, reason="only root gives files away")
+
+
+@pytest.fixture(autouse=True)
+def nothing_said_yet(monkeypatch, tmp_path):
+    cache_folder._tell.cache_clear()
+    cache_folder._temporary.cache_clear()
+    monkeypatch.setattr(cache_folder.tempfile, "tempdir", str(tmp_path))
+    for name in ("HANDSIGHT_CACHE", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    yield
+    cache_folder._tell.cache_clear()
+    cache_folder._temporary.cache_clear()
+
+
+def refused(folder, monkeypatch, match):
+    """The folder that is used instead of it; the second time nothing is said."""
+    monkeypatch.setenv("HANDSIGHT_CACHE", str(folder))
+    with pytest.warns(CacheWarning, match=match):
+        used = cache_folder.cache_folder()
+    assert cache_folder.cache_folder() == used
+    assert used.stat().st_mode & 0o777 == 0o700
+    return used
+
+
+@posix
+@pytest.mark.parametrize(
+    ("mode", "others"), [(0o777, True), (0o757, True), (0o1777, True), (0o755, False), (0o700, False)]
+)
+def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, mode, others):
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(mode)
+    if others:
+        used = refused(
+            folder, monkeypatch, rf"cache: others can write to .*cache \(mode {mode:04o}\); .* instead"
+        )
+        assert used == tmp_path / f"handsight-{os.getuid()}"
+        # A folder in it cannot be better: whoever can write can move it away.
+        if mode != 0o1777:
+            refused(folder / "below", monkeypatch, "below: others can write to .*cache ")
+    else:
+        monkeypatch.setenv("HANDSIGHT_CACHE", str(folder))
+        assert cache_folder.cache_folder() == folder
+
+
+@posix
+def test_in_a_folder_as_tmp_is_a_folder_of_ones_own_is_used(tmp_path, monkeypatch):
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp").chmod(0o1777)
+    monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "tmp/mine"))
+    assert cache_folder.cache_folder() == tmp_path / "tmp/mine"
+
+
+@posix
+def test_a_group_may_write_that_is_the_users_own(tmp_path, monkeypatch):
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(0o775)
+    monkeypatch.setattr(cache_folder, "_is_mine_alone", lambda gid: gid == folder.stat().st_gid)
+    monkeypatch.setenv("HANDSIGHT_CACHE", str(folder))
+    assert cache_folder.cache_folder() == folder
+    monkeypatch.setattr(cache_folder, "_is_mine_alone", lambda gid: False)
+    refused(folder, monkeypatch, "others can write to")
+
+
+@root
+@pytest.mark.parametrize("below", ["", "below"])
+def test_a_folder_of_another_user_is_not_used(tmp_path, monkeypatch, below):
+    (tmp_path / "cache").mkdir()
+    os.chown(tmp_path / "cache", 12345, 12345)
+    refused(tmp_path / "cache" / below, monkeypatch, r"cache belongs to another user \(12345\)")
+
+
+@posix
+def test_a_link_is_as_good_as_where_it_leads(tmp_path, monkeypatch):
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    (tmp_path / "link").symlink_to(tmp_path / "open")
+    refused(tmp_path / "link", monkeypatch, "link: others can write to .*open")
+
+
+@root
+def test_a_home_of_another_user_is_not_used(tmp_path, monkeypatch):
+    (tmp_path / "home").mkdir()
+    os.chown(tmp_path / "home", 12345, 12345)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    with pytest.warns(CacheWarning, match="belongs to another user"):
+        cache_folder.cache_folder()
+
+
+@posix
+@pytest.mark.parametrize("home", ["/nonexistent", "", "here", "/dev/null", "~"])
+def test_without_a_home_a_temporary_folder_is_used(tmp_path, monkeypatch, home):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", home)
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: str(path) != "/"
+    )  # nobody's home, but root can write there
+    with pytest.warns(
+        CacheWarning, match="no home folder that can be written to; .* is used as cache instead"
+    ):
+        assert cache_folder.cache_folder() == tmp_path / f"handsight-{os.getuid()}"
+    assert [path.name for path in tmp_path.iterdir()] == [f"handsight-{os.getuid()}"]
+
+
+@posix
+def test_without_a_home_and_a_name_too(tmp_path):
+    program = "import os; os.path.expanduser = lambda path: path\nfrom handsight.cache_folder import cache_folder\nprint(cache_folder())"
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("HOME", "HANDSIGHT_CACHE")
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        check=True,
+    )
+    assert Path(done.stdout.strip()).is_absolute()
+    assert done.stderr.count("no home folder that can be written to") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_home_that_cannot_be_written_still_keeps_what_is_there(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
+    with pytest.warns(CacheWarning, match="no home folder that can be written to"):
+        cache_folder.cache_folder()
+    (tmp_path / ".cache/handsight").mkdir(parents=True)
+    assert cache_folder.cache_folder() == tmp_path / ".cache/handsight"
+
+
+@root
+def test_where_the_temporary_folder_is_anothers_the_process_has_one_of_its_own(tmp_path, monkeypatch):
+    (tmp_path / "handsight-0").mkdir()
+    os.chown(tmp_path / "handsight-0", 12345, 12345)
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o777)
+    used = refused(tmp_path / "cache", monkeypatch, "others can write to")
+    assert used.name.startswith("handsight-")
+    assert used.name != "handsight-0"
+
+
+def test_where_nothing_can_be_written_nothing_is_kept(tmp_path, monkeypatch):
+    def nowhere():
+        raise FileNotFoundError
+
+    monkeypatch.setattr(cache_folder.tempfile, "gettempdir", nowhere)
+    monkeypatch.setenv("HOME", "/nonexistent")
+    with pytest.warns(CacheWarning, match="no home"):
+        folder = cache_folder.cache_folder()
+    with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
+        cache_folder.write(folder / "file", "name", b"content")
+
+
+def test_a_file_is_read_as_it_was_written_under_its_name(tmp_path):
+    path = tmp_path / "new" / "file.nbc"
+    before = os.umask(0)
+    try:
+        cache_folder.write(path, "name", b"content")
+    finally:
+        os.umask(before)
+    assert bytes(cache_folder.read(path, "name")) == b"content"
+    assert path.parent.stat().st_mode & 0o022 == path.stat().st_mode & 0o022 == 0
+    assert [one.name for one in path.parent.iterdir()] == ["file.nbc"]
+    whole = path.read_bytes()
+    with pytest.raises(ValueError, match="another name"):
+        cache_folder.read(path, "other")
+    damages = [whole[:k] for k in range(len(whole))]
+    damages += [
+        whole[:k] + bytes([whole[k] ^ 1 << bit]) + whole[k + 1 :]
+        for k in range(len(whole))
+        for bit in range(8)
+    ]
+    for damage in [*damages, b"\0" * len(whole), whole + b"\0"]:
+        path.write_bytes(damage)
+        with pytest.raises(ValueError, match="damaged"):
+            cache_folder.read(path, "name")
+
+
+def test_nothing_is_said_where_nothing_is_wrong(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert cache_folder.cache_folder() == tmp_path / ".cache/handsight"
+        monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+        assert cache_folder.cache_folder() == tmp_path / ".cache/handsight"
