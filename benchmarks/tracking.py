@@ -109,9 +109,13 @@ def replayed(images: bool, repeats: int) -> list[str]:
 def main() -> None:
     """Prints the tables."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--updates", type=int, default=20_000, help="of each kind (default: %(default)s)")
+    arguments.add_argument(
+        "--updates", type=report.at_least(1), default=20_000, help="of each kind (default: %(default)s)"
+    )
     arguments.add_argument("--only", choices=KINDS, help="this kind of update and nothing else")
-    arguments.add_argument("--repeats", type=int, default=5, help="of each recording (default: %(default)s)")
+    arguments.add_argument(
+        "--repeats", type=report.at_least(1), default=5, help="of each recording (default: %(default)s)"
+    )
     given = arguments.parse_args()
     cells = [updated(kind, given.updates) for kind in ([given.only] if given.only else KINDS)]
     columns = [

@@ -253,7 +253,7 @@ def legend(figure: Any, plt: Any) -> None:
 def main() -> None:
     """Runs the experiment."""
     arguments = report.parser(__doc__)
-    start: Any = {"type": float, "default": 20.0}
+    start: Any = {"type": report.amount, "default": 20.0}
     arguments.add_argument("--shift-mm", **start, help="start, per axis (default: %(default)s)")
     arguments.add_argument("--turn-deg", **start, help="start (default: %(default)s)")
     options, given = report.parsed(arguments, trials=100, quick_trials=12)

@@ -4,16 +4,24 @@ import contextlib
 import hashlib
 import os
 import pickle
+import warnings
 from pathlib import Path
 
 import hypothesis
 import pytest
 
+from handsight import cache_folder
+
 with contextlib.suppress(ImportError):  # not on Windows: there workers may do the same work twice
     import fcntl
 
-# Before anything compiles: kernels are kept from run to run, apart from the user's, by what they are made of.
-os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(__file__).parents[1] / ".kernel_cache"))
+# Before anything compiles: kernels are kept from run to run, apart from the user's, by what they are made of; not in a
+# checkout that others can write to.
+with warnings.catch_warnings(action="ignore", category=cache_folder.CacheWarning):
+    os.environ.setdefault(
+        "NUMBA_CACHE_DIR", str(cache_folder.own(Path(__file__).parents[1] / ".kernel_cache"))
+    )
+cache_folder._tell.cache_clear()
 
 
 # The same examples every time, however busy the machine; other ones with --hypothesis-profile=explore.

@@ -63,20 +63,42 @@ def parsed(arguments: argparse.ArgumentParser, *, trials: int, quick_trials: int
     """The options that every experiment has, and all that was parsed."""
     add, default = arguments.add_argument, "(default: %(default)s)"
     add("--quick", action="store_true", help=f"a look in under half a minute: {quick_trials} trials")
-    add("--trials", type=_positive, metavar="N", help=f"default: {trials}, or {quick_trials} with --quick")
-    add("--seed", type=int, default=0, metavar="S", help=f"another seed, other trials {default}")
+    add("--trials", type=at_least(2), metavar="N", help=f"default: {trials}, or {quick_trials} with --quick")
+    add("--seed", type=at_least(0), default=0, metavar="S", help=f"another seed, other trials {default}")
     where = f"where CSV and PNG go {default}"
     add("--output", type=Path, default=Path("results"), metavar="DIR", help=where)
     given = arguments.parse_args()
     number = given.trials or (quick_trials if given.quick else trials)
-    given.output.mkdir(parents=True, exist_ok=True)
+    try:
+        given.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        arguments.error(f"argument --output: {given.output}: {error.strerror}")
     return Options(given.quick, given.output, number, given.seed), given
 
 
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 2:
-        raise argparse.ArgumentTypeError(f"expected at least 2, got {value}")
+def at_least(least: int) -> Callable[[str], int]:
+    """The type of an argument that is a whole number of at least that."""
+
+    def whole(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"expected a whole number of at least {least}, got {text!r:.60}")
+        return value
+
+    return whole
+
+
+def amount(text: str) -> float:
+    """The type of an argument that is a finite number of at least 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < np.inf:
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, got {text!r:.60}")
     return value
 
 

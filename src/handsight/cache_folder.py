@@ -117,7 +117,7 @@ def _can_be_had(folder: Path) -> bool:
 
 def _instead(why: str) -> Path:
     folder = _temporary()
-    _tell(f"{why}; {folder} is used as cache instead (HANDSIGHT_CACHE, or NUMBA_CACHE_DIR, names another)")
+    _tell(f"{why}; {folder} is used as cache instead (HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another)")
     return folder
 
 

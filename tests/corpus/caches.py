@@ -1,4 +1,4 @@
-"""An object's file in the cache, damaged, or written by somebody who means harm."""
+"""An object's file in the cache, damaged, or written by somebody who means harm; what to simulate."""
 
 import functools
 import io
@@ -20,7 +20,9 @@ from handsight.objects import Symmetries, cache
 from handsight.objects import model as making
 from handsight.objects.geometry import Geometry
 from handsight.objects.surface import Triangles
-from tests.corpus.door import STRANGE, Case, Door, check_pose, spoilt_bytes
+from handsight.simulation import Nuisances, Scenario
+from handsight.simulation.scenario import STEPS_PER_SECOND
+from tests.corpus.door import STRANGE, Case, Door, check_pose, spoilt_bytes, spoilt_value
 
 NAME = "0" * 64
 
@@ -103,7 +105,30 @@ def use(geometry: Geometry) -> None:
     check_pose(estimate.T_palm_object)
 
 
-DOORS = [Door("an object's file, damaged", damaged, 200), Door("an object's file, forged", forged, 150)]
+SIMULATED: dict[str, object] = {"object": "can", "seed": 3, "motion": "grasp", "rate": 100.0, "images": False}
+
+
+def scenario(rng: random.Random) -> None:
+    """What to simulate, with one value or two wrong; what is taken can be simulated."""
+    off: Any = {name: getattr(Nuisances(), name) for name in Nuisances.__slots__}
+    given: Any = {**SIMULATED, "nuisances": off}
+    for _ in range(rng.choice([1, 1, 2])):
+        key = rng.choice([*SIMULATED, *["nuisances"] * 5])
+        if key == "nuisances":
+            name = rng.choice(sorted(off))
+            off[name] = spoilt_value(off[name], rng)
+        else:
+            given[key] = spoilt_value(given[key], rng)
+    taken = Scenario(**{**given, "nuisances": Nuisances(**off)})
+    assert 1 <= STEPS_PER_SECOND / taken.rate < 1e6
+    assert all(0 <= getattr(taken.nuisances, name) <= 100 for name in off)
+
+
+DOORS = [
+    Door("a scenario", scenario, 100),
+    Door("an object's file, damaged", damaged, 200),
+    Door("an object's file, forged", forged, 150),
+]
 CASES = [
     Case("an object's file as it was", lambda: use(remembered(sealed(small()[1]))), None),
     Case("an object's file cut", lambda: use(remembered(sealed(small()[1])[:-1])), "made again"),

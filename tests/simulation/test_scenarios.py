@@ -24,6 +24,10 @@ from simulation.simulated import only
         ({"rate": 0}, "rate: expected a number above 0, got 0"),
         ({"rate": 30}, "rate: expected a divisor of 500 per second, got 30"),
         ({"rate": 1000}, "rate: expected a divisor of 500 per second, got 1000"),
+        ({"rate": 1e9}, "rate: expected a divisor of 500 per second, got 1e+09"),
+        ({"rate": 5e-324}, "rate: expected a divisor of 500 per second, got 4.94066e-324"),
+        ({"rate": float("nan")}, "rate: expected a finite number, got nan"),
+        ({"images": "no"}, "images: expected true or false, got 'no'"),
     ],
 )
 def test_what_is_wrong_with_a_scenario_is_said(arguments, message):
@@ -37,6 +41,8 @@ def test_what_is_wrong_with_a_scenario_is_said(arguments, message):
         ({"force_noise": -0.01}, "force_noise: expected a number of at least 0, got -0.01"),
         ({"joint_offset": float("nan")}, "joint_offset: expected a finite number, got nan"),
         ({"object_scale": 3.0}, "object_scale: expected 0.5 to 2, got 3"),
+        ({"vision_delay": 1e300}, "vision_delay: expected at most 100, got 1e+300"),
+        ({"table_tilt": 1e200}, "table_tilt: expected at most 100, got 1e+200"),
     ],
 )
 def test_what_is_wrong_with_a_nuisance_is_said(arguments, message):

@@ -20,6 +20,10 @@ STEPS_PER_SECOND = 500
 MESHES = (".stl", ".obj", ".ply", ".off")
 LARGEST = 0.5
 """Of a mesh [m]; a larger one is not in metres, and in no hand."""
+MOST = 100.0
+"""Of any nuisance, in its unit; no robot is off by as much."""
+SLOWEST = 1e-3
+"""Observations per second; a run lasts seconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +82,8 @@ class Nuisances:
             value = float(checks.finite(getattr(self, item.name), item.name, ()))
             if value < 0:
                 raise InvalidInput(f"{item.name}: expected a number of at least 0, got {value:g}")
+            if value > MOST:
+                raise InvalidInput(f"{item.name}: expected at most {MOST:g}, got {value:g}")
         if not 0.5 <= self.object_scale <= 2:
             raise InvalidInput(f"object_scale: expected 0.5 to 2, got {self.object_scale:g}")
 
@@ -120,9 +126,11 @@ class Scenario:
             raise InvalidInput(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
+        if not isinstance(self.images, bool):
+            raise InvalidInput(f"images: expected true or false, got {self.images!r:.60}")
         rate = checks.positive(self.rate, "rate")
         steps = STEPS_PER_SECOND / rate
-        if steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+        if rate < SLOWEST or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
             raise InvalidInput(f"rate: expected a divisor of {STEPS_PER_SECOND} per second, got {rate:g}")
 
 
