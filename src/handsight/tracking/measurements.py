@@ -74,7 +74,7 @@ class VisionUpdate:
         # A camera without a constant error has next to none: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
-        return PoseBiasSmoother.from_prior(T_palm_object, covariance, bias, pivot)
+        return PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
 
     def _mount_of(self, seen: PoseMeasurement) -> Mount:
         if seen.frame == "camera":
@@ -93,8 +93,7 @@ class VisionUpdate:
             covariance = np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3)
         else:
             covariance = se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance)
-        # Vision that says it knows a pose exactly is taken to know it well.
-        return T_mount_frame @ seen.T_frame_object, covariance + 1e-10 * np.eye(6)
+        return T_mount_frame @ seen.T_frame_object, invertible(covariance)
 
     def _gated(
         self, smoother: PoseBiasSmoother, T_mount_object: Array, covariance: Array, T_mount_palm: Array
@@ -110,6 +109,12 @@ class VisionUpdate:
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
         self._rejected_in_a_row = 0
         return smoother.updated(T, covariance, T_mount_palm)
+
+
+def invertible(covariance: Array) -> Array:
+    """A covariance (6, 6) of what is known exactly, or in some direction far better than in others, is of what is known
+    well: to 10 µm, 10 µrad and a hundred-thousandth of the widest."""
+    return np.asarray(covariance + 1e-10 * max(1.0, covariance.diagonal().max()) * np.eye(6))
 
 
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:

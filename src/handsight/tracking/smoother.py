@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.tracking.propagation import MOST_WALKED
 
 MOST_MEASUREMENTS = 48
 SAME_PALM = (0.01, np.deg2rad(2.0))
@@ -150,7 +151,7 @@ class PoseBiasSmoother:
 
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
         """After a step of the random walk of the pose, of `variance` (6,)."""
-        noise = self.process_noise + variance
+        noise = np.minimum(self.process_noise + variance, MOST_WALKED)
         return PoseBiasSmoother(
             self.prior, self.pivot, self.solved, self.solved_noise, noise, self.measurements
         )
