@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from handsight import se3
+from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -43,7 +43,10 @@ class VisionUpdate:
     def update(
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
     ) -> PoseBiasSmoother | None:
-        """The smoother after an observation; the same one (or None) where that has no pose, or none that can be."""
+        """The smoother after an observation; the same one (or None) where that has no pose, or none that can be.
+
+        Raises InvalidInput where the pose is in the frame of a camera that the rig has not, or far from any hand.
+        """
         seen = observation.vision
         if seen is None:
             return smoother
@@ -55,10 +58,15 @@ class VisionUpdate:
             self.unplaced += 1
             return smoother
         T_mount_object, covariance = self._in_mount(seen)
-        if smoother is None:
-            T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
-            smoother = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
-        return self._gated(smoother, T_mount_object, covariance, T_mount_palm)
+        T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
+        checks.position(T_palm_object[:3, 3], "vision: the object's place in the palm", (3,))
+        given = T_mount_object, covariance, T_mount_palm
+        updated = None if smoother is None else self._gated(smoother, *given)
+        if updated is None or not updated.is_near:
+            # Nothing is known, or nothing that this can be believed with.
+            begun = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
+            updated = self._gated(begun, *given)
+        return updated
 
     def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import FARTHEST, Array
 from handsight.tracking.propagation import MOST_WALKED
 
 MOST_MEASUREMENTS = 48
@@ -105,9 +105,10 @@ class PoseAndBias:
         return replace(moved, covariance=(covariance + covariance.T) / 2)
 
     def inflated(self, variance: Array) -> "PoseAndBias":
-        """With `variance` (6,) added to the pose's."""
+        """With `variance` (6,) added to the pose's, as far as it says something."""
         covariance = self.covariance.copy()
-        covariance[:6, :6] += np.diag(variance)
+        more = np.minimum(variance, np.maximum(MOST_WALKED - covariance.diagonal()[:6], 0.0))
+        covariance[:6, :6] += np.diag(more)
         return PoseAndBias(self.Ts, covariance)
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
@@ -148,6 +149,11 @@ class PoseBiasSmoother:
     def now(self) -> PoseAndBias:
         """The posterior propagated to now."""
         return self.solved.inflated(self.process_noise - self.solved_noise)
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the object is anywhere that a hand could be."""
+        return bool(np.abs(self.solved.Ts[0, :3, 3]).max() <= FARTHEST)
 
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
         """After a step of the random walk of the pose, of `variance` (6,)."""

@@ -73,15 +73,20 @@ class Track:
         """Of the last observation [s]."""
         self.fingertips = FingertipContacts((), None, {})
         self.T_world_palm: Array | None = None
-        self.smoother: PoseBiasSmoother | None = None
         self.estimate: PoseEstimate | None = None
         self.vision = VisionUpdate(self.rig, self.model)
         self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
         self._propagated_to = self._measured_at = self._fits_at = self._recovered_at = -math.inf
-        if (start := self._start) is not None:
-            self.smoother = self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
+        self.smoother = self._started()
+
+    def _started(self) -> PoseBiasSmoother | None:
+        """What is known at first."""
+        start = self._start
+        if start is None:
+            return None
+        return self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
 
     def _follow(self, observation: Observation) -> PoseEstimate | None:
         """The pose after an observation that is `checked` and not older than the last; raises InvalidInput midway."""
@@ -96,6 +101,9 @@ class Track:
         before, touched = self.smoother, self.fingertips.contacts
         self.smoother = self.vision.update(observation, before, self.T_world_palm)
         vision = self.smoother is not before
+        if self.smoother is not None and not self.smoother.is_near:
+            # The palm has gone so far that it is in no hand.
+            self.smoother, self._correction, self.estimate = self._started(), None, None
         if vision or touched is not None:
             self._measured_at = stamp
         if self.smoother is None:
