@@ -153,7 +153,8 @@ class PoseBiasSmoother:
     @property
     def is_near(self) -> bool:
         """Whether the object is anywhere that a hand could be."""
-        return bool(np.abs(self.solved.Ts[0, :3, 3]).max() <= FARTHEST)
+        x, y, z = self.solved.Ts[0, :3, 3].tolist()
+        return bool(abs(x) <= FARTHEST and abs(y) <= FARTHEST and abs(z) <= FARTHEST)
 
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
         """After a step of the random walk of the pose, of `variance` (6,)."""
