@@ -3,6 +3,7 @@
 What is missing is None, or not in the mapping: nothing stands for a reading that was not taken.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,6 +16,8 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 
 VisionFrame = Literal["camera", "world", "palm"]
+LATEST = 1e11
+"""No stamp is beyond it [s], some 3000 years: what is, is in milliseconds or nanoseconds."""
 VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 
@@ -31,25 +34,31 @@ class PoseMeasurement:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
-        if self.frame not in VISION_FRAMES:
-            known = ", ".join(VISION_FRAMES)
-            raise InvalidInput(f"vision.frame: expected one of {known}, got {self.frame!r}")
+        if not isinstance(self.frame, str) or self.frame not in VISION_FRAMES:
+            known, came = ", ".join(VISION_FRAMES), checks.brief(repr(self.frame))
+            raise InvalidInput(f"vision.frame: expected one of {known}, got {came}")
         if self.covariance is not None:
             covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
             object.__setattr__(self, "covariance", covariance)
+            covariance.setflags(write=False)
+        self.T_frame_object.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """Joints, wrenches, vision and the palm's pose at one instant, each only if it was measured."""
+    """Joints, wrenches, vision and the palm's pose at one instant, each only if it was measured.
+
+    It is checked where it is used, as its arrays are the caller's: by `Tracker.update`, or where it is written.
+    """
 
     stamp: float
-    """When [s], of one clock for all that is in it."""
+    """When [s], of one clock for all that is in it; within `LATEST`."""
     joint_positions: Mapping[str, float] | None = None
     """By joint name [rad]; joints of other parts of the robot may be among them."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
     """By finger: (6,) force [N] and torque [N m] as the sensor reads them, in its frame and about its origin, bias
-    and weight still in them."""
+    and weight still in them. NaN among them: the sensor has no reading. Sensors of other parts of the robot may be
+    among them."""
     vision: PoseMeasurement | None = None
     """A pose from vision that arrived since the last observation."""
     T_world_palm: Array | None = None
@@ -58,3 +67,47 @@ class Observation:
     """(h, w, 3) red, green, blue; an image that arrived since the last observation."""
     depth: NDArray[np.float32] | None = None
     """(h, w) along the optical axis [m], NaN where there is none."""
+
+
+def checked(observation: Observation) -> Observation:
+    """The observation with its stamp as a float and a `T_world_palm` of its own; raises InvalidInput.
+
+    Joint positions, wrenches and images are left to those who read them: they know of which joints and fingers.
+    """
+    if not isinstance(observation, Observation):
+        raise InvalidInput(f"observation: expected an Observation, got {type(observation).__name__}")
+    stamp, vision, T = observation.stamp, observation.vision, observation.T_world_palm
+    if type(stamp) is not float or not -LATEST <= stamp <= LATEST:
+        stamp = float(checks.finite(stamp, "observation.stamp", ()))
+        if abs(stamp) > LATEST:
+            expected = f"expected seconds within {LATEST:g}"
+            raise InvalidInput(f"observation.stamp: {expected}, got {stamp:g} (milliseconds or nanoseconds?)")
+    if vision is not None and not isinstance(vision, PoseMeasurement):
+        came = type(vision).__name__
+        raise InvalidInput(f"observation.vision: expected a PoseMeasurement or None, got {came}")
+    if T is not None:
+        T = T.copy() if _surely_rigid(T) else se3.check(T, "observation.T_world_palm")
+        T.setflags(write=False)
+    joints, wrenches = observation.joint_positions, observation.wrenches
+    return Observation(stamp, joints, wrenches, vision, T, observation.color, observation.depth)
+
+
+def _surely_rigid(T: object) -> bool:
+    """Whether `se3.check` would take it, in plain floats: a tenth of the time. False: it may."""
+    if type(T) is not np.ndarray or T.shape != (4, 4) or T.dtype != np.float64:
+        return False
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = T.tolist()
+    drift = (
+        abs(a * a + d * d + g * g - 1)
+        + abs(b * b + e * e + h * h - 1)
+        + abs(c * c + f * f + i * i - 1)
+        + abs(a * b + d * e + g * h)
+        + abs(a * c + d * f + g * i)
+        + abs(b * c + e * f + h * i)
+    )
+    right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0
+    near = min(x, y, z) > -checks.FARTHEST and max(x, y, z) < checks.FARTHEST
+    # Half of what is allowed: rounding decides nothing.
+    return (
+        math.isfinite(x + y + z) and drift < 5e-7 and right_handed and near and last == [0.0, 0.0, 0.0, 1.0]
+    )

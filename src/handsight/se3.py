@@ -22,7 +22,8 @@ def check(T: ArrayLike, name: str) -> Array:
     except InvalidInput as error:
         raise InvalidTransform(str(error)) from None
     R = array[:3, :3]
-    drift = np.abs(R.T @ R - np.eye(3)).max()
+    # What is huge would overflow.
+    drift = np.abs(R.T @ R - np.eye(3)).max() if np.abs(R).max() < 2 else np.inf
     if not drift < 1e-6:
         raise InvalidTransform(f"{name}: rotation is not orthonormal (drift {drift:.1e})")
     if np.linalg.det(R) < 0:

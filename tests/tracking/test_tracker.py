@@ -1,5 +1,6 @@
 """A tracker propagates, corrects when there is something new, and says when it does not know."""
 
+import contextlib
 import gc
 import tracemalloc
 from dataclasses import replace
@@ -10,11 +11,12 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.evaluation import pose_errors
+from handsight.evaluation import Truths, pose_errors, track_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.tracking import Tracker, TrackerSettings
 from handsight.tracking.propagation import point_covariance
+from handsight.tracking.replay import Tally, replay
 
 
 def tracked(grasp, **settings):
@@ -277,3 +279,80 @@ def test_memory_stays_flat(can):
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert grown < 25_000
+
+
+def test_a_clock_that_was_set_back_begins_a_new_track_and_says_so(can):
+    tracker = tracked(can)
+    estimate = tracker.estimate
+    again = [replace(seen, stamp=seen.stamp - 100) for seen in can.observations]
+    assert tracker.update(again[0]) is estimate  # it may be wrong
+    tracker.update(again[1])
+    assert (tracker.stamp, tracker.late) == (again[1].stamp, 1)
+    assert tracker.reason.startswith("the clock went back by 101.9 s: a new track")
+    for seen in again[2:]:
+        tracker.update(seen)
+    assert tracker.state == "tracking", tracker.reason
+    assert tracker.late == 1
+
+
+def test_one_stamp_far_ahead_is_taken_back(can):
+    tracker, alone = Tracker(can.rig, can.model), tracked(can)
+    for k, seen in enumerate(can.observations):
+        if k in (30, 60):
+            tracker.update(replace(seen, stamp=1e6 + k))
+        tracker.update(seen)
+    np.testing.assert_array_equal(tracker.estimate.answer, alone.estimate.answer)
+    assert (tracker.state, tracker.undone, tracker.late) == (alone.state, 2, 0)
+
+
+def test_a_pause_of_the_sensors_is_gone_along_with(can):
+    tracker = tracked(can)
+    last = can.observations[-1]
+    for k in range(1, 6):
+        assert tracker.update(later(last, 5.0 * k)) is tracker.estimate
+        assert tracker.stamp == last.stamp + 5.0 * k
+    assert (tracker.late, tracker.undone, tracker.state) == (0, 0, "tracking")
+
+
+@pytest.mark.parametrize("bad", [{"T_world_palm": np.full((4, 4), np.nan)}, {"stamp": 1.5}])
+def test_a_tracker_that_is_given_nothing_it_can_take_is_lost_until_it_is(can, bad):
+    tracker = tracked(can)
+    last = can.observations[-1]
+    wrong = replace(later(last, 0.01), **bad)
+    for _ in range(150):
+        with contextlib.suppress(InvalidInput):
+            tracker.update(wrong)
+    assert tracker.state == "lost"
+    assert tracker.reason.startswith("left out 150 observations in a row, the last: ")
+    tracker.update(later(last, 0.02))
+    assert tracker.state == "tracking", tracker.reason
+
+
+def test_a_replay_is_right_over_clocks_that_jump(can):
+    """Each observation's time is counted once, and what is left out has no answer."""
+    seen = can.observations
+    span = seen[-1].stamp - seen[0].stamp
+    looped = [replace(each, stamp=each.stamp - 1000) for each in seen]
+    stray = replace(seen[40], stamp=1e9)
+    tally, tracker = Tally(), Tracker(can.rig, can.model)
+    steps = list(replay([*seen[:40], stray, *seen[40:], *looped], tracker, tally))
+    # The second time round the first is left out, and those until vision has come have no pose.
+    answered = [each.stamp for each in [*seen, *looped[5:]]]
+    assert [step.stamp for step in steps] == answered
+    assert tally.answered == len(steps)
+    assert tally.observations == 2 * len(seen) + 1
+    np.testing.assert_allclose(tally.recorded, 2 * span, atol=0.05)
+    np.testing.assert_allclose(sum(tally.states.values()), tally.recorded)
+    truths = Truths([(s.observation.stamp - 1000, s.T_palm_object) for s in can.samples])
+    assert track_errors(can.model, steps, truths, vision=False).base[-1] < 0.004
+
+
+def test_a_finger_that_never_touches_is_known_after_a_replay(can):
+    finger = "lf"
+    seen = [
+        replace(o, wrenches={k: v for k, v in o.wrenches.items() if k != finger}) for o in can.observations
+    ]
+    tally = Tally()
+    list(replay(seen, Tracker(can.rig, can.model), tally))
+    assert finger not in tally.touched
+    assert tally.without[finger] == {"silent": len(seen)}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from handsight.cli.correct import draw as draw_corrections
-from handsight.cli.terminal import announce_compiling, live_rows, table
+from handsight.cli.terminal import announce_compiling, live_rows, say, table
 from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
@@ -121,6 +121,10 @@ def _replayed(name: str, plot: Path, out: "Console") -> "Run":
     model = rig.objects[name].model()
     with live_rows(f"{name}.mcap", progress) as watch:
         ended = run(DATA / f"{name}.mcap", rig, model, TrackerSettings(outside=500), watch)
+    for end in ended.ends:  # a part of it is no demonstration
+        if end.said:
+            say(end.said)
+        raise typer.Exit(end.exit_code)
     out.print(draw(ended, model, plot.with_name(f"{plot.stem}-{name}{plot.suffix}")))
     return ended
 

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
-from handsight.cli.terminal import announce_compiling, say, table
-from handsight.errors import InvalidInput
+from handsight.cli.terminal import announce_compiling, kept_going, say, table
+from handsight.cli.track import refusals
+from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
     from handsight.rig import Rig
+    from handsight.tracking.camera_calibration import CameraCalibration
 
 rig_app = typer.Typer(help="What describes a robot: hand, fingertips, camera.", no_args_is_help=True)
 calibrate_app = typer.Typer(help="What is constantly wrong, from a recording.", no_args_is_help=True)
@@ -53,15 +55,35 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     says where the object is. Printed: the camera's corrected pose for the rig file, and how well it is known.
     """
     from handsight.recording import open_recording
-    from handsight.rig.save import pose_text
-    from handsight.tracking.camera_calibration import LITTLE_TURN, calibrate_camera
+    from handsight.tracking import Tracker
+    from handsight.tracking.camera_calibration import calibrations
+    from handsight.tracking.replay import Tally
 
     announce_compiling()
     found, model = rig_and_object(recording, rig, object)
-    with open_recording(recording, found) as opened:
-        calibrated = calibrate_camera(opened.observations(), found, model)
+    tracker, tally, calibrated = Tracker(found, model), Tally(), None
+    with open_recording(recording, found) as opened, kept_going() as end:
+        for each in calibrations(opened.observations(), tracker, tally):
+            calibrated = each
+    if calibrated is None and isinstance(end.error, HandsightError):
+        raise end.error
+    if calibrated is not None:
+        _print_calibrated(calibrated)
+    for sentence in refusals(tally):
+        say(sentence)
+    if end.said:
+        say(end.said)
+    if end.exit_code:
+        raise typer.Exit(end.exit_code)
     if calibrated is None:
         raise InvalidInput(f"{recording}: expected an object that is held and seen, got none")
+
+
+def _print_calibrated(calibrated: "CameraCalibration") -> None:
+    """Prints a camera's pose for the rig file, and how well it is known."""
+    from handsight.rig.save import pose_text
+    from handsight.tracking.camera_calibration import LITTLE_TURN
+
     shift, turn = 1e3 * calibrated.correction[:3], calibrated.correction[3:]
     sigma = calibrated.covariance.diagonal() ** 0.5
     degrees = [[math.degrees(angle) for angle in part] for part in (turn, sigma[3:])]
@@ -71,9 +93,8 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     known = "# known to ± [{:.1f}, {:.1f}, {:.1f}] mm, [{:.2f}, {:.2f}, {:.2f}]° (one standard deviation)"
     typer.echo(known.format(*(1e3 * sigma[:3]), *degrees[1]))
     if calibrated.turned < LITTLE_TURN:
-        say(
-            f"the palm turned by {math.degrees(calibrated.turned):.0f}° only: error and pose are hardly told apart"
-        )
+        said = f"the palm turned by {math.degrees(calibrated.turned):.0f}° only"
+        say(f"{said}: error and pose are hardly told apart")
 
 
 def _print_rig(rig: "Rig", name: str) -> None:

@@ -88,7 +88,7 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
 def record(scenario: "Scenario", path: Path) -> tuple[int, bool]:
     """How many observations were simulated into `path`, and whether the hand dropped the object in the end.
 
-    The rig is written beside it. Ctrl-C leaves what was simulated by then.
+    The rig is written beside it. Ctrl-C, or an error, leaves what was simulated by then.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
@@ -101,11 +101,11 @@ def record(scenario: "Scenario", path: Path) -> tuple[int, bool]:
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
+        write_rig(rig, own_rig(path))
         for sample in simulate(scenario, advance):
             writer.write(sample.observation)
             writer.write_truth(sample.observation.stamp, sample.T_palm_object)
             samples, dropped = samples + 1, sample.dropped
-    write_rig(rig, own_rig(path))
     return samples, dropped
 
 

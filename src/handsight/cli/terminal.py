@@ -4,12 +4,14 @@ import contextlib
 import math
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from handsight.errors import InvalidFile, printable
+from handsight.errors import HandsightError, InvalidFile, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,8 +20,8 @@ if TYPE_CHECKING:
 REFRESH = 0.2
 """Seconds between two updates of what is shown."""
 
-INTERRUPTED, NOBODY_READS = 130, 141
-"""Exit codes, as a shell gives them for SIGINT and SIGPIPE."""
+FAILED, WRONG_INPUT, INTERRUPTED, NOBODY_READS = 1, 2, 130, 141
+"""Exit codes; the last two as a shell gives them for SIGINT and SIGPIPE."""
 
 
 @cache
@@ -107,6 +109,36 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int =
     for row in rows:
         made.add_row(*row)
     return made
+
+
+@dataclass(slots=True)
+class End:
+    """How a part of a command ended: as it should, unless it has an exit code."""
+
+    exit_code: int = 0
+    error: Exception | None = None
+    said: str = ""
+    """What is to be said of the error."""
+
+
+@contextlib.contextmanager
+def kept_going() -> Iterator[End]:
+    """Ctrl-C or an error, whatever it is, ends what is within, not the command: what was done by then is kept.
+
+    The command is to say what the `End` says, and to exit with its code in the end.
+    """
+    end = End()
+    try:
+        yield end
+    except KeyboardInterrupt:
+        end.exit_code = INTERRUPTED
+    except HandsightError as error:
+        end.exit_code, end.error, end.said = WRONG_INPUT, error, f"handsight: {error}"
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}, line {place.lineno}"
+        said = f"handsight: ended early by what should not happen: {type(error).__name__} in {where}: {error}"
+        end.exit_code, end.error, end.said = FAILED, error, said
 
 
 @contextlib.contextmanager

@@ -1,16 +1,19 @@
 """`handsight track`: what is shown of a recording meanwhile, what is written, what is said at the end."""
 
+import contextlib
+import itertools
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
-from handsight.cli.terminal import INTERRUPTED, announce_compiling, live_rows, naming, say
-from handsight.errors import MissingExtra
+from handsight.cli.terminal import FAILED, End, announce_compiling, kept_going, live_rows, naming, say
+from handsight.errors import HandsightError, MissingExtra, printable
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
@@ -60,6 +63,9 @@ def track(
     handsight track can.mcap
     handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output results
     ```
+
+    Whatever ends it early, what was tracked by then is written. The exit code is 0 only if nothing did, and there is a
+    pose.
     """
     from handsight.tracking import TrackerSettings
 
@@ -69,10 +75,10 @@ def track(
     settings = TrackerSettings(rate=rate, samples=samples, outside=outside)
     with live_rows(recording.name, progress) as watch:
         ended = run(recording, found, model, settings, watch)
-    for sentence in [*ended.said, *ended.sentences(), *write(ended, found, model, folder)]:
+    for sentence in itertools.chain(ended.said, ended.sentences(), write(ended, found, model, folder)):
         say(sentence)
-    if ended.interrupted:
-        raise typer.Exit(INTERRUPTED)
+    if code := ended.exit_code:
+        raise typer.Exit(code)
 
 
 @dataclass(slots=True)
@@ -90,7 +96,23 @@ class Run:
     """Why the tracker's last state was no better."""
     errors: "dict[str, TrackErrors]" = field(default_factory=dict)
     """Of "vision" and "tracked" against the truth, where the recording has one."""
-    interrupted: bool = False
+    untouched: dict[str, dict[str, int]] = field(default_factory=dict)
+    """By finger that never touched anything: its observations, by why there was no contact."""
+    ends: list[End] = field(default_factory=list)
+    """Of what ended early."""
+
+    @property
+    def exit_code(self) -> int:
+        """Of the command: that of what ended first, or of a run without a pose."""
+        return next((end.exit_code for end in self.ends), 0 if self.steps else FAILED)
+
+    @contextlib.contextmanager
+    def part(self) -> Iterator[End]:
+        """A part of the run, which may end early."""
+        with kept_going() as end:
+            yield end
+        if end.exit_code:
+            self.ends.append(end)
 
     def summary(self) -> dict[str, Any]:
         """The run in numbers, as JSON's values."""
@@ -106,9 +128,15 @@ class Run:
             "seconds_in_state": {state: round(seconds, 3) for state, seconds in tally.states.items()},
             "last_reason": self.reason,
             "refused": dict(tally.refused),
+            "fingers_without_contact": self.untouched,
             "recording_says": self.said,
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
+
+    def write_summary(self, path: Path, _: object) -> None:
+        """Writes the summary as JSON."""
+        text = json.dumps(self.summary(), indent=1, ensure_ascii=False, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
 
     def sentences(self) -> list[str]:
         """The run for a person."""
@@ -118,15 +146,18 @@ class Run:
             f"{tally.answered} poses of {tally.observations} observations, {self.corrections} corrections; "
             f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
         ]
+        if not tally.answered:
+            lines.append(f"no pose: {self.reason}")
         spent = ", ".join(
             f"{state} {seconds:.1f} s" for state, seconds in sorted(tally.states.items(), key=lambda s: -s[1])
         )
         if spent:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
-        lines += [
-            f"{count} observations left out: {said}"
-            for said, count in tally.refused.most_common(MOST_REFUSED)
-        ]
+        lines += refusals(tally)
+        for finger, why in self.untouched.items():
+            reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
+            lines.append(f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})")
+        lines += [end.said for end in self.ends if end.said]
         for name, errors in self.errors.items():
             n = errors.summary()
             lines.append(
@@ -134,6 +165,13 @@ class Run:
                 f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
             )
         return lines
+
+
+def refusals(tally: "Tally") -> list[str]:
+    """A sentence for each of the most frequent kinds of observations that were left out."""
+    return [
+        f"{count} observations left out: {said}" for said, count in tally.refused.most_common(MOST_REFUSED)
+    ]
 
 
 def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str, str]]:
@@ -151,7 +189,10 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
 
 
 def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings", watch: "Watch") -> Run:
-    """Tracks a recording; Ctrl-C ends it early, and what was tracked by then is there."""
+    """Tracks a recording. Whatever ends it early, Ctrl-C too, what was tracked by then is there.
+
+    Raises what the recording is refused for, if nothing was tracked.
+    """
     from handsight.evaluation import Truths, track_errors
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
@@ -159,27 +200,44 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
 
     tracker = Tracker(rig, model, settings=settings)
     with open_recording(path, rig) as recording:
-        ended = Run(path.name, Tally(), Truths([]))
-        try:
+        ended = Run(printable(path.name), Tally(), Truths([]))
+        with ended.part() as end:
             for step in replay(recording.observations(), tracker, ended.tally):
                 ended.steps.append(step)
                 watch(ended.tally, step, tracker)
-        except KeyboardInterrupt:
-            ended.interrupted = True
-            # It may come between an answer's count and the answer.
-            ended.tally.answered = len(ended.steps)
+        # It may end between an answer's count and the answer.
+        ended.tally.answered = len(ended.steps)
+        if isinstance(end.error, HandsightError) and not ended.steps:
+            raise end.error
         ended.said = [*recording.report.sentences(), *recording.lacks()]
         ended.truths = Truths(recording.truth)
-    ended.corrections, ended.reason = tracker.corrections, tracker.reason
-    for name, vision in (("vision", True), ("tracked", False)):
-        found = track_errors(model, ended.steps, ended.truths, vision=vision)
-        if len(found):
-            ended.errors[name] = found
+    ended.corrections = tracker.corrections
+    ended.reason = tracker.reason if ended.steps else without_pose(ended.tally, tracker)
+    without, touched = ended.tally.without, ended.tally.touched
+    ended.untouched = {name: dict(without.get(name, {})) for name in rig.fingers if name not in touched}
+    with ended.part():
+        for name, vision in (("vision", True), ("tracked", False)):
+            found = track_errors(model, ended.steps, ended.truths, vision=vision)
+            if len(found):
+                ended.errors[name] = found
     return ended
 
 
+def without_pose(tally: "Tally", tracker: "Tracker") -> str:
+    """Why a run has no pose."""
+    if not tally.observations:
+        return "the recording has no observation"
+    if tally.refused.total() == tally.observations:
+        return "all observations were left out"
+    if unplaced := tracker.vision.unplaced:
+        return (
+            f"{unplaced} poses of vision could not be placed, as the palm's pose in the world was not known"
+        )
+    return tracker.reason
+
+
 def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterator[str]:
-    """Writes the results into a folder, and says what was written, or why a figure was not."""
+    """Writes the results into a folder, and says what was written, and why anything was not."""
     from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
 
     with naming(folder):
@@ -188,16 +246,28 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
         TrackRow(step.stamp, step.estimate.T_palm_object, step.estimate.covariance, step.state, step.reason)
         for step in ended.steps
     ]
-    write_track_mcap(folder / "track.mcap", rows, frame=rig.frames["palm"])
-    write_track_tum(folder / "track.tum", rows)
-    write_track_csv(folder / "track.csv", rows)
-    text = json.dumps(ended.summary(), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    yield f"wrote {folder}: track.mcap, track.tum, track.csv, summary.json"
+    files: dict[str, Callable[..., None]] = {
+        "track.mcap": partial(write_track_mcap, frame=rig.frames["palm"]),
+        "track.tum": write_track_tum,
+        "track.csv": write_track_csv,
+        "summary.json": ended.write_summary,
+    }
+    written = []
+    for name, write_file in files.items():
+        with ended.part() as end:
+            write_file(folder / name, rows)
+            written.append(name)
+        if end.said:
+            yield end.said
+    yield f"wrote {folder}: {', '.join(written)}"
     if not rows:
         yield "no picture: there is no pose"
         return
-    yield draw(ended, model, folder / "track.png")
+    drawn = ""
+    with ended.part() as end:
+        drawn = draw(ended, model, folder / "track.png")
+    if drawn or end.said:
+        yield drawn or end.said
 
 
 def draw(ended: Run, model: "ObjectModel", path: Path) -> str:

@@ -1,8 +1,9 @@
 """Time: observations to the object's pose in the palm, again and again."""
 
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
+from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.smoother import PoseBiasSmoother
-from handsight.tracking.tracker import State, Tracker, TrackerSettings
+from handsight.tracking.tracker import State, Tracker
 
 __all__ = [
     "FingertipContacts",

@@ -1,6 +1,7 @@
 """A camera's constant error: it stays in the world while the object turns with the palm, and touch says where it is."""
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.rig import Rig
+from handsight.rig import Camera, Rig
 from handsight.tracking.replay import Tally, replay
 from handsight.tracking.tracker import Tracker
 
@@ -41,31 +42,43 @@ def calibrate_camera(
 
     None where no object was ever touched and measured by vision; raises InvalidInput where the rig has no camera.
     """
-    if rig.camera is None:
+    last = deque(calibrations(observations, Tracker(rig, model), Tally()), maxlen=1)
+    return last[0] if last else None
+
+
+def calibrations(
+    observations: Iterable[Observation], tracker: Tracker, tally: Tally
+) -> Iterator[CameraCalibration]:
+    """What `calibrate_camera` would answer after each observation that has something to say; `tally` is filled."""
+    camera = tracker.rig.camera
+    if camera is None:
         raise InvalidInput("camera: expected one in the rig, got none")
-    tracker = Tracker(rig, model)
-    turns: list[Array] = []
-    error: tuple[Array, Array] | None = None
-    for step in replay(observations, tracker, Tally()):
+    first, turned = None, 0.0
+    for step in replay(observations, tracker, tally):
         if not step.fingers or not step.estimate.consistent or step.T_palm_object_vision is None:
             continue
-        found = tracker.vision_bias()
-        if found is not None:
-            error = found
-            T = step.T_world_palm
-            turns.append(np.eye(3) if T is None or rig.camera.on == "palm" else T[:3, :3])
-    if error is None or tracker.smoother is None:
-        return None
-    wrong, covariance = error
-    T_mount_camera, pivot = rig.camera.T_mount_camera, tracker.smoother.pivot
+        error = tracker.vision_bias()
+        if error is None or tracker.smoother is None:
+            continue
+        T = step.T_world_palm
+        R = np.eye(3) if T is None or camera.on == "palm" else T[:3, :3]
+        first = R if first is None else first
+        turned = max(turned, float(np.linalg.norm(se3.rotation_log(first.T @ R))))
+        yield _calibration(camera, tracker.smoother.pivot, *error, turned)
+
+
+def _calibration(
+    camera: Camera, pivot: Array, wrong: Array, covariance: Array, turned: float
+) -> CameraCalibration:
+    """The camera's pose, given vision's bias (6,) about the pivot and its covariance (6, 6)."""
     # Vision is off by E, so the camera is where E took it from.
     E = se3.compose(se3.rotation_exp(wrong[3:]), np.zeros(3))
     E[:3, 3] = pivot + wrong[:3] - E[:3, :3] @ pivot
     back = E[:3, :3].T
     return CameraCalibration(
-        T_mount_camera=se3.inverse(E) @ T_mount_camera,
+        T_mount_camera=se3.inverse(E) @ camera.T_mount_camera,
         correction=np.concatenate([-back @ wrong[:3], -wrong[3:]]),
         covariance=se3.rotate_covariance(back, covariance),
         pivot=pivot,
-        turned=max(float(np.linalg.norm(se3.rotation_log(turns[0].T @ R))) for R in turns),
+        turned=turned,
     )

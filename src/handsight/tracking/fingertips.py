@@ -4,14 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from handsight import checks
 from handsight._kernels.contacts_to_palm import NEAR_TIP, contacts_to_palm
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
+from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
+from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
 
-SILENT = np.full(6, np.nan)
+SILENT, FLOAT = np.full(6, np.nan), np.dtype(np.float64)
 REASONS = tuple("silent" if name == "invalid" else name for name in REASON_NAMES)
 """By the kernel's number; the first is a contact."""
 
@@ -43,16 +47,20 @@ class FingertipSensors:
         self._fingers = np.array(rows, dtype=FINGER)
 
     def contacts(self, observation: Observation) -> FingertipContacts:
-        """What is felt; nothing where joints are missing. Raises InvalidInput for joints that are wrong.
+        """What is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are wrong.
 
         Without T_world_palm gravity's direction is not known, and the tips' weight (some 40 mN) stays in the readings.
         """
+        readings = self._readings(observation.wrenches)
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         hand = self.rig.hand.kinematics(observation.joint_positions)
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
+        # A hinge may have turned however often; a slide that is far off takes the tip along.
+        places = Ts_palm_tip[:, :3, 3]
+        if not np.abs(places).max() <= checks.FARTHEST:
+            checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
         jacobians = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
-        readings = np.array([observation.wrenches.get(name, SILENT) for name in self.names], dtype=np.float64)
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         felt = np.empty(len(self.names), dtype=PALM_CONTACT)
@@ -68,6 +76,29 @@ class FingertipSensors:
         return FingertipContacts(
             fingers, contacts, reasons, tuple(name for name, gap in gaps if gap < NEAR_TIP)
         )
+
+    def _readings(self, wrenches: Mapping[str, Array]) -> Array:
+        """(n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""
+        if not isinstance(wrenches, Mapping):
+            came = checks.brief(wrenches)
+            raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
+        rows = [wrenches.get(name, SILENT) for name in self.names]
+        if all(type(row) is np.ndarray and row.shape == (6,) and row.dtype == FLOAT for row in rows):
+            readings = np.array(rows)
+            if not np.count_nonzero(np.abs(readings) > checks.STRONGEST):
+                return readings
+        named = zip(self.names, rows, strict=True)
+        return np.array([_reading(row, f"observation.wrenches[{name!r}]") for name, row in named])
+
+
+def _reading(wrench: ArrayLike, name: str) -> Array:
+    """(6,) as it is, or NaN where there is one in it; raises InvalidInput."""
+    try:
+        array = np.asarray(wrench)
+    except ValueError:  # ragged
+        array = np.zeros(0)
+    silent = array.shape == (6,) and array.dtype.kind == "f" and np.isnan(array).any()
+    return SILENT if silent else checks.load(wrench, name, (6,))
 
 
 def finger_record(finger: Finger, variance_joint: float) -> tuple[object, ...]:

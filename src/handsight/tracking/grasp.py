@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import Contacts
+from handsight.tracking.propagation import walked
 
 GraspChange = Literal["grasped", "regrasped", "released"]
 
@@ -57,16 +58,18 @@ class ContactMemory:
         """How long a contact is kept, 0: not at all; `process_noise` (6,): variance of the object's motion a second."""
         self._seconds, self._process_noise = seconds, process_noise
         self._last: dict[str, tuple[Contacts, int, float]] = {}
-        """By finger: the contacts its last one was among, in the palm frame, which of them it is, and when [s]."""
+        """By finger: the contacts its last one was among, in the palm frame, which of them it is, and when [s]. Bound
+        anew with each change: a tracker may come back to it."""
 
     def update(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> None:
         """Takes note of what is touched now; a finger's new contact replaces its old one, and the old expire."""
         if not self._seconds:
             return
         if contacts is not None:
-            self._last |= {finger: (contacts, row, stamp) for row, finger in enumerate(fingers)}
-        for finger in [finger for finger, last in self._last.items() if stamp - last[2] > self._seconds]:
-            del self._last[finger]
+            self._last = self._last | {finger: (contacts, row, stamp) for row, finger in enumerate(fingers)}
+        if any(stamp - last[2] > self._seconds for last in self._last.values()):
+            kept = ((finger, last) for finger, last in self._last.items() if stamp - last[2] <= self._seconds)
+            self._last = dict(kept)
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
         """The contacts of now and, after them, those of other fingers, whose names come too.
@@ -79,14 +82,14 @@ class ContactMemory:
         parts = [contacts, *(then.select([row]) for then, row, _ in others.values())]
         covariance = np.concatenate([part.covariance for part in parts])
         ages = [max(stamp - then, 0.0) for _, _, then in others.values()]
-        covariance[len(contacts) :] += [np.diag(self._process_noise * age) for age in ages]
+        covariance[len(contacts) :] += [np.diag(walked(self._process_noise, age)) for age in ages]
         points = np.concatenate([part.points_palm for part in parts])
         normals = np.concatenate([part.normals_palm for part in parts])
         return Contacts(points, normals, covariance=covariance), list(others)
 
     def forget(self, finger: str) -> None:
         """Drops a contact that does not fit."""
-        self._last.pop(finger, None)
+        self._last = {other: last for other, last in self._last.items() if other != finger}
 
     def only(self, fingers: tuple[str, ...]) -> None:
         """Drops all contacts but those of some fingers: a new grasp."""

@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from handsight import se3
+from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -43,7 +43,10 @@ class VisionUpdate:
     def update(
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
     ) -> PoseBiasSmoother | None:
-        """The smoother after an observation; the same one (or None) where that has no pose, or none that can be."""
+        """The smoother after an observation; the same one (or None) where that has no pose, or none that can be.
+
+        Raises InvalidInput where the pose is in the frame of a camera that the rig has not, or far from any hand.
+        """
         seen = observation.vision
         if seen is None:
             return smoother
@@ -55,10 +58,15 @@ class VisionUpdate:
             self.unplaced += 1
             return smoother
         T_mount_object, covariance = self._in_mount(seen)
-        if smoother is None:
-            T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
-            smoother = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
-        return self._gated(smoother, T_mount_object, covariance, T_mount_palm)
+        T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
+        checks.position(T_palm_object[:3, 3], "vision: the object's place in the palm", (3,))
+        given = T_mount_object, covariance, T_mount_palm
+        updated = None if smoother is None else self._gated(smoother, *given)
+        if updated is None or not updated.is_near:
+            # Nothing is known, or nothing that this can be believed with.
+            begun = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
+            updated = self._gated(begun, *given)
+        return updated
 
     def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""
@@ -74,7 +82,7 @@ class VisionUpdate:
         # A camera without a constant error has next to none: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
-        return PoseBiasSmoother.from_prior(T_palm_object, covariance, bias, pivot)
+        return PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
 
     def _mount_of(self, seen: PoseMeasurement) -> Mount:
         if seen.frame == "camera":
@@ -93,8 +101,7 @@ class VisionUpdate:
             covariance = np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3)
         else:
             covariance = se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance)
-        # Vision that says it knows a pose exactly is taken to know it well.
-        return T_mount_frame @ seen.T_frame_object, covariance + 1e-10 * np.eye(6)
+        return T_mount_frame @ seen.T_frame_object, invertible(covariance)
 
     def _gated(
         self, smoother: PoseBiasSmoother, T_mount_object: Array, covariance: Array, T_mount_palm: Array
@@ -110,6 +117,12 @@ class VisionUpdate:
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
         self._rejected_in_a_row = 0
         return smoother.updated(T, covariance, T_mount_palm)
+
+
+def invertible(covariance: Array) -> Array:
+    """A covariance (6, 6) of what is known exactly, or in some direction far better than in others, is of what is known
+    well: to 10 µm, 10 µrad and a hundred-thousandth of the widest."""
+    return np.asarray(covariance + 1e-10 * max(1.0, covariance.diagonal().max()) * np.eye(6))
 
 
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:

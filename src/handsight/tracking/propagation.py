@@ -7,6 +7,14 @@ from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
 
+MOST_WALKED = 100.0
+"""Variance [m², rad²] beyond which a walk says no more: nothing is known of where the object is."""
+
+
+def walked(process_noise: Array, seconds: float) -> Array:
+    """(6,) variance of a random walk of `process_noise` (6,) a second, after so long [s]."""
+    return np.minimum(process_noise * seconds, MOST_WALKED)
+
 
 def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
     """The estimate after a random walk of the pose, of `variance` (6,) along the palm's axes."""

@@ -1,15 +1,18 @@
 """A tracker's answers to a stream of observations, and a summary of them."""
 
+import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
-from handsight.tracking.tracker import State, Tracker
+from handsight.tracking.fingertips import FingertipContacts
+from handsight.tracking.tracker import MAX_JUMP, State, Tracker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,45 +42,96 @@ class Tally:
     observations: int = 0
     answered: int = 0
     refused: Counter[str] = field(default_factory=Counter)
-    """Observations that were wrong in themselves, by what was said of them."""
+    """Observations that were wrong in themselves, by what was said of them; at most `MOST_SAID` are told apart."""
     states: dict[str, float] = field(default_factory=dict)
     """Seconds in each state."""
     recorded: float = 0.0
-    """Seconds between the first observation and the last."""
+    """Seconds between the first observation and the last, in each track if the clock was set back."""
     wall: float = 0.0
     """Seconds this took."""
+    touched: set[str] = field(default_factory=set)
+    """Fingers that have touched something."""
+    without: dict[str, Counter[str]] = field(default_factory=dict)
+    """By finger: observations before its first contact, if it has one, by why there was none."""
+
+
+MOST_SAID = 100
+
+
+class Taken(NamedTuple):
+    """An observation that the tracker has taken."""
+
+    stamp: float
+    passed: float
+    """Since the one before [s]."""
+    state: State
+    fingertips: FingertipContacts
+    step: Step | None
 
 
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
     """The tracker's answers, one for each observation it can answer; `tally` is filled as they come.
 
-    An observation that is wrong in itself is counted with what is wrong, and the next is taken.
+    An observation that is wrong in itself is counted with what is wrong, and the next is taken. One that comes late has
+    no answer, nor has one that jumps ahead and is taken back: after a jump an answer waits for the next observation.
     """
-    began = time.perf_counter()
-    first: float | None = None
+    began, settled, held = time.perf_counter(), math.nan, list[Taken]()
     for observation in observations:
         tally.observations += 1
-        first = observation.stamp if first is None else first
-        before, tally.recorded = tally.recorded, max(tally.recorded, observation.stamp - first)
+        late, undone = tracker.late, tracker.undone
         try:
             estimate = tracker.update(observation)
         except InvalidInput as error:
-            tally.refused[str(error)] += 1
+            said = str(error)
+            tally.refused[said if said in tally.refused or len(tally.refused) < MOST_SAID else "others"] += 1
+            if not held:
+                settled = _passed_over(observation, settled, tally)
             continue
-        if tally.observations > 1:
-            passed = tally.recorded - before
-            tally.states[tracker.state] = tally.states.get(tracker.state, 0.0) + passed
-        tally.wall = time.perf_counter() - began
-        if estimate is None:
-            continue
+        finally:
+            tally.wall = time.perf_counter() - began
+        del held[len(held) - (tracker.undone - undone) :]
+        if tracker.late == late:
+            passed = max(0.0, tracker.stamp - (held[-1].stamp if held else settled))
+            step = None if estimate is None else _step(tracker, estimate, observation)
+            held.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
+        while len(held) > tracker.unconfirmed:
+            settled = held[0].stamp
+            yield from _counted(held.pop(0), tally)
+    for taken in held:
+        yield from _counted(taken, tally)
+
+
+def _passed_over(observation: Observation, last: float, tally: Tally) -> float:
+    """The stamp up to which time has passed, with a refused observation, if its stamp can be told from a wrong one."""
+    stamp = getattr(observation, "stamp", None)
+    if not isinstance(stamp, float) or not math.isfinite(stamp) or stamp <= last or stamp - last > MAX_JUMP:
+        return last
+    tally.recorded += 0.0 if math.isnan(last) else stamp - last
+    return stamp
+
+
+def _step(tracker: Tracker, estimate: PoseEstimate, observation: Observation) -> Step:
+    return Step(
+        stamp=tracker.stamp,
+        estimate=estimate,
+        state=tracker.state,
+        reason=tracker.reason,
+        T_palm_object_vision=tracker.vision.in_palm(observation, tracker.T_world_palm),
+        T_world_palm=tracker.T_world_palm,
+        fingers=tracker.fingertips.fingers,
+        sigma=tracker.sigma,
+    )
+
+
+def _counted(taken: Taken, tally: Tally) -> Iterator[Step]:
+    """The answer, if there is one, once nothing takes it back."""
+    tally.recorded += taken.passed
+    if taken.passed:
+        tally.states[taken.state] = tally.states.get(taken.state, 0.0) + taken.passed
+    tally.touched.update(taken.fingertips.fingers)
+    for finger, why in taken.fingertips.reasons.items():
+        if finger not in tally.touched:
+            tally.without.setdefault(finger, Counter())[why] += 1
+    if taken.step is not None:
         tally.answered += 1
-        yield Step(
-            stamp=observation.stamp,
-            estimate=estimate,
-            state=tracker.state,
-            reason=tracker.reason,
-            T_palm_object_vision=tracker.vision.in_palm(observation, tracker.T_world_palm),
-            T_world_palm=tracker.T_world_palm,
-            fingers=tracker.fingertips.fingers,
-            sigma=tracker.sigma,
-        )
+        yield taken.step

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import FARTHEST, Array
+from handsight.tracking.propagation import MOST_WALKED
 
 MOST_MEASUREMENTS = 48
 SAME_PALM = (0.01, np.deg2rad(2.0))
@@ -104,9 +105,10 @@ class PoseAndBias:
         return replace(moved, covariance=(covariance + covariance.T) / 2)
 
     def inflated(self, variance: Array) -> "PoseAndBias":
-        """With `variance` (6,) added to the pose's."""
+        """With `variance` (6,) added to the pose's, as far as it says something."""
         covariance = self.covariance.copy()
-        covariance[:6, :6] += np.diag(variance)
+        more = np.minimum(variance, np.maximum(MOST_WALKED - covariance.diagonal()[:6], 0.0))
+        covariance[:6, :6] += np.diag(more)
         return PoseAndBias(self.Ts, covariance)
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
@@ -148,9 +150,15 @@ class PoseBiasSmoother:
         """The posterior propagated to now."""
         return self.solved.inflated(self.process_noise - self.solved_noise)
 
+    @property
+    def is_near(self) -> bool:
+        """Whether the object is anywhere that a hand could be."""
+        x, y, z = self.solved.Ts[0, :3, 3].tolist()
+        return bool(abs(x) <= FARTHEST and abs(y) <= FARTHEST and abs(z) <= FARTHEST)
+
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
         """After a step of the random walk of the pose, of `variance` (6,)."""
-        noise = self.process_noise + variance
+        noise = np.minimum(self.process_noise + variance, MOST_WALKED)
         return PoseBiasSmoother(
             self.prior, self.pivot, self.solved, self.solved_noise, noise, self.measurements
         )

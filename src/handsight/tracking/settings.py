@@ -1,0 +1,71 @@
+"""When a tracker corrects, and what it expects."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handsight import checks
+from handsight.errors import InvalidInput
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerSettings:
+    """When a tracker corrects, how it expects things to move, and when it admits that it does not know.
+
+    The defaults serve a hand that holds still or moves slowly.
+    """
+
+    rate: float | None = None
+    """Corrections a second while something is touched, whether or not anything changed; None: only when it did."""
+    moved: float = 0.001
+    """A contact that moved so far in the palm is a new one [m]."""
+    turned: float = np.deg2rad(5.0)
+    """Or whose normal turned so far [rad]."""
+    process_noise_position: float = 0.001
+    """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
+    of time."""
+    process_noise_rotation: float = np.deg2rad(3.0)
+    """[rad]; a box between three simulated tips crept by 5 mm and 10° while it was carried for 18 s."""
+    regrasp_position: float = 0.005
+    """How far it may be pushed when a finger comes or goes, per axis [m]."""
+    regrasp_rotation: float = np.deg2rad(3.0)
+    """[rad]"""
+    memory: float = 5.0
+    """How long a contact that was lifted is still believed [s]; 0: not at all."""
+    samples: int = 0
+    """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
+    outside: int = 0
+    """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
+
+    Off by itself because shapes in a hand's file are often larger than the hand. The points need the joints of all
+    links; where an observation lacks some, there are none."""
+    uncertain_position: float = 0.015
+    """Largest standard deviation of the position [m] that counts as tracking."""
+    lost_after: float = 10.0
+    """How long nothing may be touched and nothing seen [s]."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput."""
+        if self.rate is not None:
+            checks.positive(self.rate, "settings.rate")
+        for names, most in ((LIMITS, np.inf), (STEPS, checks.FARTHEST)):
+            for name in names:
+                _check_size(getattr(self, name), f"settings.{name}", most)
+        for name in ("samples", "outside"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+                came = checks.brief(value)
+                raise InvalidInput(f"settings.{name}: expected a whole number from 0 on, got {came}")
+
+
+LIMITS = ("moved", "turned", "memory", "uncertain_position", "lost_after")
+"""Infinite: never."""
+STEPS = ("process_noise_position", "process_noise_rotation", "regrasp_position", "regrasp_rotation")
+
+
+def _check_size(value: object, name: str, most: float) -> None:
+    """Raises InvalidInput where a setting is no number from 0 to `most`."""
+    endless = isinstance(value, float) and value == most == np.inf
+    number = 0.0 if endless else float(checks.finite(value, name, ()))  # type: ignore[arg-type]
+    if not 0 <= number <= most:
+        raise InvalidInput(f"{name}: expected a number from 0 to {most:g}, got {number:g}")

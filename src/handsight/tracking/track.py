@@ -1,0 +1,247 @@
+"""One object followed in one hand: propagated between corrections, corrected when there is something new."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.correction import PoseEstimate, PosePrior, correct_pose, refine_pose
+from handsight.objects import ObjectModel
+from handsight.observation import Observation
+from handsight.rig import Rig
+from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
+from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
+from handsight.tracking.measurements import VisionUpdate, on_table
+from handsight.tracking.propagation import propagated, sigma_of_point, walked
+from handsight.tracking.settings import TrackerSettings
+from handsight.tracking.smoother import PoseBiasSmoother
+
+State = Literal["tracking", "uncertain", "lost"]
+NO_POSE = "no pose yet: neither a start nor vision"
+WIDER = 9.0
+"""How much more variance a prior gets where nothing fits: the search then begins from several starts."""
+RECOVERY_EVERY = 0.5
+"""Seconds between two such searches, and between corrections while nothing fits: each costs a hundred others."""
+RETRY_EVERY = 0.1
+"""The same when the fingers that touch have changed since."""
+RENEW_AFTER = 0.02
+"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
+LOST_WITHOUT_FIT = 2.0
+"""So long contacts may contradict every pose before the object counts as lost [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """The answer of a correction, and what it was made from."""
+
+    estimate: PoseEstimate
+    contacts: Contacts
+    """Touched by `fingers` at `stamp` [s]."""
+    fingers: tuple[str, ...]
+    stamp: float
+    variance: float
+    """Of the position of the object's middle, its largest [m²]."""
+
+
+class Track:
+    """What is known of one object in one hand, on a clock that goes on."""
+
+    def __init__(
+        self, rig: Rig, model: ObjectModel, start: PosePrior | None, settings: TrackerSettings
+    ) -> None:
+        """See `Tracker`."""
+        self.rig, self.model, self.settings = rig, model, settings
+        self.corrections = 0
+        """How often the pose was corrected."""
+        s, frames = settings, [finger.frame for finger in rig.fingers.values()]
+        self._start, self._sensors = start, FingertipSensors(rig)
+        self._surface = rig.hand.surface(s.outside, without=frames) if s.outside else None
+        self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
+        self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing is known but the start."""
+        self.state: State = "lost"
+        self.reason = NO_POSE
+        self.stamp = -math.inf
+        """Of the last observation [s]."""
+        self.fingertips = FingertipContacts((), None, {})
+        self.T_world_palm: Array | None = None
+        self.estimate: PoseEstimate | None = None
+        self.vision = VisionUpdate(self.rig, self.model)
+        self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
+        self._correction: Correction | None = None
+        """The last one since the object was grasped."""
+        self._propagated_to = self._measured_at = self._fits_at = self._recovered_at = -math.inf
+        self.smoother = self._started()
+
+    def _started(self) -> PoseBiasSmoother | None:
+        """What is known at first."""
+        start = self._start
+        if start is None:
+            return None
+        return self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
+
+    def _follow(self, observation: Observation) -> PoseEstimate | None:
+        """The pose after an observation that is `checked` and not older than the last; raises InvalidInput midway."""
+        joints, stamp = observation.joint_positions, observation.stamp
+        if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
+            T_world_palm = se3.check(
+                self.rig.hand.T_world_palm(joints), "observation.joint_positions: palm in the world"
+            )
+            observation = replace(observation, T_world_palm=T_world_palm)
+        self.fingertips = self._sensors.contacts(observation)
+        self._predict(observation.T_world_palm, stamp)
+        before, touched = self.smoother, self.fingertips.contacts
+        self.smoother = self.vision.update(observation, before, self.T_world_palm)
+        vision = self.smoother is not before
+        if self.smoother is not None and not self.smoother.is_near:
+            # The palm has gone so far that it is in no hand.
+            self.smoother, self._correction, self.estimate = self._started(), None, None
+        if vision or touched is not None:
+            self._measured_at = stamp
+        if self.smoother is None:
+            self.state, self.reason = "lost", NO_POSE
+            return None
+        if touched is not None and self._due(touched, vision=vision):
+            self._correct(touched, self.smoother, observation, vision=vision)
+        last = self._correction
+        if self.estimate is None or last is None:  # the smoother's alone: contacts leave every direction open
+            now = self.smoother.now
+            self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
+        elif stamp - self._propagated_to > RENEW_AFTER:
+            self.estimate = propagated(last.estimate, walked(self._process_noise, stamp - last.stamp))
+            self._propagated_to = stamp
+        self.state, self.reason = self._judged(self.estimate)
+        return self.estimate
+
+    def vision_bias(self) -> tuple[Array, Array] | None:
+        """Vision's constant bias (6,) and its covariance (6, 6), by vision and contacts together.
+
+        See `PoseAndBias.vision_bias`. None before there were both.
+        """
+        if self.smoother is None or self._correction is None or self.vision.mount is None:
+            return None
+        estimate = self._correction.estimate
+        state = self.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
+        return state.vision_bias, state.covariance[6:, 6:]
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
+        last = self._correction
+        if last is not None:
+            since = walked(self._process_noise, self.stamp - last.stamp)
+            return math.sqrt(last.variance + since[0])
+        if self.estimate is None:
+            return math.inf
+        return sigma_of_point(self.estimate, self.model, self.model.center_object)
+
+    def _predict(self, T_world_palm: Array | None, stamp: float) -> None:
+        """Propagates the smoother to `stamp`, and through what has become of the grasp since."""
+        if self.smoother is not None:
+            if not self._grasp.grasped and T_world_palm is not None and self.T_world_palm is not None:
+                # Nothing holds it: it stays in the world while the palm goes.
+                self.smoother = self.smoother.transformed(se3.inverse(T_world_palm) @ self.T_world_palm)
+            if stamp > self.stamp > -math.inf:
+                self.smoother = self.smoother.inflated(walked(self._process_noise, stamp - self.stamp))
+        if T_world_palm is not None:
+            self.T_world_palm = T_world_palm
+        self.stamp, fingers = stamp, self.fingertips.fingers
+        self._memory.update(fingers, self.fingertips.contacts, stamp)
+        change = self._grasp.update(fingers, stamp)
+        if change == "grasped":
+            self._memory.only(fingers)
+        if self.smoother is not None and change is not None:
+            self.smoother = self._regrasped(self.smoother, change)
+
+    def _regrasped(self, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
+        """The smoother after fingers came or went, which may have pushed the object."""
+        state, T, table = smoother.now, self.T_world_palm, self.rig.table
+        if change == "released":
+            # What contacts have said outlives the grasp, but not where the object is in the palm from now on.
+            if self._correction is not None:
+                estimate = self._correction.estimate
+                state = state.given_pose(estimate.T_palm_object, estimate.information)
+            self._correction = None
+            return smoother.restarted(state.inflated(self._regrasp_noise))
+        state = state.inflated(self._regrasp_noise)
+        if table is not None and T is not None and self._grasp.on_table(float(T[2, 3])):
+            state = on_table(state, self.model, table, T) or state
+        return smoother.restarted(state)
+
+    def _due(self, touched: Contacts, *, vision: bool) -> bool:
+        """Whether vision or touch has something new to say, or touch has not been asked for long enough."""
+        last = self._correction
+        if last is None:
+            return True
+        age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
+        if not last.estimate.consistent:
+            return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
+        if vision or regrasped:
+            return True
+        if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
+            return True
+        shift = np.abs(touched.points_palm - last.contacts.points_palm).max()
+        cosine = (touched.normals_palm * last.contacts.normals_palm).sum(axis=1).min()
+        return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
+
+    def _correct(
+        self, touched: Contacts, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool
+    ) -> None:
+        """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
+        fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
+        contacts, remembered = self._memory.added(fingers, touched, now)
+        T, covariance = smoother.solved.T_palm_object, smoother.now.covariance[:6, :6]
+        outside, joints = None, observation.joint_positions
+        if self._surface is not None and joints is not None and joints.keys() >= set(self._surface.joints):
+            outside = self._surface.points_palm(joints)
+        samples, prior = self.settings.samples, PosePrior.trusted(T, covariance)
+        correct = partial(correct_pose, self.model, contacts, outside=outside, samples=samples)
+        near = None if vision or last is None or fingers != last.fingers else last.estimate
+        estimate = None
+        if near is not None and near.consistent and not near.outliers and not samples:
+            # Nothing new asks for another minimum than that answer's own, if it still fits.
+            estimate = refine_pose(self.model, contacts, prior, near.T_palm_object, outside)
+        if estimate is None:
+            estimate = correct(vision=prior)
+        if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
+            self._recovered_at = now
+            wider = correct(vision=PosePrior.trusted(T, WIDER * covariance))
+            if wider.consistent:
+                estimate = wider
+                more = (WIDER - 1) * np.diag(covariance)
+                self.smoother = smoother.restarted(smoother.now.inflated(more))
+        for i in estimate.outliers:
+            if i >= len(touched):
+                self._memory.forget(remembered[i - len(touched)])
+        variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
+        self._correction = Correction(estimate, touched, fingers, now, variance)
+        self.estimate, self._propagated_to = estimate, now
+        self.corrections += 1
+
+    def _judged(self, estimate: PoseEstimate) -> tuple[State, str]:
+        """How far the estimate is to be trusted, and why no further."""
+        now = self.stamp
+        if estimate.consistent or self._fits_at == -math.inf:
+            self._fits_at = now
+        if self._measured_at == -math.inf:
+            return "lost", "nothing was touched or seen yet"
+        if now - self._measured_at > self.settings.lost_after:
+            return "lost", f"nothing touched and nothing seen for {now - self._measured_at:.1f} s"
+        if now - self._fits_at > LOST_WITHOUT_FIT:
+            return "lost", f"the contacts have fitted no pose for {now - self._fits_at:.1f} s"
+        if not estimate.consistent:
+            return "uncertain", "the contacts do not fit the object where it is believed to be"
+        if self._correction is None:
+            return "uncertain", "nothing is touched: the pose is vision's"
+        sigma = self.sigma
+        if sigma > self.settings.uncertain_position:
+            return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
+        return "tracking", ""

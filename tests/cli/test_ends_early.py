@@ -1,0 +1,136 @@
+"""Whatever ends a run through a recording early, what was found by then is written, and the exit code tells."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from cli.commands import called
+from cli.tracks import assert_results_agree, observations, recorded
+from handsight import se3
+from handsight.messages.topics import POSE_COVARIANCE, TF
+from handsight.recording import Recording, RecordingWriter
+from handsight.recording.write import Message, header, pose, pose_with_covariance
+from handsight.rig.save import write as write_rig
+from handsight.tracking import Tracker
+
+
+@pytest.fixture
+def folder(grasp, tmp_path):
+    """A recording of a grasp, with its rig."""
+    rig, _ = grasp
+    recorded(tmp_path / "can.mcap", observations(grasp), rig)
+    write_rig(rig, tmp_path / "can.rig.yaml")
+    return tmp_path
+
+
+def fails_after(count, original, error):
+    """A generator function, or an update, that raises in the middle."""
+    calls = iter(range(10**9))
+
+    def generator(self):
+        for observation in original(self):
+            if next(calls) == count:
+                raise error
+            yield observation
+
+    def update(self, observation):
+        if next(calls) == count:
+            raise error
+        return original(self, observation)
+
+    return update if original is Tracker.update else generator
+
+
+@pytest.mark.parametrize(
+    "owner", [(Recording, "observations"), (Tracker, "update")], ids=["reader", "tracker"]
+)
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (RuntimeError("a fault"), 1, "handsight: ended early by what should not happen: RuntimeError in test_ends_early"),
+        (MemoryError(), 1, "handsight: ended early by what should not happen: MemoryError in test_ends_early.py"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+    ids=["fault", "memory", "Ctrl-C"],
+)  # fmt: skip
+def test_track_writes_what_was_tracked(folder, monkeypatch, capsys, owner, error, code, said):
+    kind, name = owner
+    monkeypatch.setattr(kind, name, fails_after(25, getattr(kind, name), error))
+    assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == code
+    err = capsys.readouterr().err
+    assert said in err
+    assert "wrote can-track: track.mcap, track.tum, track.csv, summary.json" in err
+    assert assert_results_agree(folder / "can-track")["poses"] == 25
+
+
+def test_results_that_cannot_be_written_do_not_keep_the_others_from_it(folder, monkeypatch, capsys):
+    (folder / "can-track" / "track.mcap").mkdir(parents=True)
+    assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 2
+    err = capsys.readouterr().err
+    assert "handsight: can-track/track.mcap: expected a file to write, got a folder" in err
+    assert "wrote can-track: track.tum, track.csv, summary.json" in err
+
+
+def test_calibrate_camera_prints_what_was_found(folder, monkeypatch, capsys):
+    failing = fails_after(36, Recording.observations, RuntimeError("a fault"))
+    monkeypatch.setattr(Recording, "observations", failing)
+    assert called(monkeypatch, folder, "calibrate", "camera", "can.mcap", "--object", "can") == 1
+    out, err = capsys.readouterr()
+    assert "# known to ±" in out
+    assert "handsight: ended early by what should not happen: RuntimeError" in err
+
+
+def test_without_a_pose_the_exit_code_says_so_and_the_reason_is_told(grasp, folder, monkeypatch, capsys):
+    rig, _ = grasp
+    seen = observations(grasp)
+    for changes, said in (
+        ({"vision": None}, "no pose: no pose yet: neither a start nor vision"),
+        (
+            {"T_world_palm": None},
+            "poses of vision could not be placed, as the palm's pose in the world was not known",
+        ),
+        ({"joint_positions": {"elbow": 0.0}}, "no pose: all observations were left out"),
+    ):
+        recorded(folder / "none.mcap", (dataclasses.replace(each, **changes) for each in seen), rig)
+        arguments = ("track", "none.mcap", "--rig", "can.rig.yaml", "--object", "can")
+        assert called(monkeypatch, folder, *arguments) == 1
+        assert said in capsys.readouterr().err
+
+
+def test_a_finger_that_never_touches_is_told(grasp, folder, monkeypatch, capsys):
+    rig, _ = grasp
+    free = rig.fingers["lf"].calibration
+    reading = np.concatenate([free.bias_force, free.bias_torque])
+    seen = (
+        dataclasses.replace(each, wrenches={**each.wrenches, "lf": reading}) for each in observations(grasp)
+    )
+    recorded(folder / "can.mcap", seen, rig)
+    assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
+    assert "finger lf: no contact in any observation (free in " in capsys.readouterr().err
+    summary = json.loads((folder / "can-track" / "summary.json").read_text())
+    assert list(summary["fingers_without_contact"]) == ["lf"]
+
+
+def test_huge_numbers_of_vision_and_tf_are_left_out_and_the_rest_is_tracked(
+    grasp, folder, monkeypatch, capsys
+):
+    rig, _ = grasp
+    with RecordingWriter(folder / "can.mcap", rig) as writer:
+        for k, seen in enumerate(observations(grasp)):
+            writer.write(seen)
+            T = seen.T_world_palm.copy()
+            T[:3, 3] = 1e200
+            palm, top = pose(T), header(seen.stamp + 1e-3, rig.frames["world"])
+            body = Message(translation=palm.position, rotation=palm.orientation)
+            link = Message(header=top, child_frame_id=rig.frames["palm"], transform=body)
+            if k % 5 == 4:
+                writer.append(rig.topics.tf, TF, seen.stamp - 1e-3, transforms=[link])
+            far = pose_with_covariance(se3.compose(np.eye(3), np.full(3, 1e20)), None)
+            top = header(seen.stamp, rig.frames["camera"])
+            writer.append(rig.topics.vision, POSE_COVARIANCE, seen.stamp, header=top, pose=far)
+    assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
+    assert_results_agree(folder / "can-track")
+    assert "Traceback" not in capsys.readouterr().err
+    assert called(monkeypatch, folder, "calibrate", "camera", "can.mcap", "--object", "can") == 0
