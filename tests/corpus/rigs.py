@@ -80,7 +80,7 @@ def spoilt_xml(text: str, rng: random.Random) -> str:
         return spoilt_text(text, rng)
     if rng.random() < 0.3:
         element = rng.choice(re.findall(r"<\w[^<>]*/>", text))
-        return text.replace(element, rng.choice(["", element * 2, element * 300]), 1)
+        return text.replace(element, rng.choice(["", element * 2, element * 30]), 1)
     at = rng.choice(list(re.finditer(r'="([^"]*)"', text)))
     words = at[1].split(" ")
     words[rng.randrange(len(words))] = str(
