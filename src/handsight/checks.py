@@ -73,6 +73,18 @@ def _within(array: Array, name: str, limit: float, unit: str) -> Array:
     return array
 
 
+def in_metres(length: float | list[float], most: float) -> str:
+    """A length or position [m] beyond `most`, for a message: with what it is if it was meant in millimetres."""
+    lengths = np.atleast_1d(np.asarray(length, dtype=np.float64))
+    texts = [f"[{', '.join(f'{value:g}' for value in row)}]" for row in (lengths, 1e-3 * lengths)]
+    came, meant = (text.strip("[]") if np.ndim(length) == 0 else text for text in texts)
+    return (
+        f"{came} (millimetres? {meant} m)"
+        if np.abs(lengths).max() <= 1e3 * most
+        else f"{came} (millimetres?)"
+    )
+
+
 def sigma(value: ArrayLike, name: str) -> float:
     """`value` as a standard deviation [m or rad] from `FINEST` to `FARTHEST`; raises InvalidInput otherwise."""
     number = positive(value, name)
@@ -120,6 +132,14 @@ def covariance(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Ar
     return array
 
 
+def axes(value: object) -> int:
+    """How many axes `value` has; one where its rows differ in length and numpy refuses to count."""
+    try:
+        return np.ndim(value)  # type: ignore[arg-type]
+    except ValueError:
+        return 1
+
+
 def describe(shape: tuple[int | None, ...]) -> str:
     """What an array of that shape is called in a message."""
     if shape == ():
@@ -145,4 +165,6 @@ def brief(value: object) -> str:
         text = str(value.tolist() if isinstance(value, np.ndarray) else value)
     except ValueError:  # Python does not write whole numbers of thousands of digits
         text = "a whole number of thousands of digits"
+    except RecursionError:
+        text = "values in values, too deep"
     return text if len(text) <= 80 else text[:77] + "..."

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from contact.contact_cases import PAPER_TIP, any_tip, touches
 from handsight import se3
+from handsight.checks import STRONGEST
 from handsight.contact import (
     Contact,
     Ellipsoid,
@@ -284,7 +285,8 @@ TIPS = st.sampled_from(
 @settings(max_examples=400)
 def test_no_finite_wrench_gives_nan(force, torque, tip):
     batch = contacts_from_wrenches(force, torque, tip)
-    assert batch.reasons[0] != Reason.INVALID
+    beyond = max(np.abs(force).max(), np.abs(torque).max()) > STRONGEST
+    assert (batch.reasons[0] == Reason.INVALID) == beyond
     for values in (batch.points, batch.normals, batch.forces, batch.forces_normal, batch.torques):
         assert np.isfinite(values).all()
     assert np.isfinite(batch.covariances).all()
@@ -292,7 +294,7 @@ def test_no_finite_wrench_gives_nan(force, torque, tip):
     np.testing.assert_allclose(((batch.points / tip.semi_axes) ** 2).sum(axis=1), 1, rtol=1e-12)
 
 
-@given(st.integers(-300, 300), st.integers(0, 1000))
+@given(st.integers(-300, 9), st.integers(0, 1000))
 @settings(max_examples=100)
 def test_only_the_ratio_of_torque_to_force_says_where(exponent, seed):
     truth = touches(np.random.default_rng(seed), TIP, 1)

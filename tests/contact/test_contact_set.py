@@ -146,7 +146,7 @@ def zero_but(i, j):
         ({"points_palm": "abc"}, "points_palm: expected finite numbers of shape (n, 3), got abc"),
         (
             {"points_palm": [[0, 0, 0], [0, 30, 100]], "normals_palm": None},
-            "points_palm[1]: expected metres within 5, got [0.0, 30.0, 100.0] (millimetres?)",
+            "points_palm[1]: expected metres within 5, got [0, 30, 100] (millimetres? [0, 0.03, 0.1] m)",
         ),
         ({"normals_palm": [[0, 0, 1]]}, "normals_palm: expected as many as points_palm (3), got 1"),
         ({"normals_palm": 1.0}, "normals_palm: expected 3 normals, got 1.0"),

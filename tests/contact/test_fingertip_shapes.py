@@ -10,7 +10,10 @@ from handsight.errors import InvalidInput, InvalidTransform
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"semi_axes": [8, 8, 12]}, "semi_axes[0]: expected metres, at most 0.2, got 8 (millimetres?)"),
+        (
+            {"semi_axes": [8, 8, 12]},
+            "semi_axes[0]: expected metres, at most 0.2, got 8 (millimetres? 0.008 m)",
+        ),
         ({"semi_axes": [0.008, 0.008, -1]}, "semi_axes[2]: expected metres, at least 1e-05, got -1"),
         ({"semi_axes": [0.008, 0, 0.012]}, "semi_axes[1]: expected metres, at least 1e-05, got 0"),
         (
@@ -19,7 +22,7 @@ from handsight.errors import InvalidInput, InvalidTransform
         ),
         ({"semi_axes": 0.008}, "semi_axes: expected 3 finite numbers, got 0.008"),
         ({"cap": 0.012}, "cap: expected metres within the tip's ends ±0.012, got 0.012"),
-        ({"cap": -3}, "cap: expected metres within the tip's ends ±0.012, got -3"),
+        ({"cap": -3}, "cap: expected metres within the tip's ends ±0.012, got -3 (millimetres? -0.003 m)"),
         ({"cap": np.inf}, "cap: expected a finite number, got inf"),
         ({"max_friction": 0}, "max_friction: expected a number above 0, got 0"),
         ({"min_force": -1}, "min_force: expected a number above 0, got -1"),
@@ -38,7 +41,7 @@ def test_a_wrong_ellipsoid_is_refused_by_field(arguments, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"radius": 9}, "radius: expected metres, at most 0.2, got 9 (millimetres?)"),
+        ({"radius": 9}, "radius: expected metres, at most 0.2, got 9 (millimetres? 0.009 m)"),
         ({"radius": 0}, "radius: expected a number above 0, got 0"),
         ({"cap": 0.01}, "cap: expected metres within the tip's ends ±0.009, got 0.01"),
     ],
@@ -110,7 +113,10 @@ def test_a_typed_sphere_has_the_defaults_of_a_sphere():
         ("sphere:9in", "sphere: expected mm, cm or m in '9in', got the unit 'in'"),
         ("sphere:", "sphere: expected a length such as 9mm, got ''"),
         ("sphere:nanmm", "sphere: expected a length such as 9mm, got 'nanmm'"),
-        ("sphere:9m", "fingertip 'sphere:9m': radius: expected metres, at most 0.2, got 9 (millimetres?)"),
+        (
+            "sphere:9m",
+            "fingertip 'sphere:9m': radius: expected metres, at most 0.2, got 9 (millimetres? 0.009 m)",
+        ),
         ("sphere:9mm;cap=9mm", "cap: expected metres within the tip's ends ±0.009, got 0.009"),
         ("sphere:9mm;cap=0", "cap: expected mm, cm or m in '0', got no unit"),
         ("sphere:9mm;cap=0mm,1mm", "cap: expected a length such as 9mm, got '0mm,1mm'"),

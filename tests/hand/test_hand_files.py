@@ -1,7 +1,9 @@
 """Files that are no robots are refused in one sentence; packages are found, and meshes may be missing."""
 
+import itertools
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,7 +48,7 @@ BALL = "<mujoco><worldbody><body name='palm'><geom size='.1'/><body name='b'><jo
         ),
         (
             ONE_JOINT.replace("0 0 1", "0 0 nan"),
-            "r.xml: expected finite numbers for all links and joints, got NaN",
+            "r.xml: expected finite numbers for all links and joints, got xyz='0 0 nan', line 1",
         ),
         (
             ONE_JOINT.replace("0 0 1", "0 0 x"),
@@ -58,7 +60,7 @@ BALL = "<mujoco><worldbody><body name='palm'><geom size='.1'/><body name='b'><jo
         ),
         (
             ONE_JOINT.replace('child link="b"', 'child link="c"'),
-            MUJOCO + "XML Error: URDF joint parent or child missing Element 'joint', line 1",
+            "r.xml: joint 'j': expected a link of the file as child, got 'c', line 1",
         ),
         (
             "<mujoco><worldbody><bod/></worldbody></mujoco>",
@@ -78,6 +80,128 @@ def test_files_that_are_no_hands_are_refused(tmp_path, monkeypatch, text, messag
         Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"})
     # MuJoCo's own words are its business, and change.
     assert str(caught.value).startswith(MUJOCO if MUJOCO in message else message)
+
+
+def chain(links, joints):
+    """A URDF of links, and of joints from a parent to a child."""
+    made = [f'<link name="{name}"/>' for name in links]
+    made += [
+        f'<joint name="j{k}" type="fixed">\n<parent link="{parent}"/><child link="{child}"/></joint>'
+        for k, (parent, child) in enumerate(joints)
+    ]
+    return "\n".join(["<robot>", *made, "</robot>"])
+
+
+MANY = [f"l{k}" for k in range(1001)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (chain("abc", ["ab"]), "expected one link that all others hang on, got 'a' and 'c', line 4"),
+        (chain("ab", ["ab", "ba"]), "expected a tree of links, got a circle of joints at 'a', line 2"),
+        (chain("abc", ["ab", "cc"]), "expected a tree of links, got a circle of joints at 'c', line 4"),
+        (
+            chain("abc", ["ab", "ac", "cb"]),
+            "joint 'j2': expected one parent for each link, got another for 'b', line 9",
+        ),
+        (
+            chain("ab", ["xb"]),
+            "joint 'j0': expected a link of the file as parent, got 'x', line 4",
+        ),
+        (chain("aba", ["ab"]), "expected each link once, got 'a' twice, line 4"),
+        (
+            chain("abc", ["ab", "ac"]).replace("j1", "j0"),
+            "expected each joint once, got 'j0' twice, line 7",
+        ),
+        (
+            chain(MANY[:300], list(itertools.pairwise(MANY[:300]))),
+            "expected elements and links at most 200 deep, got deeper",
+        ),
+        (chain(MANY, []), "expected a robot of at most 1000 links, got more"),
+        ("<robot>" + "<link/>" * 60_000 + "</robot>", "expected a robot of at most 50000 elements, got more"),
+        ("<a>" * 500 + "</a>" * 500, "expected elements and links at most 200 deep, got deeper"),
+        (BALL % "name='j' axis='0 1e308 0'", "expected axes and rotations of some length"),
+        (BALL % "name='j' pos='0 0 1e4'", "expected lengths within 1000 m, got 10000"),
+        (
+            BALL.replace("<joint", "<include file='r.xml'/><joint") % "name='j'",
+            "include: expected each file once, got 'r.xml' again, line 1",
+        ),
+        (
+            BALL.replace("<joint", "<include file='none.xml'/><joint") % "name='j'",
+            "include: expected a file, got 'none.xml', line 1",
+        ),
+        (
+            "<mujoco><asset><model name='m' file='r.xml'/></asset></mujoco>",
+            "expected a robot in one model with its includes, got <model>, line 1",
+        ),
+        (
+            "<mujoco><worldbody>"
+            + "<replicate count='100'>" * 4
+            + "<body/>"
+            + "</replicate>" * 4
+            + "</worldbody></mujoco>",
+            "expected a robot of at most 50000 elements, got more",
+        ),
+        (
+            "<mujoco><worldbody><replicate count='-1'><body/></replicate></worldbody></mujoco>",
+            "replicate: expected a count below a million, got '-1', line 1",
+        ),
+    ],
+    ids=lambda text: text[-60:] if text.startswith("<") else None,
+)
+def test_what_would_bring_mujoco_down_is_refused_before_it_gets_it(tmp_path, text, message):
+    (tmp_path / "r.xml").write_text(text)
+    with pytest.raises(InvalidFile) as caught:
+        Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"})
+    assert str(caught.value).startswith(f"r.xml: {message}")
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [
+        "<size memory='1000G'/>",
+        "<size njmax='2000000000' nuser_body='2000000000' nkey='200000000'/>",
+        "<asset><texture name='t' type='2d' builtin='flat' width='100000' height='100000'/></asset>",
+        "<asset><hfield name='h' nrow='100000' ncol='100000' size='1 1 1 1'/></asset>",
+        "<worldbody><flexcomp name='f' type='grid' count='10000 1000 1000' spacing='1 1 1'/></worldbody>",
+    ],
+)
+def test_what_kinematics_does_not_ask_for_is_not_allocated(tmp_path, absurd):
+    (tmp_path / "r.xml").write_text((BALL % "name='j'").replace("<mujoco>", "<mujoco>" + absurd))
+    assert Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"}).moving == ("j",)
+
+
+def test_what_an_mjcf_includes_is_part_of_it_and_errors_are_told_at_its_lines(tmp_path):
+    (tmp_path / "r.xml").write_text(
+        "<mujoco>\n<compiler meshdir='m'/><asset>\n<mesh file='a.obj'/></asset><worldbody>\n"
+        "<include file='parts/arm.xml'/></worldbody></mujoco>"
+    )
+    (tmp_path / "parts").mkdir()
+    arm = "<mujocoinclude>\n<body name='palm'><geom type='mesh' mesh='a'/>\n<body name='b'><joint name='j'/><geom size='.1'/></body></body></mujocoinclude>"
+    (tmp_path / "parts" / "arm.xml").write_text(arm)
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m" / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    )
+    hand = Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"})
+    assert (hand.moving, hand.missing_meshes) == (("j",), ())
+    assert "palm" in hand.surface(50).bodies
+    (tmp_path / "parts" / "arm.xml").write_text(arm.replace("size='.1'", "size='x'"))
+    with pytest.raises(InvalidFile, match=r"arm\.xml line 3$"):
+        Hand.from_file(tmp_path / "r.xml", palm="palm")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="this system has no /dev/zero")
+def test_a_device_is_not_read(tmp_path):
+    with pytest.raises(InvalidFile, match="expected a file"):
+        Hand.from_file("/dev/zero", palm="palm")
+    (tmp_path / "r.xml").write_text(
+        (BALL % "name='j'").replace(
+            "<worldbody>", "<asset><mesh name='z' file='/dev/zero'/></asset><worldbody>"
+        )
+    )
+    assert Hand.from_file(tmp_path / "r.xml", palm="palm").missing_meshes == ("/dev/zero",)
 
 
 def test_a_document_type_is_refused_in_any_encoding(tmp_path):

@@ -40,9 +40,19 @@ def rig(full_scale=None, joints=JOINTS, **topics):
         "camera_info": "/info",
     }
     K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
+    fingers = {name: finger(name, full_scale) for name in FINGERS}
+    tips = {name: each.frame for name, each in fingers.items()}
+    apart = np.tile(np.eye(4), (len(tips), 1, 1))
+    apart[:, 0, 3] = np.arange(len(tips))
     return Rig(
-        hand=SimpleNamespace(moving=joints),
-        fingers={name: finger(name, full_scale) for name in FINGERS},
+        hand=SimpleNamespace(
+            moving=joints,
+            joint_names=joints,
+            limits=np.tile([-np.inf, np.inf], (len(joints), 1)),
+            tips=tips,
+            Ts_palm_tip=lambda positions: apart,
+        ),
+        fingers=fingers,
         camera=Camera(intrinsics=K, size=(640, 480)),
         topics=Topics(**(usual | topics)),
     )

@@ -50,7 +50,7 @@ def finger(rng, name, numbers):
     )
     return Finger(
         frame=TIPS[name],
-        T_frame_surface=se3.random(rng),
+        T_frame_surface=se3.random(rng, spread=0.05),
         tip=shape,
         calibration=calibration,
         sigma_force=a,

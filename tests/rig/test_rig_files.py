@@ -57,7 +57,7 @@ def read(folder, said, name="rig.yaml"):
     return Rig.from_file(path)
 
 
-size = st.floats(1e-6, 1.9)
+size = st.floats(1e-6, 0.19)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)

@@ -1,13 +1,17 @@
 """What is wrong with a rig file is told with file, line, path, what was expected, and what came."""
 
 import random
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from handsight.errors import HandsightError, InvalidFile
+from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.rig import Rig
-from handsight.rig.yaml_file import LARGEST_FILE
-from rig.rigs import rig_text
+from handsight.rig.yaml_file import LARGEST_FILE, LONGEST_NAME, MOST_VALUES
+from rig.rigs import URDF, full, rig_text
+
+TOO_MANY = f"expected at most {MOST_VALUES} values, got more (aliases of aliases?)"
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +60,24 @@ MISTAKES = [
     ("  height: ", "  height: 0 mm #", "table.height: expected a finite number, got 0 mm (a text)"),
     ("sigma_height: ", "sigma_height: 0 #", "table.sigma_height: expected a number above 0, got 0"),
     ("tip_mass: ", "tip_mass: 4 #", "fingers.index.sensor.tip_mass: expected kilograms, got 4 (grams?)"),
-    ("surface: {position: [", "surface: {position: [16.5e+3, 0, 0]} #", "fingers.index.surface.position: expected metres, got [16500.0, 0.0, 0.0] (millimetres?)"),
-    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [9, 9, 14.5]", "fingers.index.tip.ellipsoid: semi_axes[0]: expected metres, at most 0.2, got 9 (millimetres?)"),
+    ("surface: {position: [", "surface: {position: [16.5e+3, 0, 0]} #", "fingers.index.surface.position: expected metres within 0.5, got [16500, 0, 0] (millimetres?)"),
+    ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [9, 9, 14.5]", "fingers.index.tip.ellipsoid: semi_axes[0]: expected metres, at most 0.2, got 9 (millimetres? 0.009 m)"),
     ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, true, 0.02]", "fingers.index.tip.ellipsoid[1]: expected a finite number, got True"),
     ("ellipsoid: [0.009, 0.01, 0.02]", "ellipsoid: [0.009, '0.01', 0.02]", "fingers.index.tip.ellipsoid[1]: expected a finite number, got 0.01 (a text)"),
     ("ellipsoid: [0.009, 0.01, 0.02]", "elipsoid: [0.009, 0.01, 0.02]", "fingers.index.tip.elipsoid: unknown key; the nearest valid one is 'ellipsoid'"),
     ("ellipsoid: [0.009, 0.01, 0.02]", "sphere: 1, ellipsoid: [1, 1, 1]", "fingers.index.tip: expected ellipsoid: [a, b, c] or sphere: r, got ellipsoid and sphere"),
+    ("surface: {position: [", "surface: {position: [0, 0, 16.5]} #", "fingers.index.surface.position: expected metres within 0.5, got [0, 0, 16.5] (millimetres? [0, 0, 0.0165] m)"),
+    ("tip_center: ", "tip_center: [0, 0, 14.5] #", "fingers.index.sensor.tip_center: expected metres within 0.5, got [0, 0, 14.5] (millimetres? [0, 0, 0.0145] m)"),
+    ("sigma_point: ", "sigma_point: 5 #", "fingers.index.sigma_point: expected metres within 0.2, got 5 (millimetres? 0.005 m)"),
+    ("sigma_normal_deg: ", "sigma_normal_deg: 200 #", "fingers.index.sigma_normal_deg: expected a number of at most 180, got 200"),
+    ("{position: 0.1,", "{position: 64,", "camera.noise.position: expected metres within 5, got 64 (millimetres? 0.064 m)"),
+    ("  height: ", "  height: 750 #", "table.height: expected metres within 100, got 750 (millimetres? 0.75 m)"),
+    ("{radius: 0.1,", "{radius: 33,", "objects.tin.cylinder.radius: expected metres within 5, got 33 (millimetres? 0.033 m)"),
+    ("{box: [0.1, 0.7, 0.004]}", "{box: [60, 90, 140]}", "objects.a box.box: expected metres within 5, got [60, 90, 140] (millimetres? [0.06, 0.09, 0.14] m)"),
+    ("bias: {force: [", "bias: {force: [1.0e+9, 0, 0]} #", "fingers.index.sensor.bias.force: expected newtons and newton metres within 100000, got 1e+09"),
+    ("thumb_tip", "index_tip", "fingers.thumb.frame: expected a body of its own, got 'index_tip', which is fingers.index.frame's"),
+    ('"thumb": "/b: c"', '"thumb": "/a"', "topics.wrenches.thumb: expected a topic of its own, got '/a', which is topics.wrenches.index's"),
+    ('truth: "/t"', 'truth: "/see"', "topics.truth: expected a topic of its own, got '/see', which is topics.vision's"),
     ("full_scale: [30, 0.7]", "full_scale: [30, 0]", "fingers.index.sensor.full_scale[1]: expected a number above 0, got 0"),
     ("reading: on_sensor", "reading: on_senser", "fingers.index.sensor.reading: expected one of on_sensor, on_tip, got 'on_senser'; the nearest valid one is 'on_sensor'"),
     ("fixed_to: palm", "fixed_to: wrist", "camera.fixed_to: expected one of world, palm, got 'wrist'; valid: palm, world"),
@@ -118,6 +134,30 @@ def test_what_cannot_be_left_out_is_named_where_its_name_is_misspelt_and_where_i
     assert message == f"{section}: expected, got nothing"
 
 
+def test_two_tips_at_one_place_are_told_and_so_is_one_finger_twice_in_python(folder):
+    urdf = URDF.replace("</robot>", '<link name="pad"/>{}</robot>').format(
+        '<joint name="glue" type="fixed"><parent link="index_tip"/><child link="pad"/></joint>'
+    )
+    (folder / "glued.urdf").write_text(urdf)
+    finger = "{{frame: {}, tip: {{sphere: 0.01}}, sensor: {{reading: on_tip}}}}"
+    said = "version: 1\nhand: {file: glued.urdf, palm: palm}\nfingers:\n"
+    said += f"  a: {finger.format('index_tip')}\n  b: {finger.format('pad')}\n"
+    assert refused(folder, said) == (
+        5,
+        "fingers.b.surface: expected a place of its own, got that of fingers.a",
+    )
+    rig = full(folder)
+    index = rig.fingers["index"]
+    with pytest.raises(
+        InvalidInput, match=r"^fingers\['thumb'\]\.frame: expected the body of the hand's tip"
+    ):
+        replace(rig, fingers={"index": index, "thumb": index})
+    with pytest.raises(InvalidInput, match=r"^topics\.truth: expected a topic of its own, got '/see'"):
+        replace(rig, topics=replace(rig.topics, truth="/see"))
+    with pytest.raises(InvalidInput, match=r"^sigma_point: expected a number from 0 to 1000, got -1"):
+        replace(index, sigma_point=-1.0)
+
+
 def test_a_rig_without_fingers_is_told(folder):
     said = "version: 1\nhand: {file: pinch.urdf, palm: palm}\nfingers: {}\n"
     assert refused(folder, said) == (3, "fingers: expected at least one finger, got none")
@@ -131,10 +171,16 @@ def test_a_rig_without_fingers_is_told(folder):
         ("hello", "expected a mapping of keys to values, got hello"),
         (b"\xff\xfe\x00", "expected YAML in UTF-8, got other bytes"),
         (b"version: 1 # \xe9", "expected YAML in UTF-8, got other bytes"),
-        ("#" * (LARGEST_FILE + 1), f"expected a rig of at most {LARGEST_FILE} bytes, got {LARGEST_FILE + 1}"),
+        ("#" * (LARGEST_FILE + 1), f"expected at most {LARGEST_FILE} bytes, got {LARGEST_FILE + 1}"),
         ("version: [1", "expected YAML, got: expected ',' or ']', but got '<stream end>'"),
         ("version: 1\n---\nversion: 1", "expected YAML, got: but found another document"),
         ("[" * 1000, "expected YAML, got: maximum recursion depth exceeded"),
+        ("- " * 400 + "1", "expected a mapping of keys to values, got values in values, too deep"),
+        ("a: [" + "1," * MOST_VALUES, TOO_MANY),
+        ("a: 1\n" * (MOST_VALUES + 1), TOO_MANY),
+        ("a: &a\n  <<: *a\n  b: 1\n", "expected YAML, got tags, merges or aliases that stand for nothing"),
+        ("a: " + "9" * 5000, "expected YAML, got: Exceeds the limit"),
+        ("version: 1\n" + "x" * 900 + ": 1\n", "x" * LONGEST_NAME + ": unknown key"),
         ("version: \0", "expected YAML, got: "),
         ("? [a]\n: 1\n", "file: expected names as keys, got "),
         ("version: *a", "expected YAML, got: found undefined alias 'a'"),
@@ -150,14 +196,19 @@ def test_a_few_lines_that_stand_for_billions_are_told_at_once(folder):
     for last, name in zip("abcdefghijkl", "bcdefghijklm", strict=True):
         lines.append(f"{name}: &{name} [{', '.join([f'*{last}'] * 10)}]")
     _, message = refused(folder, "\n".join(lines))
-    assert message == "expected at most 50000 values, got more (aliases of aliases?)"
+    assert message == TOO_MANY
 
 
 def test_no_file_is_told(folder):
-    with pytest.raises(InvalidFile, match=r"none\.yaml: No such file or directory$"):
+    with pytest.raises(InvalidFile, match=r"none\.yaml: cannot be read: No such file or directory$"):
         Rig.from_file(folder / "none.yaml")
-    with pytest.raises(InvalidFile, match="Is a directory$"):
+    with pytest.raises(InvalidFile, match="expected a file, got a folder$"):
         Rig.from_file(folder)
+    if Path("/dev/zero").exists():
+        with pytest.raises(InvalidFile, match="^/dev/zero: expected a file, got something else$"):
+            Rig.from_file("/dev/zero")
+    with pytest.raises(InvalidInput, match="^path: expected a path, got 5$"):
+        Rig.from_file(5)
 
 
 TOKENS = ["!!python/object:os.x ", "&a ", "*a", "<<: *a", "null", "true", "1e400", "-1", "[[1]]", "{a: 1}", "~", "!!set ",

@@ -1,5 +1,6 @@
 """`handsight rig check` and `handsight calibrate camera`: what describes a robot, against what it recorded."""
 
+import contextlib
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,9 +10,12 @@ import typer
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
 from handsight.cli.terminal import announce_compiling, kept_going, say, table
 from handsight.cli.track import refusals
-from handsight.errors import HandsightError, InvalidInput
+from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from handsight.observation import Observation
     from handsight.rig import Rig
     from handsight.tracking.camera_calibration import CameraCalibration
 
@@ -26,7 +30,7 @@ def check(
 ) -> None:
     """Print the rig as a table, and what a recording lacks for it.
 
-    The exit code is 1 where the recording lacks something that tracking needs.
+    The exit code is 1 where the recording lacks something that tracking needs, touch of any finger among it.
     """
     from handsight.rig import Rig
 
@@ -37,14 +41,32 @@ def check(
     from handsight.recording import open_recording
 
     with open_recording(recording, found) as opened:
-        for _ in opened.observations():
-            pass
+        untouched = _untouched(opened.observations(), found)
         lacking = [*opened.report.sentences(), *opened.lacks()]
-    for sentence in lacking:
-        typer.echo(f"- {sentence}")
-    if lacking:
+    for sentence in (*lacking, *untouched):
+        typer.echo(printable(f"- {sentence}"))
+    if lacking or len(untouched) == len(found.fingers):
         raise typer.Exit(1)
-    typer.echo(f"{recording.name} has everything that this rig listens to.")
+    typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
+
+
+def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
+    """A sentence for each finger that was heard and never touched, with how near it came."""
+    from handsight.tracking.fingertips import FingertipSensors
+
+    sensors, largest, touched = FingertipSensors(rig), dict[str, float](), set[str]()
+    for observation in observations:
+        for finger, wrench in observation.wrenches.items():
+            force = math.dist(wrench[:3], rig.fingers[finger].calibration.bias_force)
+            largest[finger] = max(force, largest.get(finger, 0.0))
+        with contextlib.suppress(HandsightError):  # joints that are missing are told of elsewhere
+            touched |= set(sensors.contacts(observation).fingers)
+    return [
+        f"finger {finger}: never touched; a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip, and the "
+        f"largest force was {force:.3g} N"
+        for finger, force in largest.items()
+        if finger not in touched
+    ]
 
 
 @calibrate_app.command("camera")
@@ -104,16 +126,16 @@ def _print_rig(rig: "Rig", name: str) -> None:
     # Names are the user's, and [mm] is no markup.
     out = Console(markup=False, highlight=False)
     hand = rig.hand
-    out.print(
-        f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints\n", soft_wrap=True
-    )
+    title = f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints"
+    out.print(printable(title) + "\n", soft_wrap=True)
     shapes = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     sensors = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
     style: dict[str, Any] = {"box": None, "pad_edge": False, "padding": (0, 2, 0, 0)}
     for columns, cells in ((shapes, _shape), (sensors, _sensor)):
-        rows = [[finger, *cells(rig, finger)] for finger in rig.fingers]
+        rows = [list(map(printable, (finger, *cells(rig, finger)))) for finger in rig.fingers]
         out.print(table(columns, rows, texts=2, header_style="bold underline", **style), "")
-    out.print(table(("", ""), _rows(rig), texts=2, show_header=False, **style))
+    rows = [list(map(printable, row)) for row in _rows(rig)]
+    out.print(table(("", ""), rows, texts=2, show_header=False, **style))
 
 
 def _shape(rig: "Rig", name: str) -> list[str]:

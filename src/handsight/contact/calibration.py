@@ -26,6 +26,8 @@ LEAST_ROWS = 3
 """Two orientations leave the centre of mass unknown along one direction."""
 WORST_CONDITION = 50.0
 """About 2.5 degrees of spread: there the noise of the answer is fifty times that of the readings."""
+HEAVIEST = 100.0
+"""Of what hangs on a sensor [kg]."""
 GRAVITY_RANGE = (1.5, 30.0)
 """Lengths of gravity that can be in m/s² (the Moon's is 1.6, Jupiter's 25); a unit vector is none of them."""
 
@@ -51,6 +53,18 @@ class WrenchCalibration:
     reading: Reading = "on_sensor"
     """What the readings were: of the tip on the sensor, or of the sensor on the tip."""
 
+    def __post_init__(self) -> None:
+        """Raises InvalidInput naming what is no sensor's."""
+        values: dict[str, object] = {
+            "bias_force": checks.load(self.bias_force, "bias_force", (3,)),
+            "bias_torque": checks.load(self.bias_torque, "bias_torque", (3,)),
+            "mass": _mass(self.mass),
+            "center_of_mass": checks.position(self.center_of_mass, "center_of_mass", (3,)),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        _sign(self.reading)
+
 
 def calibrate_wrench(
     forces: ArrayLike, torques: ArrayLike, gravities: ArrayLike, *, reading: Reading = "on_sensor"
@@ -63,8 +77,12 @@ def calibrate_wrench(
     zero.
     """
     F, M, G = (
-        checks.finite(value, name, (None, 3))
-        for value, name in ((forces, "forces"), (torques, "torques"), (gravities, "gravities"))
+        check(value, name, (None, 3))
+        for check, value, name in (
+            (checks.load, forces, "forces"),
+            (checks.load, torques, "torques"),
+            (checks.finite, gravities, "gravities"),
+        )
     )
     if not len(F) == len(M) == len(G):
         raise InvalidInput(f"forces, torques, gravities: expected one length, got {[len(F), len(M), len(G)]}")
@@ -99,9 +117,14 @@ def compensate(
     In the sensor's frame, about its origin, as `contact_from_wrench` takes it; readings of the sensor on the
     tip are turned round. One gravity (3,) [m/s²] serves for many readings. Raises InvalidInput.
     """
-    stack: tuple[int | None, ...] = (None, 3) if np.ndim(forces) > 1 else (3,)
-    F, M = checks.finite(forces, "forces", stack), checks.finite(torques, "torques", stack)
-    G = checks.finite(gravities, "gravities", stack if np.ndim(gravities) > 1 else (3,))
+    stack: tuple[int | None, ...] = (3,) if checks.axes(forces) == 1 else (None, 3)
+    if not isinstance(calibration, WrenchCalibration):
+        came = type(calibration).__name__
+        raise InvalidInput(f"calibration: expected a WrenchCalibration, got {came}")
+    F, M = checks.load(forces, "forces", stack), checks.load(torques, "torques", stack)
+    G = checks.finite(gravities, "gravities", (3,) if checks.axes(gravities) == 1 else stack)
+    if np.abs(G).max(initial=0.0) > GRAVITY_RANGE[1]:
+        raise InvalidInput(f"gravities: expected m/s² within {GRAVITY_RANGE[1]:g}, got {np.abs(G).max():g}")
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):
         shapes = f"{F.shape}, {M.shape}, {G.shape}"
         raise InvalidInput(f"forces, torques, gravities: expected one shape, got {shapes}")
@@ -113,9 +136,17 @@ def compensate(
     )
 
 
+def _mass(mass: float) -> float:
+    number = float(checks.finite(mass, "mass", ()))
+    if not 0 <= number <= HEAVIEST:
+        raise InvalidInput(f"mass: expected kilograms from 0 to {HEAVIEST:g}, got {number:g}")
+    return number
+
+
 def _sign(reading: str) -> float:
-    if reading not in get_args(Reading):
-        raise InvalidInput(f"reading: expected one of {', '.join(get_args(Reading))}, got {reading!r}")
+    if not isinstance(reading, str) or reading not in get_args(Reading):
+        came = repr(checks.brief(reading))
+        raise InvalidInput(f"reading: expected one of {', '.join(get_args(Reading))}, got {came}")
     return 1.0 if reading == "on_sensor" else -1.0
 
 

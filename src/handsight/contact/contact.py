@@ -26,7 +26,7 @@ class Reason(IntEnum):
     BEYOND_FRICTION = 3
     """It would need more friction than the tip's `max_friction`: more than one contact, or a bias."""
     INVALID = 4
-    """The reading holds NaN or infinity."""
+    """The reading holds NaN, infinity or more than any tip can bear."""
 
 
 REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = ("contact", *get_args(ReasonName))

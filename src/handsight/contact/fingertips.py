@@ -18,6 +18,8 @@ from handsight.errors import InvalidInput
 
 SMALLEST, LARGEST = 1e-5, 0.2
 """Semi-axes of a fingertip [m]; beyond them the unit is wrong."""
+MOST_FRICTION = 1e3
+"""No two materials have more; beyond it there is no limit."""
 LEAST_FORCE = 1e-9
 """Smallest `min_force` [N]: below it a force has no direction worth the name."""
 
@@ -55,10 +57,15 @@ class Ellipsoid:
         if cap is not None:
             cap = float(checks.finite(cap, "cap", ()))
             if not -top < cap < top:
-                raise InvalidInput(f"cap: expected metres within the tip's ends ±{top:g}, got {cap:g}")
+                came = checks.in_metres(cap, top) if abs(cap) > 1 else f"{cap:g}"
+                raise InvalidInput(f"cap: expected metres within the tip's ends ±{top:g}, got {came}")
         if max_friction is not None:
             max_friction = checks.positive(max_friction, "max_friction")
+            if max_friction > MOST_FRICTION:
+                came = f"{max_friction:g} (without a limit: None)"
+                raise InvalidInput(f"max_friction: expected at most {MOST_FRICTION:g}, got {came}")
         min_force = checks.positive(min_force, "min_force")
+        checks.load(min_force, "min_force", ())
         if min_force < LEAST_FORCE:
             raise InvalidInput(f"min_force: expected newtons, at least {LEAST_FORCE:g}, got {min_force:g}")
         T = None if T_surface_sensor is None else se3.check(T_surface_sensor, "T_surface_sensor")
@@ -115,6 +122,7 @@ def unambiguous_cap(fingertip: Fingertip) -> float:
 
 def _check_length(length: float, name: str) -> None:
     if length > LARGEST:
-        raise InvalidInput(f"{name}: expected metres, at most {LARGEST}, got {length:g} (millimetres?)")
+        came = checks.in_metres(length, LARGEST)
+        raise InvalidInput(f"{name}: expected metres, at most {LARGEST}, got {came}")
     if not length >= SMALLEST:
         raise InvalidInput(f"{name}: expected metres, at least {SMALLEST:g}, got {length:g}")

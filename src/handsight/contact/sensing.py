@@ -45,6 +45,9 @@ def contact_from_wrench(
     Raises InvalidInput for NaN, infinity or a wrong shape. Source: eq. 7; Bicchi, Salisbury and Brock (1993).
     """
     load = (*_reading(force, "force"), *_reading(torque, "torque"))
+    if max(load) > checks.STRONGEST or min(load) < -checks.STRONGEST:
+        checks.load(force, "force", (3,))
+        checks.load(torque, "torque", (3,))
     _check_fingertip(fingertip)
     sigmas = _sigmas(sigma_force, sigma_torque)
     vectors, covariance = np.empty((3, 3)), np.empty((6, 6))
@@ -69,8 +72,8 @@ def contacts_from_wrenches(
     """The contacts of many wrenches on one tip, and a reason for every wrench that is none.
 
     `forces` (n, 3) [N] and `torques` (n, 3) [N m], frames and sigmas as in `contact_from_wrench`. A row with
-    NaN or infinity gets `Reason.INVALID` and the others are still answered. Raises InvalidInput for a wrong
-    shape.
+    NaN, infinity or more than any tip can bear gets `Reason.INVALID` and the others are still answered.
+    Raises InvalidInput for a wrong shape.
     """
     _check_fingertip(fingertip)
     F, M = _readings(forces, "forces"), _readings(torques, "torques")
@@ -114,7 +117,7 @@ def _reading(value: ArrayLike, name: str) -> Iterable[float]:
 
 
 def _readings(value: ArrayLike, name: str) -> Array:
-    """`value` as float64 (n, 3); NaN and infinity pass, they are a row's own matter."""
+    """`value` as float64 (n, 3), NaN for what is beyond any load; NaN and infinity are a row's own matter."""
     try:
         array = np.asarray(value)
     except ValueError:  # ragged
@@ -123,7 +126,10 @@ def _readings(value: ArrayLike, name: str) -> Array:
         came = f"shape {array.shape}" if array.dtype.kind in "iuf" else checks.brief(value)
         raise InvalidInput(f"{name}: expected numbers of shape (n, 3), got {came}")
     # One kind of array for the kernel, which would be compiled again for another; no copy of what is that kind.
-    return np.require(array, np.float64, ["C", "A", "W", "E"])
+    readings = np.require(array, np.float64, ["C", "A", "W", "E"])
+    if readings.size and not (readings.max() <= checks.STRONGEST and readings.min() >= -checks.STRONGEST):
+        return np.where(np.abs(readings) > checks.STRONGEST, np.nan, readings)
+    return readings
 
 
 def _sigmas(sigma_force: ArrayLike, sigma_torque: ArrayLike) -> Array:
@@ -140,7 +146,10 @@ def _same_on_all_axes(sigma_force: float, sigma_torque: float) -> Array:
 
 def _sigma(value: ArrayLike, name: str) -> Array:
     """(3,) positive."""
-    array = checks.finite(value, name, (3,) if np.ndim(value) else ())
+    array = checks.finite(value, name, (3,) if checks.axes(value) else ())
     if not (array > 0).all():
         raise InvalidInput(f"{name}: expected a number above 0, or three, got {checks.brief(value)}")
+    if not (array >= checks.FINEST).all() or not (array <= checks.STRONGEST).all():
+        limits = f"{checks.FINEST:g} to {checks.STRONGEST:g}"
+        raise InvalidInput(f"{name}: expected numbers from {limits}, got {checks.brief(value)}")
     return np.broadcast_to(array, (3,))

@@ -18,16 +18,16 @@ def find_file(name: str | Path, beside: str | Path = ".") -> Path:
     text = str(name)
     if not text.startswith(PACKAGE):
         path = Path(beside) / text.removeprefix("file://")
-        if path.is_file():
+        if os.path.isfile(path):  # unlike Path's, false for what is no name at all
             return path
-        came = "a folder" if path.is_dir() else "none of that name"
+        came = "a folder" if os.path.isdir(path) else "none of that name"
         raise InvalidFile(f"{text}: expected a file, got {came}")
     package, _, rest = text.removeprefix(PACKAGE).partition("/")
     folders = _ros_folders(package, Path(beside).absolute()) + _python_folders(package)
     for folder in folders:
-        if (folder / rest).is_file():
+        if os.path.isfile(folder / rest):
             return folder / rest
-    if any(folder.is_dir() for folder in folders):
+    if any(os.path.isdir(folder) for folder in folders):
         raise InvalidFile(f"{text}: expected a file of the package, got none of that name")
     raise InvalidFile(
         f"{text}: expected a package in a folder above the file that names it, in $ROS_PACKAGE_PATH or "

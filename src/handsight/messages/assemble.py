@@ -9,6 +9,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
+from handsight.messages.units import Units
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -33,6 +34,7 @@ class ObservationAssembler:
         self._sensors: dict[str, WrenchSensor] = {}
         self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
         self._due: float | None = None  # stamp of joint states without an observation
+        self._units = report.units = Units(rig)
         self.tree = TransformTree()
         self.truth: list[tuple[float, Array]] = []
 
@@ -70,9 +72,11 @@ class ObservationAssembler:
         T_world_palm = self.tree.lookup(world, palm, stamp)
         self._report.observations += 1
         self._report.placed += T_world_palm is not None
-        return Observation(
+        observation = Observation(
             stamp, positions, wrenches=self._wrenches(stamp), T_world_palm=T_world_palm, **vision
         )
+        self._units.put(observation)
+        return observation
 
     def _is_fresh(self, measurement: Measurement, stamp: float) -> bool:
         stale = stamp - measurement.stamp > MAX_AGE_VISION

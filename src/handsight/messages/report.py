@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
+from handsight.messages.units import Units
 from handsight.rig import Rig
 
 
@@ -30,6 +31,8 @@ class Report:
     backwards: tuple[int, float, float] | None = None
     """Joint states whose stamp is more than 1 s before an earlier one's: how many, how far back at most [s], and the
     stamp from where the first of them went back [s]."""
+    units: Units | None = None
+    """What came in other units, it seems."""
     ended: bool = False
     """Whether all messages have come."""
 
@@ -43,6 +46,7 @@ class Report:
                 f"{stamp:.3f} s on ({count} messages; played in a loop, or a clock that was set back?)"
             )
         said += [f"finger {finger}: {what}" for finger, what in self.fingers.items()]
+        said += [] if self.units is None else self.units.sentences()
         for topic in self.topics.values():
             said += topic.sentences()
         joints = self.topics.get(self.joint_states)

@@ -4,66 +4,41 @@ Lengths in metres, angles in degrees, forces in newtons. Every sigma is one stan
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import ClassVar, Literal
 
-import msgspec
 import numpy as np
-from msgspec import Meta, field
+from msgspec import field
 
-from handsight import se3
+from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
+from handsight.contact.fingertips import LARGEST
 from handsight.errors import HandsightError
-from handsight.rig.rig import Camera, Finger, ObjectEntry
+from handsight.rig.form_parts import (
+    Angle,
+    AtLeastZero,
+    Form,
+    LinkPoseForm,
+    Load,
+    Pixels,
+    PoseForm,
+    Positive,
+    Text,
+    Vector,
+)
+from handsight.rig.rig import FARTHEST, LARGEST_HELD, LONGEST_LINK, Camera, Finger, ObjectEntry
 
 VERSION = 1
-FARTHEST = 100.0
-"""Nothing of a rig is farther away than this [m]; beyond it the unit is wrong."""
 HEAVIEST = 2.0
 """Of what hangs on a sensor [kg]; beyond it the unit is wrong."""
-
-Positive = Annotated[float, Meta(gt=0)]
-AtLeastZero = Annotated[float, Meta(ge=0)]
-Text = Annotated[str, Meta(pattern=r"\S")]
-Vector = tuple[float, float, float]
-
-
-class Form(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """One mapping of the file."""
-
-    def given(self) -> dict[str, Any]:
-        """What is said, by the names that the parts have for it; degrees as radians."""
-        return {
-            item.name: float(np.deg2rad(value)) if item.encode_name.endswith("_deg") else value
-            for item in msgspec.structs.fields(self)
-            if (value := getattr(self, item.name)) is not None
-        }
-
-    def sigmas(self) -> dict[str, float]:
-        """Of what is said, the standard deviations."""
-        return {name: value for name, value in self.given().items() if name.startswith("sigma")}
-
-
-class PoseForm(Form):
-    position: Vector = (0.0, 0.0, 0.0)
-    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        if max(map(abs, self.position)) > FARTHEST:
-            raise ValueError(f"position: expected metres, got {list(self.position)} (millimetres?)")
-        self.matrix()
-
-    def matrix(self) -> Array:
-        """(4, 4); raises InvalidInput where the quaternion is zero."""
-        return se3.from_position_quaternion(self.position, self.quaternion_xyzw)
 
 
 class HandForm(Form):
     file: Text
     """URDF or MJCF; a path from the rig file on, or `package://NAME/rest`."""
     palm: Text
-    sigma_joint_offset: AtLeastZero | None = field(name="joint_offset_deg", default=None)
-    sigma_joint: AtLeastZero | None = field(name="joint_noise_deg", default=None)
+    sigma_joint_offset: Angle | None = field(name="joint_offset_deg", default=None)
+    sigma_joint: Angle | None = field(name="joint_noise_deg", default=None)
 
 
 class TipForm(Form):
@@ -94,18 +69,24 @@ class TipForm(Form):
 
 
 class SensorNoiseForm(Form):
-    sigma_force: Positive | None = field(name="force", default=None)
-    sigma_torque: Positive | None = field(name="torque", default=None)
+    sigma_force: Load | None = field(name="force", default=None)
+    sigma_torque: Load | None = field(name="torque", default=None)
 
 
 class BiasForm(Form):
     force: Vector = (0.0, 0.0, 0.0)
     torque: Vector = (0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        for name in ("force", "torque"):
+            checks.load(getattr(self, name), name, (3,))
+
 
 class SensorForm(Form):
+    LONGEST: ClassVar = {"tip_center": LONGEST_LINK}
+
     reading: Literal["on_sensor", "on_tip"]
-    pose: PoseForm | None = None
+    pose: LinkPoseForm | None = None
     """In the finger's frame."""
     noise: SensorNoiseForm | None = None
     bias: BiasForm | None = None
@@ -113,10 +94,11 @@ class SensorForm(Form):
     """[kg]"""
     tip_center: Vector = (0.0, 0.0, 0.0)
     """Of mass, from the sensor."""
-    full_scale: tuple[Positive, Positive] | None = None
+    full_scale: tuple[Load, Load] | None = None
     """Force and torque."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.tip_mass > HEAVIEST:
             raise ValueError(f"tip_mass: expected kilograms, got {self.tip_mass:g} (grams?)")
 
@@ -136,18 +118,20 @@ class SensorForm(Form):
 
 
 class FingerForm(Form):
+    LONGEST: ClassVar = {"sigma_point": LARGEST}
+
     frame: Text
     tip: TipForm
     sensor: SensorForm
-    surface: PoseForm | None = None
+    surface: LinkPoseForm | None = None
     """In the frame."""
     sigma_point: AtLeastZero | None = None
-    sigma_normal: AtLeastZero | None = field(name="sigma_normal_deg", default=None)
+    sigma_normal: Angle | None = field(name="sigma_normal_deg", default=None)
 
     def finger(self) -> Finger:
         """The part of the rig."""
-        sensor, T_frame_surface = self.sensor, (self.surface or PoseForm()).matrix()
-        T_surface_sensor = se3.inverse(T_frame_surface) @ (sensor.pose or PoseForm()).matrix()
+        sensor, T_frame_surface = self.sensor, (self.surface or LinkPoseForm()).matrix()
+        T_surface_sensor = se3.inverse(T_frame_surface) @ (sensor.pose or LinkPoseForm()).matrix()
         return Finger(
             frame=self.frame,
             T_frame_surface=T_frame_surface,
@@ -160,19 +144,21 @@ class FingerForm(Form):
 
 
 class VisionNoiseForm(Form):
+    LONGEST: ClassVar = {"sigma_position": LARGEST_HELD}
+
     sigma_position: AtLeastZero | None = field(name="position", default=None)
-    sigma_rotation: AtLeastZero | None = field(name="rotation_deg", default=None)
+    sigma_rotation: Angle | None = field(name="rotation_deg", default=None)
 
 
 class IntrinsicsForm(Form):
     """[pixels]"""
 
-    width: Positive
-    height: Positive
-    fx: Positive
-    fy: Positive
-    cx: Positive
-    cy: Positive
+    width: Pixels
+    height: Pixels
+    fx: Pixels
+    fy: Pixels
+    cx: Pixels
+    cy: Pixels
 
 
 class CameraForm(Form):
@@ -196,9 +182,11 @@ class CameraForm(Form):
 
 
 class TableForm(Form):
+    LONGEST: ClassVar = {"height": FARTHEST, "sigma_height": LARGEST_HELD}
+
     height: float
     sigma_height: Positive | None = None
-    sigma_tilt: AtLeastZero | None = field(name="sigma_tilt_deg", default=None)
+    sigma_tilt: Angle | None = field(name="sigma_tilt_deg", default=None)
 
 
 class WorldForm(Form):
@@ -229,11 +217,15 @@ class TopicsForm(Form):
 
 
 class CylinderForm(Form):
+    LONGEST: ClassVar = {"radius": LARGEST_HELD, "height": LARGEST_HELD}
+
     radius: Positive
     height: Positive
 
 
 class ObjectForm(Form):
+    LONGEST: ClassVar = {"box": LARGEST_HELD}
+
     box: tuple[Positive, Positive, Positive] | None = None
     cylinder: CylinderForm | None = None
     mesh: Text | None = None
@@ -242,6 +234,7 @@ class ObjectForm(Form):
     """Metres of a unit of the mesh."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         said = [kind for kind in ("box", "cylinder", "mesh") if getattr(self, kind) is not None]
         if len(said) != 1:
             raise ValueError(f"expected one of box, cylinder, mesh, got {' and '.join(said) or 'none'}")

@@ -9,7 +9,7 @@ from handsight.errors import HandsightError, MissingExtra
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
 from handsight.rig.form import VERSION, FramesForm, RigForm, WorldForm
-from handsight.rig.rig import Rig, Table, Topics
+from handsight.rig.rig import Rig, Shared, Table, Topics
 from handsight.rig.yaml_file import YamlFile
 
 
@@ -20,6 +20,13 @@ def load(path: Path) -> Rig:
     if isinstance(version, int | float) and version != VERSION:  # its other keys are that version's
         raise file.wrong(("version",), f"expected {VERSION}, got {checks.brief(version)}")
     form = file.read(RigForm)
+    try:
+        return _rig(form, file)
+    except Shared as error:
+        raise file.wrong(error.field, error.said) from None
+
+
+def _rig(form: RigForm, file: YamlFile) -> Rig:
     world = form.world or WorldForm()
     return Rig(
         hand=_hand(form, file),
@@ -30,7 +37,7 @@ def load(path: Path) -> Rig:
         world_from=None if world.palm_from == "nowhere" else world.palm_from,
         frames=(form.frames or FramesForm()).given(),
         topics=_topics(form, file),
-        objects={name: said.entry(path.parent) for name, said in (form.objects or {}).items()},
+        objects={name: said.entry(file.path.parent) for name, said in (form.objects or {}).items()},
         **form.hand.sigmas(),
     )
 

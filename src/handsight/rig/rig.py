@@ -4,17 +4,38 @@ Every sigma is one standard deviation per axis.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from itertools import combinations
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, WrenchCalibration
 from handsight.errors import InvalidInput
+from handsight.explain import Path as FieldPath
+from handsight.explain import named
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
+
+FARTHEST = 100.0
+"""Nothing of a rig is farther away than this [m]; beyond it the unit is wrong."""
+LONGEST_LINK = 0.5
+"""Of what a fingertip hangs on [m]."""
+LARGEST_HELD = 5.0
+"""Side, radius or height of what is in a hand [m]."""
+SAME_POSE = 1e-9
+"""Two fingertips so alike [m] are one."""
+
+
+class Shared(InvalidInput):
+    """Two parts of a rig have what only one can have."""
+
+    def __init__(self, field: FieldPath, said: str) -> None:
+        super().__init__(f"{named(field)}: {said}")
+        self.field, self.said = field, said
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -40,6 +61,13 @@ class Finger:
     full_scale: tuple[float, float] | None = None
     """Largest force [N] and torque [N m] the sensor can read; at it the reading is no measurement."""
 
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for what is no pose or no standard deviation."""
+        se3.check(self.T_frame_surface, "T_frame_surface")
+        for name in ("sigma_force", "sigma_torque"):
+            checks.sigma(getattr(self, name), name)
+        _check_sigmas(self, "sigma_point", "sigma_normal")
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Camera:
@@ -62,6 +90,11 @@ class Camera:
     sigma_rotation_constant: float = np.deg2rad(6.0)
     """[rad]"""
 
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for what is no pose or no standard deviation."""
+        se3.check(self.T_mount_camera, "T_mount_camera")
+        _check_sigmas(self, *(name for name in Camera.__slots__ if name.startswith("sigma")))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
@@ -73,6 +106,11 @@ class Table:
     """[m]"""
     sigma_tilt: float = np.deg2rad(1.0)
     """Of the object's stand on it [rad]."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for what is no height or no standard deviation."""
+        checks.position(self.height, "height", ())
+        _check_sigmas(self, "sigma_height", "sigma_tilt")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +180,20 @@ class Rig:
     objects: Mapping[str, ObjectEntry] = field(default_factory=dict)
     """By name."""
 
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for a hand without a tip for each finger, and for two fingers or topics that are one."""
+        for name, finger in self.fingers.items():
+            body = self.hand.tips.get(name)
+            if body != finger.frame:
+                expected = (
+                    f"expected the body of the hand's tip {body!r}" if body else "expected a tip of the hand"
+                )
+                raise InvalidInput(f"fingers[{name!r}].frame: {expected}, got {finger.frame!r}")
+        checks.load(self.gravity, "gravity", (3,))
+        _check_sigmas(self, "sigma_joint_offset", "sigma_joint")
+        if found := shared(self):
+            raise Shared(*found)
+
     @classmethod
     def from_file(cls, path: str | Path) -> "Rig":
         """The rig that a YAML file describes; docs/robots.md shows one.
@@ -150,4 +202,47 @@ class Rig:
         """
         from handsight.rig.load import load  # which makes one
 
+        if not isinstance(path, str | Path):
+            raise InvalidInput(f"path: expected a path, got {checks.brief(path)}")
         return load(Path(path))
+
+
+def shared(rig: Rig) -> tuple[FieldPath, str] | None:
+    """Where a rig has two fingers with one body, place or topic, or two topics of one name, and what is wrong then."""
+    frames: dict[FieldPath, str] = {
+        ("fingers", name, "frame"): finger.frame for name, finger in rig.fingers.items()
+    }
+    topics: dict[FieldPath, str] = {
+        ("topics", item.name): getattr(rig.topics, item.name)
+        for item in fields(rig.topics)
+        if item.name != "wrenches" and getattr(rig.topics, item.name) is not None
+    }
+    topics |= {("topics", "wrenches", name): topic for name, topic in rig.topics.wrenches.items()}
+    for kind, values in (("body", frames), ("topic", topics)):
+        owners = dict[str, FieldPath]()
+        for path, value in values.items():
+            if value in owners:
+                return path, f"expected a {kind} of its own, got {value!r}, which is {named(owners[value])}'s"
+            owners[value] = path
+    return _same_place(rig)
+
+
+def _same_place(rig: Rig) -> tuple[FieldPath, str] | None:
+    """The same of two tips of one pose, whatever the joints do."""
+    hand = rig.hand
+    # No two joints alike, so that fingers that are do not meet.
+    positions = {joint: 0.1 + 0.01 * k for k, joint in enumerate(hand.moving)}
+    Ts = dict(zip(hand.tips, hand.Ts_palm_tip(positions), strict=True))
+    Ts = {name: Ts[name] @ finger.T_frame_surface for name, finger in rig.fingers.items()}
+    for one, other in combinations(Ts, 2):
+        if np.abs(Ts[one] - Ts[other]).max() < SAME_POSE:
+            return ("fingers", other, "surface"), f"expected a place of its own, got that of fingers.{one}"
+    return None
+
+
+def _check_sigmas(part: object, *names: str) -> None:
+    """Raises InvalidInput for a standard deviation that is not from zero to the largest there is."""
+    for name in names:
+        value = getattr(part, name)
+        if not 0 <= float(checks.finite(value, name, ())) <= checks.FARTHEST:
+            raise InvalidInput(f"{name}: expected a number from 0 to {checks.FARTHEST:g}, got {value:g}")

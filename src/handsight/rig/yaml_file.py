@@ -10,11 +10,15 @@ from handsight import checks
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.explain import Path as FieldPath
 from handsight.explain import explain, named
+from handsight.files import read_bytes
 
 LARGEST_FILE = 1 << 20
 """Bytes; a rig is a page or two."""
-MOST_VALUES = 50_000
-"""In a file, aliases written out: of a few lines they can make billions."""
+MOST_VALUES = 5_000
+"""In a file, aliases written out: of a few lines they can make billions. A hand of twenty fingers has a thousand, and
+so many take the parser a second or two."""
+LONGEST_NAME = 200
+"""Characters of a field's name in a message."""
 
 Form = TypeVar("Form", bound=msgspec.Struct)
 
@@ -41,7 +45,8 @@ class YamlFile:
 
     def wrong(self, field: FieldPath, said: str) -> InvalidFile:
         """The error that tells what is wrong with a field, at its line."""
-        return InvalidFile(f"{self.path}:{self.line(field)}: {named(field) or 'file'}: {said}")
+        name = named(field)[:LONGEST_NAME] or "file"
+        return InvalidFile(f"{self.path}:{self.line(field)}: {name}: {said}")
 
     def line(self, field: FieldPath) -> int:
         """The line of a field; of what it would be in, where it is not there."""
@@ -65,8 +70,7 @@ class YamlFile:
         """
         self._count += 1
         if self._count > MOST_VALUES:
-            said = f"expected at most {MOST_VALUES} values, got more (aliases of aliases?)"
-            raise InvalidFile(f"{self.path}: {said}")
+            raise _too_many(self.path)
         tag = getattr(getattr(value, "tag", None), "value", None)
         if tag is not None:
             raise self.wrong(field, f"expected values without tags, got {checks.brief(str(tag))}")
@@ -90,26 +94,35 @@ def _loaded(path: Path) -> Any:
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.comments import CommentedMap
-        from ruamel.yaml.error import MarkedYAMLError
+        from ruamel.yaml.error import MarkedYAMLError, YAMLError
     except ImportError:
         raise MissingExtra("rig files need ruamel.yaml: pip install 'handsight[robot]'") from None
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InvalidFile(f"{path}: {error.strerror}") from None
-    if len(data) > LARGEST_FILE:
-        raise InvalidFile(f"{path}: expected a rig of at most {LARGEST_FILE} bytes, got {len(data)}")
-    try:
-        value = YAML(typ="rt", pure=True).load(data.decode("utf-8"))
+        text = read_bytes(path, LARGEST_FILE).decode("utf-8")
     except UnicodeDecodeError:
         raise InvalidFile(f"{path}: expected YAML in UTF-8, got other bytes") from None
+    # A value takes one of these or a line; counting them takes no time.
+    if (
+        sum(line.count(",") + 1 for line in text.splitlines() if not line.lstrip().startswith("#"))
+        > MOST_VALUES
+    ):
+        raise _too_many(path)
+    try:
+        value = YAML(typ="rt", pure=True).load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
         raise InvalidFile(f"{path}{line}: expected YAML, got: {str(error.problem).splitlines()[0]}") from None
-    except Exception as error:  # ruamel's constructors trip over strange tags and merges in many ways
-        said = str(error) or "too deep"
-        raise InvalidFile(f"{path}: expected YAML, got: {said.splitlines()[0]:.200}") from None
+    except (ValueError, RecursionError, YAMLError) as error:
+        raise InvalidFile(f"{path}: expected YAML, got: {str(error).splitlines()[0]:.200}") from None
+    except Exception:  # ruamel's constructors trip over strange tags and merges in many ways
+        raise InvalidFile(
+            f"{path}: expected YAML, got tags, merges or aliases that stand for nothing"
+        ) from None
     if not isinstance(value, CommentedMap):
         raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(value)}")
     return value
+
+
+def _too_many(path: Path) -> InvalidFile:
+    return InvalidFile(f"{path}: expected at most {MOST_VALUES} values, got more (aliases of aliases?)")

@@ -15,10 +15,11 @@ import numpy as np
 
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidFile
+from handsight.files import read_bytes
 from handsight.objects.files.pcd import pcd_columns
 from handsight.objects.files.text import BadText, number_rows, off_shape
 
-LARGEST_FILE = 2_000_000_000
+LARGEST_FILE = 500_000_000
 """Bytes; more is refused."""
 _UNREADABLE = (
     ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, struct.error,
@@ -65,17 +66,7 @@ def content(path: str | os.PathLike[str]) -> bytes:
     if file.suffix.lower() not in READERS:
         known = ", ".join(sorted(READERS))
         raise InvalidFile(f"{file.name}: expected one of {known}, got {file.suffix or 'no extension'}")
-    try:
-        size, folder, regular = file.stat().st_size, file.is_dir(), file.is_file()
-        data = file.read_bytes() if regular and size <= LARGEST_FILE else b""
-    except OSError as error:
-        raise InvalidFile(f"{file.name}: cannot be read: {error.strerror or error}") from None
-    except ValueError:  # a null byte in the path
-        raise InvalidFile(f"{file.name!r}: not a path") from None
-    if not regular:
-        raise InvalidFile(f"{file.name}: expected a file, got {'a folder' if folder else 'something else'}")
-    if size > LARGEST_FILE:
-        raise InvalidFile(f"{file.name}: expected at most {LARGEST_FILE:.0e} bytes, got {size}")
+    data = read_bytes(file, LARGEST_FILE, file.name)
     if not data:
         raise InvalidFile(f"{file.name}: the file is empty")
     return data

@@ -1,0 +1,62 @@
+"""Whether what a robot says is in the units it should be in: told by what its rig says of it."""
+
+from collections import Counter
+
+import numpy as np
+
+from handsight.observation import Observation
+from handsight.rig import Rig
+
+FAR, STRONG = 10.0, 300.0
+"""No hand sees its object farther away [m], no fingertip feels a larger force [N]."""
+OFTEN = 0.1
+"""Part of the observations; less are outliers."""
+
+
+class Units:
+    """What was beyond any hand in the observations so far."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig, self._count, self._beyond = rig, 0, Counter[str]()
+        self._largest: dict[str, tuple[float, str]] = {}
+        limits = zip(rig.hand.joint_names, np.abs(rig.hand.limits).max(axis=1).tolist(), strict=True)
+        # A hinge turns by a radian or two; where a file limits it to less, it may be off by more.
+        self._limits = {
+            name: limit for name, limit in limits if name in rig.hand.moving and np.isfinite(limit)
+        }
+
+    def put(self, observation: Observation) -> None:
+        """Takes in an observation."""
+        self._count += 1
+        positions = observation.joint_positions or {}
+        for name, limit in self._limits.items():
+            value = abs(positions.get(name, 0.0))
+            if value > 2 * limit + 1:
+                degrees, millimetres = np.deg2rad(value), 1e-3 * value
+                meant = (
+                    f"degrees? {degrees:.3g} rad"
+                    if degrees <= 2 * limit
+                    else f"{millimetres:.3g} in thousandths?"
+                )
+                said = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
+                self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, said)
+        for name, wrench in observation.wrenches.items():
+            force = float(np.linalg.norm(wrench[:3]))
+            if force > STRONG:
+                self._note(f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)")
+        seen = observation.vision
+        if seen is not None and seen.frame != "world":
+            distance = float(np.linalg.norm(seen.T_frame_object[:3, 3]))
+            if distance > FAR:
+                said = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
+                self._note(f"{self._rig.topics.vision}: poses", distance, said)
+
+    def _note(self, what: str, value: float, said: str) -> None:
+        self._beyond[what] += 1
+        if value > self._largest.get(what, (0.0, ""))[0]:
+            self._largest[what] = value, said
+
+    def sentences(self) -> list[str]:
+        """What was beyond often; empty: nothing."""
+        often = [what for what, count in self._beyond.items() if count >= OFTEN * self._count]
+        return [f"{what} up to {self._largest[what][1]}" for what in often]

@@ -1,0 +1,32 @@
+"""Joints in degrees, forces in millinewtons and vision in millimetres are told with the likely factor."""
+
+import numpy as np
+
+from handsight import se3
+from handsight.messages.units import Units
+from handsight.observation import Observation, PoseMeasurement
+from messages.ros import JOINTS, rig
+
+
+def said(angle, force, distance):
+    robot = rig()
+    robot.hand.limits = np.tile([-0.3, 1.6], (3, 1))
+    units = Units(robot)
+    T = se3.compose(np.eye(3), np.array([0.0, 0.0, distance]))
+    finger = next(iter(robot.fingers))
+    wrench = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
+    for k in range(20):
+        positions = dict.fromkeys(JOINTS, 0.1) | {"j1": angle}
+        units.put(Observation(0.01 * k, positions, wrenches={finger: wrench}, vision=PoseMeasurement(T)))
+    return units.sentences()
+
+
+def test_units_that_can_be_told_are():
+    joint, force, vision = said(45.0, 2000.0, 650.0)
+    assert joint.endswith("joint 'j1' up to 45 where its file limits it to 1.6 (degrees? 0.785 rad)")
+    assert force.endswith("up to 2000 N (millinewtons? 2 N)")
+    assert vision.endswith("poses up to 650 m away (millimetres? 0.65 m)")
+
+
+def test_what_a_hand_says_is_not_remarked_on():
+    assert said(1.7, 20.0, 0.9) == []
