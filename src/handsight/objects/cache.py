@@ -24,7 +24,7 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
-VERSION = 5
+VERSION = 6
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
