@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from handsight.errors import InvalidFile
+from handsight.errors import InvalidFile, printable
+from handsight.files import read_bytes
 from handsight.messages import CameraIntrinsics, ObservationStream, Report
 from handsight.observation import Observation
 from handsight.recording.chunks import Source
@@ -53,7 +54,7 @@ class RecordingReport(Report):
             if file.truncated:
                 said.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
             damage += [f"{file.path}: damaged: {what}" for _, what in sorted(file.damage.items())]
-        said += damage[:MAX_DAMAGE_TOLD]
+        said = [printable(each) for each in said + damage[:MAX_DAMAGE_TOLD]]
         if len(damage) > MAX_DAMAGE_TOLD:
             said.append(f"{self.files[0].path}: damaged in {len(damage) - MAX_DAMAGE_TOLD} more places")
         return said + Report.sentences(self)  # a dataclass with slots knows no bare super()
@@ -129,7 +130,7 @@ def open_files(path: Path) -> Iterator[Source]:
         metadata = path / "metadata.yaml"
         if not path.is_dir():
             yield _open_file(path)
-        elif metadata.is_file() and COMPRESSED.search(metadata.read_bytes()[:MAX_METADATA]):
+        elif metadata.is_file() and COMPRESSED.search(read_bytes(metadata, MAX_METADATA)):
             yield CompressedFolder(path)
         else:
             files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
