@@ -8,12 +8,18 @@ from typing import Any
 from handsight.errors import InvalidFile
 from handsight.messages import RawMessage
 from handsight.messages.decode import rosbags_module
-from handsight.recording.chunks import MAX_UNPACKED, Source, seconds
+from handsight.recording.chunks import MAX_UNPACKED, TOO_MANY, Budget, Source, seconds
 
+MAX_NAMED = 12
+"""Tables in a message."""
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises; its error messages may themselves be no text."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
-"""A view or a virtual table may compute for ever."""
+PLAIN = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
+"""Not 0 where columns are generated. They, a view or a virtual table may compute for ever."""
+STEPS, SPARE_STEPS, STEPS_A_BYTE = 10_000, 10_000_000, 50
+"""Of sqlite's machine: between two looks at how many there were, and how many a file may take. A message of some bytes
+takes some tens; but pages that refer to one another in a knot never end."""
 
 
 class SqliteSource(Source):
@@ -38,14 +44,26 @@ class SqliteSource(Source):
             if self.truncated:
                 # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
                 self._base.execute("PRAGMA writable_schema = ON")
-            tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
-            if not {"topics", "messages"} <= tables:
-                raise InvalidFile(f"the tables {', '.join(sorted(tables)) or '(none)'}")
+            self._limit(size)
+            self._check_tables()
             for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
                 self.define(key, *map(str, about))
         except (*BROKEN, InvalidFile) as error:
             self._base.close()
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
+
+    def _check_tables(self) -> None:
+        tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
+        if not {"topics", "messages"} <= tables:
+            raise InvalidFile(f"the tables {', '.join(sorted(tables)[:MAX_NAMED]) or '(none)'}")
+        for table in ("topics", "messages"):
+            if self._base.execute(PLAIN, (table,)).fetchone()[0]:
+                raise InvalidFile(f"the table {table} with columns that are computed")
+
+    def _limit(self, size: int) -> None:
+        """From here on, sqlite is interrupted when it has done more than a file of that size asks for."""
+        left = iter(range((SPARE_STEPS + STEPS_A_BYTE * size) // STEPS))
+        self._base.set_progress_handler(lambda: next(left, None) is None, STEPS)
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.messages`; of a cut file in the order in which they were written."""
@@ -54,12 +72,17 @@ class SqliteSource(Source):
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
         chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
         query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"
+        size = self.path.stat().st_size
+        self._limit(size)
+        budget = Budget(size)
         try:
-            for key, log, data in self._base.execute(query):
+            for key, log, data in budget.limited(self._base.execute(query)):
                 if isinstance(log, int) and isinstance(data, bytes):
                     yield RawMessage(*self.channels[key], seconds(log), data)
         except BROKEN as error:
             self.truncated = self.truncated or f"the file cannot be read to its end ({error})"
+        if budget.records == 0:
+            self.damage[0] = TOO_MANY
 
     def close(self) -> None:
         self._base.close()
