@@ -18,6 +18,8 @@ from handsight.observation import VISION_FRAMES, PoseMeasurement
 
 MAX_JOINTS, MAX_TRANSFORMS = 1000, 10_000
 """Of one message."""
+SHORTEST = 4
+"""Bytes of a message that has no more than the count of nothing."""
 MAX_TURNED = 1e6
 """No joint's position is larger [rad or m]; wheels turn far."""
 MAX_PIXELS_ACROSS = 1e6
@@ -105,6 +107,8 @@ def _transforms(message: Any, raw: RawMessage, topic: TopicReport) -> list[Measu
 def _deserialized(raw: RawMessage) -> Any:
     store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
+    if len(raw.data) < SHORTEST:  # millions of them may come
+        raise MessageRejected(f"expected a {kind}, got {len(raw.data)} bytes that are none")
     try:
         return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
