@@ -97,7 +97,7 @@ def spoilt_message(message: Any, rng: random.Random) -> Any:
     elif isinstance(part, str):
         new = rng.choice(["", "\x1b[2J\n", "a" * 3000, "palm", "world", "/camera", "rgb8", "32FC1"])
     elif isinstance(part, int):
-        new = rng.choice([0, 1, 255]) if name == "is_bigendian" else rng.choice([0, 1, 2**31 - 1, part + 1])
+        new = rng.choice([0, 1, 255]) if name == "is_bigendian" else rng.choice([0, 1, 2**31 - 1, part // 2])
     elif isinstance(part, list) and part:
         k = rng.randrange(len(part))
         new = list(part)
@@ -165,7 +165,7 @@ def packed_messages(count: int) -> bytes:
 
 def few_messages() -> None:
     """Of messages that are packed into less than a byte each, few are read, and that is told."""
-    report = read(packed_messages(400_000))
+    report = read(packed_messages(250_000))
     assert report.topics["/joint_states"].bad < 150_000
     assert any("expected at least a byte of the file for each message" in said for said in report.sentences())
 

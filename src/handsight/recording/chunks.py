@@ -5,15 +5,17 @@ Files are hostile until read: no length is believed beyond the file's own, nothi
 
 import math
 import mmap
+import os
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator
 from heapq import heappop, heappush
 from itertools import count
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 from zlib import crc32
 
+from handsight.errors import InvalidFile
 from handsight.files import open_regular
 from handsight.messages import RawMessage
 from handsight.messages.decode import rosbags_module
@@ -26,6 +28,8 @@ OVERHEAD = 300
 """About the bytes that a message takes besides its own."""
 SPARE_RECORDS, SPARE_UNPACKED, MAX_EXPANSION = 100_000, 1 << 28, 200
 """Records and bytes that any file may hold, and bytes for each of its own; robots' data packs to a half or a tenth."""
+SPARE_MESSAGE = 1 << 24
+"""Bytes that any message may unpack to: an image of one colour."""
 TOO_MANY = "expected at least a byte of the file for each message, got more messages"
 MAX_TOPICS = 100_000
 """In a file; more are passed over."""
@@ -53,6 +57,8 @@ class Source(ABC):
         """Topic, type and encoding by what the file calls them."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
+        self.packed = False
+        """Whether each message is compressed by itself, by zstd."""
         self.damage: dict[int, str] = {}
         """By byte: what of it could not be read."""
 
@@ -65,9 +71,22 @@ class Source(ABC):
         self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
         self.channels[key] = topic, self.topics[topic], encoding
 
-    @abstractmethod
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Messages on the wanted topics in order of log time, from the first, each time it is called."""
+        if not self.packed:
+            return self.stored(wanted)
+        return (
+            raw._replace(
+                data=unpacked(
+                    raw.data, "zstd", min(MAX_UNPACKED, SPARE_MESSAGE + MAX_EXPANSION * len(raw.data))
+                )[0]
+            )
+            for raw in self.stored(wanted)
+        )
+
+    @abstractmethod
+    def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """The same, each as it lies in the file."""
 
     @abstractmethod
     def close(self) -> None:
@@ -113,8 +132,8 @@ class ChunkedSource(Source):
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         """The messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
 
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.messages`, as far as MAX_WAITING_BYTES reaches."""
+    def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.stored`, as far as MAX_WAITING_BYTES reaches."""
         self._budget = Budget(len(self.data))
         runs, held, order = list[Run](), 0, count()
         for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
@@ -225,3 +244,29 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     except Exception as error:  # each library has errors of its own on broken bytes; what came before is kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
+
+
+def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
+    """Writes what a file compressed by zstd unpacks to, as far as it is whole; InvalidFile where it is a bomb."""
+    module, name = UNPACKERS["zstd"]
+    new = getattr(rosbags_module(module), name)
+    with open_regular(path) as file:
+        left = SPARE_UNPACKED + MAX_EXPANSION * os.fstat(file.fileno()).st_size
+        unpacker = new()
+        while piece := file.read(PIECE):
+            while piece:
+                try:
+                    out = unpacker.decompress(piece, left + 1)
+                except Exception as error:  # the library's own; what came before is kept
+                    if not unpacked_file.tell():
+                        raise InvalidFile(
+                            f"{path}: expected a file compressed by zstd, got none ({error})"
+                        ) from None
+                    return
+                unpacked_file.write(out)
+                left -= len(out)
+                if left < 0:
+                    raise InvalidFile(
+                        f"{path}: expected at most {MAX_EXPANSION} times its bytes when unpacked, got more"
+                    )
+                piece, unpacker = (unpacker.unused_data, new()) if unpacker.eof else (b"", unpacker)
