@@ -119,6 +119,8 @@ def covariance(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Ar
     if strange.any():
         expected = f"expected standard deviations from {FINEST:g} to {FARTHEST:g}"
         raise InvalidInput(f"{name}: {expected}, got {widest[strange][0]:g}")
+    if (np.abs(array) > 2 * FARTHEST**2).any():  # none is larger than the largest variance
+        raise InvalidInput(f"{name}: expected a positive semidefinite covariance, got a negative eigenvalue")
     transposed = np.swapaxes(array, -1, -2)
     # Entries differ in unit (m², m rad, rad²): compare each with what its own variances allow.
     deviation = np.sqrt(np.abs(np.diagonal(array, axis1=-2, axis2=-1)))

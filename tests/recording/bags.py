@@ -5,7 +5,7 @@ import shutil
 from rosbags import rosbag1, rosbag2
 
 from handsight.recording import open_recording
-from messages.ros import STORES, nanoseconds, rig
+from tests.messages.ros import STORES, nanoseconds, rig
 
 
 def save(folder, rows, kind="mcap", *, compression=None):

@@ -13,6 +13,7 @@ from handsight.errors import HandsightError, InvalidFile
 from handsight.recording import chunks, open_recording
 from messages.ros import START, Messages, everything, rig, touched
 from recording.bags import alone, read, save
+from tests.corpus.recordings import packed_messages
 
 M = Messages()
 EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
@@ -267,3 +268,34 @@ def test_random_bytes_behind_the_magic_are_no_recording(tmp_path_factory, tail):
         path.write_bytes(magic + tail)
         with pytest.raises(InvalidFile):
             read(path)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3"])
+def test_a_file_packed_from_next_to_nothing_is_refused_before_the_disk_is_full(tmp_path, kind, monkeypatch):
+    monkeypatch.setattr(chunks, "SPARE_UNPACKED", 1 << 20)
+    path = save(tmp_path, touched(), kind, compression="FILE")
+    (file,) = path.glob("*.zstd")
+    compress = chunks.rosbags_module(chunks.UNPACKERS["zstd"][0]).compress
+    file.write_bytes(compress(bytes(1 << 24)))
+    with pytest.raises(
+        InvalidFile, match=f"^{file}: expected at most 200 times its bytes when unpacked, got more$"
+    ):
+        open_recording(path, rig())
+    file.write_bytes(b"nothing of that kind")
+    with pytest.raises(InvalidFile, match=f"^{file}: expected a file compressed by zstd, got none"):
+        open_recording(path, rig())
+
+
+def test_empty_messages_do_not_take_memory(tmp_path):
+    """A few kilobytes that unpack to 28 MB of messages of nothing."""
+    path = tmp_path / "a.mcap"
+    path.write_bytes(packed_messages(300_000))
+    tracemalloc.start()
+    observations, recording = read(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert observations == []
+    assert most < 100e6
+    assert any(
+        "at least a byte of the file for each message" in said for said in recording.report.sentences()
+    )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import FARTHEST, Array
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.units import Units
@@ -22,7 +22,8 @@ MIN_STUCK_READINGS = 5
 AT_FULL_SCALE = 0.999
 MAX_DEPTH = 64
 """Transforms from world to palm; beyond it the tree is a circle."""
-MAX_FRAMES = 10_000
+MAX_FRAMES, MAX_PUBLISHERS = 10_000, 1000
+"""What is kept at most: frames of /tf, and sets of joints that are published together."""
 
 
 class ObservationAssembler:
@@ -43,6 +44,8 @@ class ObservationAssembler:
         done = self.finish() if self._due is not None and measurement.stamp > self._due else None
         role = measurement.topic.role
         if role == "joints":
+            if len(self._joints) >= MAX_PUBLISHERS:
+                self._joints.clear()
             self._joints[tuple(measurement.value)] = measurement
             self._due = measurement.stamp
         elif role == "wrench":
@@ -173,7 +176,8 @@ class TransformTree:
         if common is None:
             return None
         T = above_source[common]
-        return T if common == target else se3.inverse(above_target[common]) @ T
+        T = T if common == target else se3.inverse(above_target[common]) @ T
+        return T if np.abs(T[:3, 3]).max() <= FARTHEST else None  # many of them may lead anywhere
 
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
         """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""

@@ -9,12 +9,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handsight.checks import Array
+from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import images
 from handsight.messages.fast_cdr import FastCdrReader
 from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
+
+MAX_JOINTS, MAX_TRANSFORMS = 1000, 10_000
+"""Of one message."""
+SHORTEST = 4
+"""Bytes of a message that has no more than the count of nothing."""
+MAX_TURNED = 1e6
+"""No joint's position is larger [rad or m]; wheels turn far."""
+MAX_PIXELS_ACROSS = 1e6
+"""No focal length or principal point is larger [pixels]."""
 
 
 class CameraIntrinsics(NamedTuple):
@@ -82,6 +91,8 @@ def _decode_fast(raw: RawMessage, role: Role, fast: FastCdrReader) -> tuple[floa
 def _transforms(message: Any, raw: RawMessage, topic: TopicReport) -> list[Measurement]:
     """Each transform by itself: one that cannot be used does not spoil the others."""
     found = []
+    if len(message.transforms) > MAX_TRANSFORMS:
+        raise MessageRejected(f"expected at most {MAX_TRANSFORMS} transforms, got {len(message.transforms)}")
     for each in message.transforms:
         topic.messages += 1
         parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
@@ -96,6 +107,8 @@ def _transforms(message: Any, raw: RawMessage, topic: TopicReport) -> list[Measu
 def _deserialized(raw: RawMessage) -> Any:
     store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
+    if len(raw.data) < SHORTEST:  # millions of them may come
+        raise MessageRejected(f"expected a {kind}, got {len(raw.data)} bytes that are none")
     try:
         return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
@@ -135,16 +148,31 @@ def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, fl
     found = dict(zip(names, positions, strict=True))
     if len(found) != len(names):
         raise MessageRejected("expected each joint once, got one name twice")
-    if not all(map(isfinite, positions)):
-        bad = [name for name, position in found.items() if not isfinite(position)]
-        raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
+    if len(found) > MAX_JOINTS:
+        raise MessageRejected(f"expected at most {MAX_JOINTS} joints, got {len(found)}")
+    if not hypot(*positions) <= MAX_TURNED:
+        _check_positions(found)
     return found
+
+
+def _check_positions(positions: Mapping[str, float]) -> None:
+    bad = [name for name, position in positions.items() if not isfinite(position)]
+    if bad:
+        raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
+    name = max(positions, key=lambda name: abs(positions[name]))
+    if abs(positions[name]) > MAX_TURNED:
+        raise MessageRejected(
+            f"joint {name}: expected a position within {MAX_TURNED:g}, got {positions[name]:g}"
+        )
 
 
 def _wrench(values: Sequence[float]) -> Array:
     """(6,)"""
-    if not all(map(isfinite, values)):
-        raise MessageRejected("force or torque is not finite", nan=True)
+    if not hypot(*values) <= STRONGEST:
+        if not all(map(isfinite, values)):
+            raise MessageRejected("force or torque is not finite", nan=True)
+        if (most := max(map(abs, values))) > STRONGEST:
+            raise MessageRejected(f"expected a force and torque within {STRONGEST:g} N and N m, got {most:g}")
     return np.array(values)
 
 
@@ -159,6 +187,8 @@ def _rigid_transform(position: Any, orientation: Any) -> Array:
     length = hypot(x, y, z, w)
     if not isfinite(length + abs(p.x) + abs(p.y) + abs(p.z)):
         raise MessageRejected("position or orientation is not finite", nan=True)
+    if (far := max(abs(p.x), abs(p.y), abs(p.z))) > FARTHEST:
+        raise MessageRejected(f"expected a position within {FARTHEST:g} m, got {far:g}")
     if length < 1e-6:
         raise MessageRejected("expected an orientation, got a quaternion of length 0")
     x, y, z, w = x / length, y / length, z / length, w / length
@@ -207,6 +237,9 @@ def _intrinsics(message: Any, _: Mapping[str, str]) -> CameraIntrinsics:
         raise MessageRejected("intrinsics are not finite", nan=True)
     if not (K[0, 0] > 0 and K[1, 1] > 0):
         raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
+    if np.abs(K).max() > MAX_PIXELS_ACROSS:
+        most = np.abs(K).max()
+        raise MessageRejected(f"expected intrinsics within {MAX_PIXELS_ACROSS:g} pixels, got {most:g}")
     return CameraIntrinsics(K, (int(message.width), int(message.height)))
 
 

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight.checks import FARTHEST
 from handsight.errors import MissingExtra
 from handsight.messages.topics import MessageRejected
 
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
 
-MAX_PIXELS = 50_000_000
+MAX_PIXELS = 20_000_000
+"""Of a compressed image, before it is unpacked; a kilobyte may hold as many."""
 MAX_MEDIAN_M = 20.0
 """A depth image whose median is beyond it [m] is not in metres."""
 MIN_MEDIAN_MM = 20
@@ -63,7 +65,7 @@ def _metres(pixels: NDArray[Any]) -> Depth:
     integers = pixels.dtype.kind == "u"
     metres = pixels.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        metres[~((metres > 0) & np.isfinite(metres))] = np.nan
+        metres[~((metres > 0) & (metres < (np.inf if integers else FARTHEST)))] = np.nan
     sample = metres[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan

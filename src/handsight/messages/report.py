@@ -4,10 +4,17 @@ import difflib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import islice
 
+from handsight.errors import printable
 from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
 from handsight.messages.units import Units
 from handsight.rig import Rig
+
+MAX_TOLD = 12
+"""Sentences of one kind."""
+MAX_COMPARED = 1000
+"""Names, and characters of one, among which the nearest is looked for."""
 
 
 @dataclass(slots=True)
@@ -45,7 +52,7 @@ class Report:
                 f"{self.joint_states}: stamps go back by up to {far:.3f} s from "
                 f"{stamp:.3f} s on ({count} messages; played in a loop, or a clock that was set back?)"
             )
-        said += [f"finger {finger}: {what}" for finger, what in self.fingers.items()]
+        said += few([f"finger {finger}: {what}" for finger, what in self.fingers.items()])
         said += [] if self.units is None else self.units.sentences()
         for topic in self.topics.values():
             said += topic.sentences()
@@ -54,11 +61,19 @@ class Report:
             said.append(
                 f"{joints.name}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
             )
-        for finger, count in self.without.items():
-            said.append(f"finger {finger}: no wrench in {count} of {self.observations} observations")
-        for name in sorted(name for name, kind in self.others.items() if kind == WRENCH):
-            said.append(f"{name}: wrenches of no finger of the rig; not used")
-        return said
+        of = f"of {self.observations} observations"
+        said += few([f"finger {finger}: no wrench in {count} {of}" for finger, count in self.without.items()])
+        others = sorted(name for name, kind in self.others.items() if kind == WRENCH)
+        return [printable(each) for each in said] + few(
+            [f"{name}: wrenches of no finger of the rig; not used" for name in others]
+        )
+
+
+def few(sentences: list[str]) -> list[str]:
+    """The first of many sentences of one kind, each in a line, and how many more there are."""
+    more = len(sentences) - MAX_TOLD
+    said = [printable(each) for each in sentences[:MAX_TOLD]]
+    return [*said, f"and {more} more like that"] if more > 0 else said
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
@@ -78,11 +93,12 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         lacking += [] if topic is None else _missing_topic(report, topic, what)
     if rig.world_from == "tf" and topics.tf is not None:
         lacking += _missing_frames(rig, report, topics.tf, frames)
+    unheard = list[str]()
     for joint in rig.hand.moving if report.observations else ():
         if joint not in joint_names:
             near = _nearest(joint, joint_names)
-            lacking.append(f"joint {joint!r}: never on {topics.joint_states}{near}")
-    return lacking
+            unheard.append(f"joint {joint!r}: never on {topics.joint_states}{near}")
+    return [printable(each) for each in lacking] + few(unheard)
 
 
 def _missing_topic(report: Report, topic: str, what: str) -> list[str]:
@@ -112,5 +128,6 @@ def _missing_frames(rig: Rig, report: Report, topic: str, frames: set[str]) -> l
 
 
 def _nearest(name: str, there: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, sorted(there), n=1, cutoff=0.5)
+    known = islice((each for each in there if len(each) < MAX_COMPARED), MAX_COMPARED)
+    near = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.5)
     return f"; the nearest is {near[0]!r}" if near else ""

@@ -11,6 +11,9 @@ from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
 from handsight.rig import Rig
 
+MAX_NAMES = 10_000
+"""Of joints, that are kept to say which is missing."""
+
 
 class ObservationStream:
     """Observations from a robot's messages, which are put in as they come; see the package for what may be relied on.
@@ -64,7 +67,7 @@ class ObservationStream:
                 self.intrinsics = measurement.value
                 topic.used += 1
             else:
-                if topic.role == "joints":
+                if topic.role == "joints" and len(self._joint_names) < MAX_NAMES:
                     self._joint_names.update(measurement.value)
                 found += self._assembled(self._order.put(measurement))
         return found

@@ -175,13 +175,14 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
 
 def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
     shape = shape_of(file, data)
-    points = scale * shape.vertices
+    with np.errstate(over="ignore"):  # told below
+        points = scale * shape.vertices
     try:
         if shape.faces is None:
             geometry = _of_points(*_checked_points(points, shape.normals))
         else:
             geometry = _of_mesh(_checked_mesh(points, shape.faces))
-    except InvalidObject as error:
+    except (InvalidObject, InvalidInput) as error:
         raise InvalidObject(f"{file.name}: {error}") from None
     remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
     return dataclasses.replace(geometry, remarks=remarks)

@@ -3,15 +3,20 @@
 Files are hostile until read: no length is believed beyond the file's own, nothing is unpacked beyond a limit.
 """
 
+import math
 import mmap
+import os
 import sys
 from abc import ABC, abstractmethod
-from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator
+from heapq import heappop, heappush
+from itertools import count
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 from zlib import crc32
 
+from handsight.errors import InvalidFile
+from handsight.files import open_regular
 from handsight.messages import RawMessage
 from handsight.messages.decode import rosbags_module
 
@@ -19,6 +24,15 @@ MAX_UNPACKED = 1 << 27
 """Bytes that a chunk may unpack to; recorders write 1 to 16 MiB."""
 MAX_WAITING_BYTES = 1 << 28
 """Bytes that overlapping chunks may hold back until their turn."""
+OVERHEAD = 300
+"""About the bytes that a message takes besides its own."""
+SPARE_RECORDS, SPARE_UNPACKED, MAX_EXPANSION = 100_000, 1 << 28, 200
+"""Records and bytes that any file may hold, and bytes for each of its own; robots' data packs to a half or a tenth."""
+SPARE_MESSAGE = 1 << 24
+"""Bytes that any message may unpack to: an image of one colour."""
+TOO_MANY = "expected at least a byte of the file for each message, got more messages"
+MAX_TOPICS = 100_000
+"""In a file; more are passed over."""
 PIECE = 1 << 16
 """Bytes unpacked at a time: what came before a fault is kept."""
 UNPACKERS = {
@@ -43,18 +57,36 @@ class Source(ABC):
         """Topic, type and encoding by what the file calls them."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
+        self.packed = False
+        """Whether each message is compressed by itself, by zstd."""
         self.damage: dict[int, str] = {}
         """By byte: what of it could not be read."""
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
         """Take in what the file calls `key`; `kind`: as ROS 1 or ROS 2 writes it."""
+        if topic not in self.topics and len(self.topics) >= MAX_TOPICS:
+            self.damage[-1] = f"expected at most {MAX_TOPICS} topics, got more, which were left out"
+            return
         package, _, rest = kind.partition("/")
         self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
         self.channels[key] = topic, self.topics[topic], encoding
 
-    @abstractmethod
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Messages on the wanted topics in order of log time, from the first, each time it is called."""
+        if not self.packed:
+            return self.stored(wanted)
+        return (
+            raw._replace(
+                data=unpacked(
+                    raw.data, "zstd", min(MAX_UNPACKED, SPARE_MESSAGE + MAX_EXPANSION * len(raw.data))
+                )[0]
+            )
+            for raw in self.stored(wanted)
+        )
+
+    @abstractmethod
+    def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """The same, each as it lies in the file."""
 
     @abstractmethod
     def close(self) -> None:
@@ -84,9 +116,9 @@ class ChunkedSource(Source):
     def __init__(self, path: Path) -> None:
         """Index of its chunks; `path` is known to begin with MAGIC."""
         super().__init__(path)
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self._chunks = list(self._index())
+        self._chunks, self._budget = list(self._index()), Budget(len(self.data))
         # Whoever closed the file repeated its topics outside the chunks; else they are only in them.
         if self.truncated or not self.topics:
             for chunk in self._chunks:
@@ -100,32 +132,88 @@ class ChunkedSource(Source):
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         """The messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
 
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.messages`, as far as MAX_WAITING_BYTES reaches."""
-        waiting: list[RawMessage] = []
-        for chunk in sorted(self._chunks, key=lambda chunk: chunk.start):
-            ready = bisect_left(waiting, seconds(chunk.start), key=lambda raw: raw.log_time)
-            yield from waiting[:ready]
-            del waiting[:ready]
-            waiting += self._read(wanted, chunk)
-            waiting.sort(key=lambda raw: raw.log_time)
-            if sum(len(raw.data) for raw in waiting) > MAX_WAITING_BYTES:
-                yield from waiting
-                waiting.clear()
-        yield from waiting
+    def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.stored`, as far as MAX_WAITING_BYTES reaches."""
+        self._budget = Budget(len(self.data))
+        runs, held, order = list[Run](), 0, count()
+        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
+            stop = math.inf if chunk is None or held > MAX_WAITING_BYTES else seconds(chunk.start)
+            while runs and runs[0].head < stop:
+                run = heappop(runs)
+                yield from _released(run.waiting, min(stop, runs[0].head if runs else math.inf))
+                if run.waiting:
+                    heappush(runs, run._replace(head=run.waiting[-1].log_time))
+                else:
+                    held -= run.size
+            if chunk is not None and (found := self._read(wanted, chunk)):
+                found.reverse()  # what is first can be taken off the end, and of equal times stays first
+                found.sort(key=lambda raw: raw.log_time, reverse=True)
+                size = sum(len(raw.data) + OVERHEAD for raw in found)
+                heappush(runs, Run(found[-1].log_time, next(order), found, size))
+                held += size
 
     def _read(self, wanted: Collection[str], chunk: Chunk) -> list[RawMessage]:
+        if (spent := self._budget.spent(chunk)) is not None:
+            self.damage[chunk.offset] = f"chunk at byte {chunk.offset}: {spent}; left out"
+            return []
         packed = self.data[chunk.offset : chunk.offset + chunk.length]
         data, fault = unpacked(packed, chunk.compression, chunk.size)
         if fault is None and chunk.crc and crc32(data) != chunk.crc:
             data, fault = b"", "its checksum does not match"
         found, wrong = self._parse(data, wanted)
+        wrong = wrong if self._budget.records > 0 else TOO_MANY
         if fault or wrong:
             self.damage[chunk.offset] = f"chunk at byte {chunk.offset}: {fault or wrong}"
         return found
 
     def close(self) -> None:
         self.data.close()
+
+
+class Run(NamedTuple):
+    """Messages of a chunk that wait for what other chunks have before them."""
+
+    head: float
+    """Log time of the first [s]."""
+    order: int
+    """Of equal times, the chunk that began earlier goes first."""
+    waiting: list[RawMessage]
+    """The first at the end."""
+    size: int
+    """About the bytes they hold."""
+
+
+def _released(waiting: list[RawMessage], stop: float) -> Iterator[RawMessage]:
+    """The first, and those before `stop`."""
+    yield waiting.pop()
+    while waiting and waiting[-1].log_time < stop:
+        yield waiting.pop()
+
+
+class Budget:
+    """What a file of so many bytes may hold; a few kilobytes may be packed from millions of empty messages."""
+
+    def __init__(self, size: int) -> None:
+        self.records = SPARE_RECORDS + size
+        """That may still be read: none is packed into less than a byte."""
+        self._bytes = SPARE_UNPACKED + MAX_EXPANSION * size
+
+    def spent(self, chunk: Chunk) -> str | None:
+        """Why the chunk is not to be read (None: it is), and takes in that it is."""
+        self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
+        if self._bytes < 0:
+            return f"expected at most {MAX_EXPANSION} times the file's bytes in all its chunks, got more"
+        return None if self.records > 0 else TOO_MANY
+
+    def limited(self, records: Iterable[Any]) -> Iterator[Any]:
+        """As many of them as may still be read."""
+        left = self.records
+        try:
+            for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
+                left = after
+                yield each
+        finally:
+            self.records = left
 
 
 def seconds(nanoseconds: int) -> float:
@@ -156,3 +244,29 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     except Exception as error:  # each library has errors of its own on broken bytes; what came before is kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
+
+
+def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
+    """Writes what a file compressed by zstd unpacks to, as far as it is whole; InvalidFile where it is a bomb."""
+    module, name = UNPACKERS["zstd"]
+    new = getattr(rosbags_module(module), name)
+    with open_regular(path) as file:
+        left = SPARE_UNPACKED + MAX_EXPANSION * os.fstat(file.fileno()).st_size
+        unpacker = new()
+        while piece := file.read(PIECE):
+            while piece:
+                try:
+                    out = unpacker.decompress(piece, left + 1)
+                except Exception as error:  # the library's own; what came before is kept
+                    if not unpacked_file.tell():
+                        raise InvalidFile(
+                            f"{path}: expected a file compressed by zstd, got none ({error})"
+                        ) from None
+                    return
+                unpacked_file.write(out)
+                left -= len(out)
+                if left < 0:
+                    raise InvalidFile(
+                        f"{path}: expected at most {MAX_EXPANSION} times its bytes when unpacked, got more"
+                    )
+                piece, unpacker = (unpacker.unused_data, new()) if unpacker.eof else (b"", unpacker)

@@ -69,7 +69,7 @@ class McapSource(ChunkedSource):
 
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, read = [], 0
-        for op, begin, end in _records(data, 0, len(data)):
+        for op, begin, end in self._budget.limited(_records(data, 0, len(data))):
             if end > len(data) or op not in (SCHEMA, CHANNEL, MESSAGE):
                 break
             read = end

@@ -5,15 +5,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Self
 
-from handsight.errors import InvalidFile
+from handsight.errors import InvalidFile, printable
+from handsight.files import read_bytes
 from handsight.messages import CameraIntrinsics, ObservationStream, Report
 from handsight.observation import Observation
-from handsight.recording.chunks import Source
+from handsight.recording.chunks import Source, unpack_file
 from handsight.recording.mcap import McapSource
 from handsight.recording.rosbag1 import Rosbag1Source
-from handsight.recording.rosbag2 import CompressedFolder, SqliteSource
+from handsight.recording.rosbag2 import SqliteSource
 from handsight.rig import Rig
 
 KINDS: tuple[type[Source], ...] = (McapSource, Rosbag1Source, SqliteSource)
@@ -53,7 +55,7 @@ class RecordingReport(Report):
             if file.truncated:
                 said.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
             damage += [f"{file.path}: damaged: {what}" for _, what in sorted(file.damage.items())]
-        said += damage[:MAX_DAMAGE_TOLD]
+        said = [printable(each) for each in said + damage[:MAX_DAMAGE_TOLD]]
         if len(damage) > MAX_DAMAGE_TOLD:
             said.append(f"{self.files[0].path}: damaged in {len(damage) - MAX_DAMAGE_TOLD} more places")
         return said + Report.sentences(self)  # a dataclass with slots knows no bare super()
@@ -129,15 +131,33 @@ def open_files(path: Path) -> Iterator[Source]:
         metadata = path / "metadata.yaml"
         if not path.is_dir():
             yield _open_file(path)
-        elif metadata.is_file() and COMPRESSED.search(metadata.read_bytes()[:MAX_METADATA]):
-            yield CompressedFolder(path)
-        else:
-            files = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
-            if not files:
-                raise InvalidFile(f"{path}: {EXPECTED}, got a folder without .mcap or .db3 files")
-            yield from map(_open_file, sorted(files, key=lambda file: (len(file.name), file.name)))
+            return
+        mode = COMPRESSED.search(read_bytes(metadata, MAX_METADATA)) if metadata.exists() else None
+        packed = mode is not None and mode[1].lower() == b"file"
+        endings = (".mcap.zstd", ".db3.zstd") if packed else (".mcap", ".db3")
+        files = [file for file in path.iterdir() if file.name.endswith(endings)]
+        if not files:
+            raise InvalidFile(f"{path}: {EXPECTED}, got a folder without {' or '.join(endings)} files")
+        for file in sorted(files, key=lambda file: (len(file.name), file.name)):
+            source = _open_packed(file) if packed else _open_file(file)
+            source.packed = mode is not None and not packed
+            yield source
     except OSError as error:
         raise InvalidFile(f"{error.filename or path}: {error.strerror or error}") from None
+
+
+def _open_packed(path: Path) -> Source:
+    """A file that is compressed as a whole, unpacked to one that is gone when it is closed."""
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # not where open files cannot be removed
+        unpacked = Path(folder) / path.stem
+        with unpacked.open("wb") as file:
+            unpack_file(path, file)
+        try:
+            source = _open_file(unpacked)
+        except InvalidFile as error:
+            raise InvalidFile(str(error).replace(str(unpacked), str(path))) from None
+    source.path = path
+    return source
 
 
 def _open_file(path: Path) -> Source:

@@ -21,7 +21,7 @@ class Rosbag1Source(ChunkedSource):
     MAGIC = b"#ROSBAG V2.0\n"
 
     def _index(self) -> list[Chunk]:
-        size, chunks, starts = len(self.data), list[Chunk](), list[int]()
+        size, chunks, first = len(self.data), list[Chunk](), True  # of the indices behind a chunk
         closed, at = False, len(self.MAGIC)
         for fields, begin, at in _records(self.data, len(self.MAGIC), size):
             op = fields.get(b"op")
@@ -34,12 +34,13 @@ class Rosbag1Source(ChunkedSource):
                 compression = fields.get(b"compression", b"")[:20].decode("ascii", "replace")
                 unpacked = int.from_bytes(fields.get(b"size", b"")[:8], "little")
                 chunks.append(Chunk(start, begin, length, compression, unpacked))
-                starts.clear()
+                first = True
             elif op == INDEX and chunks and at <= size:
                 entries = ENTRY.iter_unpack(self.data[begin : at - (at - begin) % ENTRY.size])
                 times = (sec * 10**9 + nanosec for sec, nanosec, _ in entries)
-                starts.append(min(times, default=chunks[-1].start))
-                chunks[-1] = chunks[-1]._replace(start=min(starts))
+                earliest = min(times, default=chunks[-1].start)
+                chunks[-1] = chunks[-1]._replace(start=earliest if first else min(earliest, chunks[-1].start))
+                first = False
             elif op == CONNECTION and at <= size:
                 self._take(fields, self.data[begin:at])
         if at != size:
@@ -50,7 +51,7 @@ class Rosbag1Source(ChunkedSource):
 
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, end = [], 0
-        for fields, begin, end in _records(data, 0, len(data)):
+        for fields, begin, end in self._budget.limited(_records(data, 0, len(data))):
             op = fields.get(b"op")
             if end > len(data):
                 break

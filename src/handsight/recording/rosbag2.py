@@ -1,19 +1,23 @@
-"""Rosbag 2's own storage: sqlite3 files (`.db3`), complete or cut, and folders that are compressed as wholes."""
+"""Rosbag 2's own storage: sqlite3 files (`.db3`), complete or cut."""
 
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
 
 from handsight.errors import InvalidFile
 from handsight.messages import RawMessage
-from handsight.messages.decode import rosbags_module
-from handsight.recording.chunks import MAX_UNPACKED, Source, seconds
+from handsight.recording.chunks import MAX_UNPACKED, TOO_MANY, Budget, Source, seconds
 
+MAX_NAMED = 12
+"""Tables in a message."""
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises; its error messages may themselves be no text."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
-"""A view or a virtual table may compute for ever."""
+PLAIN = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
+"""Not 0 where columns are generated. They, a view or a virtual table may compute for ever."""
+STEPS, SPARE_STEPS, STEPS_A_BYTE = 10_000, 300_000, 5
+"""Of sqlite's machine: between two looks at how many there were, and how many a file may take. A message of some bytes
+takes some tens; but pages that refer to one another in a knot never end."""
 
 
 class SqliteSource(Source):
@@ -38,56 +42,45 @@ class SqliteSource(Source):
             if self.truncated:
                 # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
                 self._base.execute("PRAGMA writable_schema = ON")
-            tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
-            if not {"topics", "messages"} <= tables:
-                raise InvalidFile(f"the tables {', '.join(sorted(tables)) or '(none)'}")
+            self._size = size
+            self._limit(size)
+            self._check_tables()
             for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
                 self.define(key, *map(str, about))
         except (*BROKEN, InvalidFile) as error:
             self._base.close()
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
 
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.messages`; of a cut file in the order in which they were written."""
+    def _check_tables(self) -> None:
+        tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
+        if not {"topics", "messages"} <= tables:
+            raise InvalidFile(f"the tables {', '.join(sorted(tables)[:MAX_NAMED]) or '(none)'}")
+        for table in ("topics", "messages"):
+            if self._base.execute(PLAIN, (table,)).fetchone()[0]:
+                raise InvalidFile(f"the table {table} with columns that are computed")
+
+    def _limit(self, size: int) -> None:
+        """From here on, sqlite is interrupted when it has done more than a file of that size asks for."""
+        left = iter(range((SPARE_STEPS + STEPS_A_BYTE * size) // STEPS))
+        self._base.set_progress_handler(lambda: next(left, None) is None, STEPS)
+
+    def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
+        """As `Source.stored`; of a cut file in the order in which they were written."""
         keys = [key for key, about in self.channels.items() if about[0] in wanted and isinstance(key, int)]
         # The index by time lies all over the file: of a cut one, the rows as they were written.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
         chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
         query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"
+        self._limit(self._size)
+        budget = Budget(self._size)
         try:
-            for key, log, data in self._base.execute(query):
+            for key, log, data in budget.limited(self._base.execute(query)):
                 if isinstance(log, int) and isinstance(data, bytes):
                     yield RawMessage(*self.channels[key], seconds(log), data)
         except BROKEN as error:
             self.truncated = self.truncated or f"the file cannot be read to its end ({error})"
+        if budget.records == 0:
+            self.damage[0] = TOO_MANY
 
     def close(self) -> None:
         self._base.close()
-
-
-class CompressedFolder(Source):
-    """A rosbag 2 whose files or messages are compressed as wholes; rosbags unpacks it."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises InvalidFile where rosbags cannot open it, MissingExtra."""
-        super().__init__(path)
-        rosbag2 = rosbags_module("rosbags.rosbag2")
-        try:
-            self._reader: Any = rosbag2.Reader(path)
-            self._reader.open()
-        except Exception as error:  # rosbags and what it is built on raise many kinds on a broken file
-            raise InvalidFile(f"{path}: expected a rosbag 2, got: {error}") from None
-        for c in self._reader.connections:
-            self.define(c.id, c.topic, c.msgtype, "cdr")
-
-    def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.messages`."""
-        connections = [c for c in self._reader.connections if c.topic in wanted]
-        try:
-            for c, log, data in self._reader.messages(connections) if connections else ():
-                yield RawMessage(*self.channels[c.id], seconds(log), bytes(data))
-        except Exception as error:  # as above
-            self.truncated = f"it cannot be read to its end ({error})"
-
-    def close(self) -> None:
-        self._reader.close()

@@ -3,14 +3,15 @@
 https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
 
+import codecs
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, chain, islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.objects.files.text import BadText, number_table
+from handsight.objects.files.text import BadText, number_table, rows, text_lines
 
 _WHOLE = (1, 2, 4, 8)
 _DTYPES = {
@@ -51,7 +52,7 @@ def pcd_columns(data: bytes) -> dict[str, NDArray[Any]]:
 
 def _header(data: bytes) -> _Header:
     entries: dict[str, list[str]] = {}
-    at = 0
+    at = len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0
     while "DATA" not in entries:
         end = data.find(b"\n", at)
         if end < 0 or end - at > 10_000 or len(entries) > 20:
@@ -73,7 +74,7 @@ def _header(data: bytes) -> _Header:
 
 def _whole(entries: dict[str, list[str]], key: str, length: int) -> list[int]:
     words = entries.get(key, [])
-    if len(words) != length or not all(word.isdigit() and len(word) < 19 for word in words):
+    if len(words) != length or not all(word.isdecimal() and len(word) < 19 for word in words):
         raise BadText(f"{key}: expected {length} whole numbers, got {' '.join(words)[:40]!r}")
     return [int(word) for word in words]
 
@@ -93,11 +94,14 @@ def _row(entries: dict[str, list[str]], length: int) -> np.dtype[Any]:
 
 
 def _ascii(header: _Header) -> list[NDArray[Any]]:
-    ends, words = list(accumulate(count for _, count in header.parts)), header.body.split()
+    ends = list(accumulate(count for _, count in header.parts))
     width = ends.pop()
-    if len(words) < header.points * width:
-        raise BadText(f"expected {header.points} points of {width} numbers, got {len(words)} numbers")
-    return np.split(number_table(words[: header.points * width], width), ends, axis=1)
+    words = chain.from_iterable(rows(text_lines(header.body)))
+    expected = header.points * width
+    numbers = number_table([islice(words, min(expected, len(header.body)))], 1)
+    if len(numbers) < expected:
+        raise BadText(f"expected {header.points} points of {width} numbers, got {len(numbers)} numbers")
+    return np.split(numbers.reshape(-1, width), ends, axis=1)
 
 
 def _binary(header: _Header) -> list[NDArray[Any]]:
