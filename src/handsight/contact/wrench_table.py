@@ -4,10 +4,10 @@ import csv
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, count, islice, repeat
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -18,6 +18,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
 from handsight.explain import explain, named
+from handsight.places import called
 
 Place = str | os.PathLike[str] | TextIO
 
@@ -25,6 +26,8 @@ NUMBERS = ("fx", "fy", "fz", "tx", "ty", "tz")
 LABELS = ("stamp", "finger")
 CHUNK = 8192
 """Rows at a time."""
+LONGEST = 100_000
+"""Characters of a line."""
 WRENCHES_HELP = """\
 Wrenches: CSV with a header, columns in any order
   fx, fy, fz  force of the object on the tip [N]
@@ -57,11 +60,11 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
     Blank lines are no rows. Raises InvalidFile naming the file, the line, the column, what was expected and what came;
     also for a file without a row.
     """
-    name = str(source if isinstance(source, str | os.PathLike) else getattr(source, "name", "stream"))
+    name = str(source) if isinstance(source, str | os.PathLike) else called(source)
     empty = True
     try:
-        with _source(source) as lines:
-            rows = _rows(lines, name)
+        with _source(source) as file:
+            rows = _rows(_lines(file, name), name)
             while some := list(islice(rows, chunk)):
                 empty = False
                 numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
@@ -74,14 +77,28 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
         raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
 
 
-def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
+def _lines(file: TextIO, name: str) -> Iterator[str]:
+    """The lines, without a byte order mark before the first."""
+    mark = "\ufeff"
+    for i in count(1):
+        line = file.readline(LONGEST + 1)
+        if len(line) > LONGEST:
+            raise InvalidFile(f"{name}: line {i}: expected at most {LONGEST} characters, got more")
+        if not line:
+            return
+        yield line.removeprefix(mark)
+        mark = ""
+
+
+def _rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
     """The rows of either format."""
-    lines = iter(lines)
-    begun = [next(lines, "").removeprefix("\ufeff")]
-    while not begun[-1].strip() and (line := next(lines, "")):
-        begun.append(line)
-    parse = _json_rows if begun[-1].lstrip().startswith("{") else _csv_rows
-    return parse(chain(begun, lines), name)
+    blank, first = 0, ""
+    for first in lines:
+        if first.strip():
+            break
+        blank += 1
+    parse = _json_rows if first.lstrip().startswith("{") else _csv_rows
+    return parse(chain(repeat("\n", blank), [first], lines), name)
 
 
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:

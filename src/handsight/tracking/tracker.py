@@ -11,7 +11,7 @@ from handsight import checks, se3
 from handsight._kernels.warm import warm_tracker
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import PoseEstimate, PosePrior, correct_pose, refine_pose
+from handsight.correction import MOST_SAMPLES, PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
@@ -32,6 +32,8 @@ RETRY_EVERY = 0.1
 """The same when the fingers that touch have changed since."""
 RENEW_AFTER = 0.02
 """How old the growth of a propagated covariance may be [s]: a micrometre or so."""
+MOST_OUTSIDE = 100_000
+"""Points of the hand; each is looked at in each step of a correction."""
 LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
 
@@ -71,6 +73,10 @@ class TrackerSettings:
     """Largest standard deviation of the position [m] that counts as tracking."""
     lost_after: float = 10.0
     """How long nothing may be touched and nothing seen [s]."""
+
+    def __post_init__(self) -> None:
+        checks.whole(self.samples, "samples", MOST_SAMPLES)
+        checks.whole(self.outside, "outside", MOST_OUTSIDE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
