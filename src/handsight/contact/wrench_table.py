@@ -154,6 +154,14 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
     stamp: float | str | None = None
     finger: float | str | None = None
 
+    def __post_init__(self) -> None:
+        for key in LABELS:
+            if isinstance(text := getattr(self, key), str):
+                try:
+                    text.encode()
+                except UnicodeEncodeError:
+                    raise ValueError(f"{key}: expected a text, got half a character in {text[:40]!r}") from None
+
 
 def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
     first: dict[str, Any] | None = None
