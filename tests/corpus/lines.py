@@ -184,4 +184,19 @@ CASES = [
         lambda: convert_text(b'{"finger": "\\ud800", "force": [0, 0, -1], "torque": [0, 0, 0]}'),
         "line 1: finger: expected",
     ),
+    Case(
+        "a force of 1e300 N",
+        lambda: convert_text(WRENCHES.replace("0.1,0,-1", "0.1,0,-1e300").encode()),
+        "column fz",
+    ),
+    Case(
+        "a torque of 1e300 N m",
+        lambda: convert_text(WRENCH_LINES.replace("0.0012", "1e300").encode()),
+        "torque: expected newtons",
+    ),
+    Case(
+        "a stamp of NaN",
+        lambda: convert_text(WRENCH_LINES.replace('"stamp": 2', '"stamp": NaN').encode()),
+        "stamp: expected",
+    ),
 ]

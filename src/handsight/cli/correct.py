@@ -97,12 +97,13 @@ def correct(
       (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
     * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
-    * **samples**: above 0, answer with the posterior's mean (say 4000).
+    * **samples**: above 0, answer with the posterior's mean (say 4000; at most 1000000).
     * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.
 
     Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves
     open, wrong contacts, other hypotheses. A line that cannot be read is answered `{"error": ...}`; the exit
-    code is then 1. Any number of lines fits: they are read as they are answered.
+    code is then 1; it is 2 where problems cannot be read or answers not be written. Any number of lines fits: they
+    are read as they are answered. A byte order mark at the beginning is dropped.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png

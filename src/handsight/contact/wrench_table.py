@@ -28,6 +28,7 @@ CHUNK = 8192
 """Rows at a time."""
 LONGEST = 100_000
 """Characters of a line."""
+BOUND = f"expected newtons and newton metres within {checks.STRONGEST:g}"
 WRENCHES_HELP = """\
 Wrenches: CSV with a header, columns in any order
   fx, fy, fz  force of the object on the tip [N]
@@ -35,6 +36,7 @@ Wrenches: CSV with a header, columns in any order
   stamp       optional; copied as it is
   finger      optional; copied as it is
 or JSON, one object a line: {"stamp": 1.5, "finger": "ff", "force": [fx, fy, fz], "torque": [tx, ty, tz]}.
+Text is UTF-8; a byte order mark at its beginning, as spreadsheets write it, is dropped.
 An empty number (CSV), null (JSON) or NaN is a reading that is missing: its row is answered "invalid".
 """
 
@@ -140,10 +142,18 @@ def _number(cell: str, where: str, column: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:
-        return float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
+        number = float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
     except ValueError:
         came = checks.brief(cell)
         raise InvalidFile(f"{where}, column {column}: expected a number, got {came!r}") from None
+    if _too_strong(number):
+        raise InvalidFile(f"{where}, column {column}: {BOUND}, got {number:g}")
+    return number
+
+
+def _too_strong(number: float) -> bool:
+    """Infinity is a reading that is missing, as NaN is."""
+    return not -checks.STRONGEST <= number <= checks.STRONGEST and math.isfinite(number)
 
 
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
@@ -155,12 +165,23 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
     finger: float | str | None = None
 
     def __post_init__(self) -> None:
-        for key in LABELS:
-            if isinstance(text := getattr(self, key), str):
-                try:
-                    text.encode()
-                except UnicodeEncodeError:
-                    raise ValueError(f"{key}: expected a text, got half a character in {text[:40]!r}") from None
+        for key, label in (("stamp", self.stamp), ("finger", self.finger)):
+            if isinstance(label, str) and not _encodable(label):
+                raise ValueError(f"{key}: expected a text, got half a character in {label[:40]!r}")
+            if isinstance(label, float) and not math.isfinite(label):
+                raise ValueError(f"{key}: expected a finite number, got {label}")
+        for key, vector in (("force", self.force), ("torque", self.torque)):
+            for number in vector:
+                if number is not None and _too_strong(number):
+                    raise ValueError(f"{key}: {BOUND}, got {number:g}")
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
