@@ -18,7 +18,7 @@ STRONGEST = 1e5
 """No fingertip reads a larger force [N] or torque [N m]."""
 FINEST = 1e-9
 """Nothing is known more finely [m, rad]; squares of less than it drown in rounding."""
-LONGEST_NAME, MOST_COMPARED = 200, 1000
+LONGEST_NAME, MOST_COMPARED = 100, 200
 """Characters of a name that may be a slip of another's, and names it is compared with: it takes time with both."""
 
 
