@@ -1,6 +1,7 @@
 """What passes the public door comes out clean; what does not is named: what was expected, what came."""
 
 import re
+import time
 
 import numpy as np
 import pytest
@@ -199,3 +200,28 @@ def test_a_covariance_that_no_sensor_has_is_refused(value):
 def test_a_covariance_may_know_some_or_all_of_its_numbers_exactly():
     checks.covariance(np.zeros((6, 6)), "x", (6, 6))
     checks.covariance(np.diag([1e-6, 1e-38, 0, 0, 0, 0]), "x", (6, 6))
+
+
+def test_messages_say_no_addresses():
+    class Thing:
+        pass
+
+    assert checks.brief(Thing()) == checks.brief(Thing())
+    assert "0x" not in checks.brief([Thing()] * 9)
+    assert str(InvalidInput(f"method: got {Thing()!r}")) == str(InvalidInput(f"method: got {Thing()!r}"))
+    # A file's name is its own.
+    assert str(InvalidInput("scan at 0x1f.ply: no")) == "scan at 0x1f.ply: no"
+
+
+def test_whole_numbers_are_bounded():
+    assert checks.whole(np.int64(3), "samples", 10) == 3
+    for value in (-1, 11, 1.0, True, "1", None, 10**5000):
+        with pytest.raises(InvalidInput, match="samples: expected a whole number from 0 to 10, got"):
+            checks.whole(value, "samples", 10)
+
+
+def test_the_nearest_name_takes_no_time_among_many_or_for_a_long_one():
+    began = time.perf_counter()
+    assert checks.among("x" * 10**6, ["xx", "yy"]) == "; valid: xx, yy"
+    checks.among("n" * 90, [f"{'n' * 90}{i}" for i in range(40_000)])
+    assert time.perf_counter() - began < 10

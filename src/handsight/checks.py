@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from handsight.errors import InvalidInput
+from handsight.errors import InvalidInput, without_addresses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -18,6 +18,8 @@ STRONGEST = 1e5
 """No fingertip reads a larger force [N] or torque [N m]."""
 FINEST = 1e-9
 """Nothing is known more finely [m, rad]; squares of less than it drown in rounding."""
+LONGEST_NAME, MOST_COMPARED = 100, 200
+"""Characters of a name that may be a slip of another's, and names it is compared with: it takes time with both."""
 
 
 def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
@@ -54,6 +56,13 @@ def positive(value: ArrayLike, name: str) -> float:
     if not number > 0:
         raise InvalidInput(f"{name}: expected a number above 0, got {brief(value)}")
     return number
+
+
+def whole(value: object, name: str, most: int) -> int:
+    """`value` as a whole number from 0 to `most`; raises InvalidInput otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= most:
+        raise InvalidInput(f"{name}: expected a whole number from 0 to {most}, got {brief(value)}")
+    return int(value)
 
 
 def position(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
@@ -154,8 +163,9 @@ def describe(shape: tuple[int | None, ...]) -> str:
 def among(name: str, valid: Iterable[str]) -> str:
     """`; the nearest valid one is 'x'`, or, where none is alike, the first few of them: for the end of a message."""
     known = sorted(valid)
-    lower = {one.lower(): one for one in known}
-    if alike := difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5):
+    lower = {one.lower(): one for one in known[:MOST_COMPARED] if len(one) <= LONGEST_NAME}
+    like = name.lower() if len(name) <= LONGEST_NAME else ""
+    if alike := difflib.get_close_matches(like, lower, n=1, cutoff=0.5):
         return f"; the nearest valid one is {lower[alike[0]]!r}"
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; valid: {listed}" if known else ""
@@ -169,4 +179,5 @@ def brief(value: object) -> str:
         text = "a whole number of thousands of digits"
     except RecursionError:
         text = "values in values, too deep"
+    text = without_addresses(text)
     return text if len(text) <= 80 else text[:77] + "..."

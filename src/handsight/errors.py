@@ -1,11 +1,20 @@
 """What can be wrong with an input. Each message names the argument, what was expected and what came."""
 
+import re
+
 MOST_CHARACTERS = 1000
 """Of a message: it quotes what came, which may be anything."""
+_ADDRESS = re.compile(r"(?<=[\w)]) at 0x[0-9a-fA-F]+(?=>)")
+
+
+def without_addresses(text: str) -> str:
+    """`text` without where its objects are, as Python's `repr` says: messages are counted, and it is never the same."""
+    return _ADDRESS.sub("", text)
 
 
 def printable(text: str) -> str:
     """`text` in one line, with escapes such as \\x1b for what a terminal would obey or an encoding refuses."""
+    text = without_addresses(text)
     if not text.isprintable():
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if len(text) <= MOST_CHARACTERS else text[: MOST_CHARACTERS - 4] + " ..."

@@ -16,7 +16,8 @@ import pytest
 
 from batch.fragile_worker import ends_at_once, obeyed
 from handsight.batch import run as batch
-from handsight.batch.run import Run, blocks
+from handsight.batch.lines import LONGEST, blocks
+from handsight.batch.run import Run
 from handsight.batch.workers import Answers, Processes, WorkerFailure
 from handsight.errors import InvalidFile
 
@@ -190,6 +191,33 @@ def test_a_file_that_cannot_be_read_on_is_an_error_after_what_could_be_read():
     with pytest.raises(InvalidFile, match="endless: Input/output error"):
         came.extend(line for lines, _ in Run(Broken(), Prompt()) for line in lines)
     assert len(came) == 10
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_reader_that_dies_ends_the_run(workers):
+    class Dying(io.BytesIO):
+        def read1(self, size=-1):
+            raise MemoryError
+
+    with batch.answering(Dying(), Path(), workers=workers) as answers, pytest.raises(MemoryError):
+        list(answers)
+
+
+def test_a_long_line_is_cut_a_byte_after_the_limit_and_the_next_is_whole():
+    data = b"x" * (LONGEST + 500_000) + b"\nnext\n" + b" " * (LONGEST + 9) + b"y\n" + b"x" * LONGEST
+    assert [len(line) for lines in blocks(io.BytesIO(data)) for line in lines] == [
+        LONGEST + 1,
+        4,
+        LONGEST + 1,
+        LONGEST,
+    ]
+
+
+def test_a_mark_of_utf_8_is_dropped_at_the_beginning_only():
+    mark = b"\xef\xbb\xbf"
+    assert [*blocks(io.BytesIO(mark + b"a\n" + mark + b"b"))] == [[b"a"], [mark + b"b"]]
+    assert [*blocks(io.BytesIO(mark + b"\na"))] == [[b"a"]]
+    assert [*blocks(io.BytesIO(mark + b"{}"), whole=True)] == [[b"{}"]]
 
 
 def test_a_fault_while_lines_are_begun_is_not_waited_for():

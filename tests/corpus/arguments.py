@@ -6,6 +6,7 @@ import numpy as np
 
 import handsight as hs
 from handsight.correction import Outside, Plane
+from handsight.tracking import TrackerSettings
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
 
 BOX = hs.ObjectModel.box([0.06, 0.09, 0.14])
@@ -69,8 +70,24 @@ CASES = [
     Case(
         "a point outside at 1e200", lambda: correct({**GOOD, "outside": [[1e200, 0, 0]]}), "outside: expected"
     ),
+    Case("a billion samples", lambda: _sampled(10**9), "samples: expected a whole number from 0 to"),
+    Case("samples that are no number", lambda: _sampled(object()), "got <object object>"),
+    Case(
+        "a billion samples of a tracker",
+        lambda: TrackerSettings(samples=10**9),
+        "samples: expected a whole number",
+    ),
+    Case(
+        "a billion points of a hand",
+        lambda: TrackerSettings(outside=10**9),
+        "outside: expected a whole number",
+    ),
     Case("a plane known to 1e-12", lambda: correct({**GOOD, "plane_sigma": 1e-12}), "plane.sigma: expected"),
 ]
+
+
+def _sampled(count: object) -> None:
+    hs.correct_pose(BOX, hs.Contacts([[0.03, 0, 0]]), samples=count)
 
 
 def _at(x: float) -> list[list[float]]:

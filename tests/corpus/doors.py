@@ -1,7 +1,7 @@
 """All doors and all cases, room by room."""
 
-from tests.corpus import arguments, caches, object_files, observations, recordings, rigs
+from tests.corpus import arguments, caches, lines, object_files, observations, recordings, rigs
 
-ROOMS = [arguments, caches, object_files, observations, recordings, rigs]
+ROOMS = [arguments, caches, lines, object_files, observations, recordings, rigs]
 DOORS = [door for room in ROOMS for door in room.DOORS]
 CASES = [case for room in ROOMS for case in room.CASES]

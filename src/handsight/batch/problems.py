@@ -7,6 +7,7 @@ the field, what was expected, what came.
 import json
 import re
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ import msgspec
 import numpy as np
 
 from handsight import checks, se3
+from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import METHODS, PosePrior, correct_pose
+from handsight.correction import METHODS, MOST_SAMPLES, PosePrior, correct_pose
 from handsight.errors import HandsightError, InvalidInput
 from handsight.explain import explain, named
 from handsight.objects import ObjectModel
@@ -84,7 +86,7 @@ class Reader:
     def __init__(self, folder: Path) -> None:
         """`folder`: what mesh paths are relative to."""
         self.folder = folder
-        self._models: dict[bytes, ObjectModel] = {}
+        self._models: dict[str, ObjectModel] = {}
         """The one used last at the end."""
 
     def read(self, line: bytes) -> Problem:
@@ -92,17 +94,16 @@ class Reader:
         fields = _fields(line)
         if fields.method not in METHODS:
             raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
-        if isinstance(fields.samples, bool) or not isinstance(fields.samples, int) or fields.samples < 0:
-            raise InvalidInput(f"samples: expected a whole number from 0, got {fields.samples!r}")
+        samples = checks.whole(fields.samples, "samples", MOST_SAMPLES)
         outside = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
         contacts, vision = _contacts(fields.contacts), _vision(fields.vision)
-        return Problem(self.model(fields.object), contacts, vision, outside, fields.samples, fields.method)
+        return Problem(self.model(fields.object), contacts, vision, outside, samples, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
-        key = msgspec.json.encode(fields)
+        key = repr(fields)
         self._models[key] = model = self._models.pop(key, None) or self._build(fields)
         if len(self._models) > MODELS_KEPT:
             del self._models[next(iter(self._models))]
@@ -176,6 +177,8 @@ def answer_text(reader: Reader, line: bytes) -> str:
 
 
 def _fields(line: bytes) -> ProblemFields:
+    if len(line) > LONGEST:
+        raise InvalidInput(f"line: expected at most {LONGEST} bytes, got more")
     # The standard parser takes NaN and Infinity, so that the check that follows can name their field.
     try:
         raw = json.loads(line.decode("utf-8"), object_pairs_hook=_unique)
@@ -194,14 +197,16 @@ def _fields(line: bytes) -> ProblemFields:
     except msgspec.ValidationError as error:
         field, said = explain(error, ProblemFields, raw)
         raise InvalidInput(f"{named(field)}: {said}") from None
+    except UnicodeEncodeError as error:
+        raise InvalidInput(f"line: expected text, got half a character in {error.object[:40]!r}") from None
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    keys = [key for key, _ in pairs]
-    if len(set(keys)) < len(keys):
-        twice = min(key for key in keys if keys.count(key) > 1)
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
         raise InvalidInput(f"{twice}: expected once, got it twice in one object")
-    return dict(pairs)
+    return made
 
 
 def _contacts(rows: list[ContactFields]) -> Contacts:

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import io
 import json
 import os
 import threading
@@ -12,17 +11,14 @@ from concurrent.futures import Future
 from pathlib import Path
 from queue import SimpleQueue
 
+from handsight.batch.lines import Source, blocks
 from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
-from handsight.errors import InvalidFile
 
 CHUNK_LINES = 256
-BLOCK_BYTES = 256_000
 HELD_BYTES = 64_000_000
 """Lines that wait for their answer or for an earlier line's; above it nothing more is begun."""
 LINE_BYTES = 3000
 """What a line takes besides its characters: its answer and Python's own."""
-Source = io.BufferedIOBase
-
 
 Answered = tuple[list[bytes], Answers]
 """Consecutive lines with their answers."""
@@ -66,29 +62,6 @@ def _here(source: Source, folder: Path, *, whole: bool) -> Iterator[Answered]:
 def _cores() -> int:
     """Those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
-    """The lines that are not blank, without their ends, as many at a time as have come; closes the source."""
-    begun: list[bytes] = []
-    with source:
-        try:
-            if whole:
-                yield [source.read()]
-                return
-            while block := source.read1(BLOCK_BYTES):
-                *lines, rest = block.split(b"\n")
-                if lines:
-                    lines[0] = b"".join([*begun, lines[0]])
-                    begun.clear()
-                    if come := [line for line in lines if line.strip()]:
-                        yield come
-                begun.append(rest)
-        except OSError as error:
-            raise InvalidFile(f"{getattr(source, 'name', 'input')}: {error.strerror or error}") from None
-    last = b"".join(begun)
-    if last.strip():
-        yield [last]
 
 
 class Run:

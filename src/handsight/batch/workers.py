@@ -123,7 +123,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         """The answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be had."""
         while True:
             pool = self._pool or self._started()
-            with contextlib.suppress(BrokenProcessPool), _spawning():
+            with contextlib.suppress(BrokenProcessPool, BrokenPipeError), _spawning():
                 named = pool.submit(_to_file, self._work, self._folder.name, lines)
                 answers: Future[Answers] = Future()
                 named.add_done_callback(functools.partial(_from_file, answers=answers))
@@ -144,13 +144,14 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         for _ in range(DEATHS):
             self._theirs, self._lifeline = self._context.Pipe(duplex=False)
             self._pool = ProcessPoolExecutor(self.room, self._context, _begin, (self._theirs,))
-            with _spawning():
-                ready = self._pool.submit(self._first)
-            children = multiprocessing.active_children()
+            children = []
             try:
+                with _spawning():
+                    ready = self._pool.submit(self._first)
+                children = multiprocessing.active_children()
                 ready.result()
                 return self._pool
-            except BrokenProcessPool:
+            except (BrokenProcessPool, BrokenPipeError):  # it may die before it has read what to do
                 self._end()
         said = ", ".join(str(child.exitcode) for child in children)
         raise WorkerFailure(f"worker processes end as they start (exit code {said}); --workers 1 needs none")

@@ -40,13 +40,14 @@ def contact(
 
     announce_compiling()
     shape = parse_fingertip(fingertip)
-    source = sys.stdin if wrenches == "-" else wrenches
-    counts = convert(
-        source,
-        sys.stdout if output is None or str(output) == "-" else output,
-        shape,
-        sigma_force=sigma_force,
-        sigma_torque=sigma_torque,
-    )
+    # Whatever the locale, tables are in UTF-8.
+    source: Any = wrenches
+    if wrenches == "-":
+        source = open(sys.stdin.fileno(), encoding="utf-8", newline="", closefd=False)  # noqa: SIM115
+    sink: Any = output
+    if output is None or str(output) == "-":
+        sink = sys.stdout
+        sink.reconfigure(encoding="utf-8")
+    counts = convert(source, sink, shape, sigma_force=sigma_force, sigma_torque=sigma_torque)
     said = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count) or "no rows"
     say(f"{'' if output is None else f'wrote {output}: '}{said}")

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import stat
 import sys
 import time
 from collections.abc import Iterable
@@ -12,10 +13,21 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, bar, naming, say, warn
+from handsight.cli.terminal import (
+    INTERRUPTED,
+    NOBODY_READS,
+    announce_compiling,
+    bar,
+    naming,
+    say,
+    warn,
+    writing,
+)
 from handsight.errors import InvalidFile, InvalidInput
+from handsight.places import apart, called
 
 if TYPE_CHECKING:
+    from handsight.batch.lines import Source
     from handsight.batch.problems import Problem
     from handsight.batch.workers import Answers
 
@@ -36,12 +48,13 @@ class Written:
         """Writes answers, and says what workers warned of."""
         for warning in answers.warnings:
             warn(warning)
-        sink.write("".join(f"{text}\n" for text in answers.texts))
         good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
-        # Before the flush: once in the buffer, answers are written whatever interrupts us.
-        self.done += len(lines)
-        self.failed += len(lines) - len(good)
-        sink.flush()
+        with naming(called(sink)):
+            sink.write("".join(f"{text}\n" for text in answers.texts))
+            # Before the flush: once in the buffer, answers are written whatever interrupts us.
+            self.done += len(lines)
+            self.failed += len(lines) - len(good)
+            sink.flush()
         self.first += good[: MOST_PANELS - len(self.first)]
 
 
@@ -84,12 +97,13 @@ def correct(
       (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
     * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
-    * **samples**: above 0, answer with the posterior's mean (say 4000).
+    * **samples**: above 0, answer with the posterior's mean (say 4000; at most 1000000).
     * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.
 
     Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves
     open, wrong contacts, other hypotheses. A line that cannot be read is answered `{"error": ...}`; the exit
-    code is then 1. Any number of lines fits: they are read as they are answered.
+    code is then 1; it is 2 where problems cannot be read or answers not be written. Any number of lines fits: they
+    are read as they are answered. A byte order mark at the beginning is dropped.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png
@@ -109,7 +123,7 @@ def correct(
             require_matplotlib()
         if workers == 1 and cluster is None:
             announce_compiling()
-        _answer(problems, output, workers, cluster, written)
+        _answer(problems, (output, plot), workers, cluster, written)
         if plot is not None and written.first:
             from handsight.batch.problems import Reader
 
@@ -120,8 +134,6 @@ def correct(
         say(f"handsight: stopped after {written.done} answers; they are written")
         raise typer.Exit(INTERRUPTED) from None
     except BrokenPipeError:
-        # Whoever read the answers has gone; there is nobody to tell, nor to flush to at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(NOBODY_READS) from None
     if output is not None:
         say(f"wrote {output}: {written.done} answers, {written.failed} of them errors")
@@ -129,23 +141,30 @@ def correct(
         raise typer.Exit(1)
 
 
-def _answer(problems: str, output: Path | None, workers: int, cluster: str | None, written: Written) -> None:
-    """Answers and writes line by line; `written` tells how far it came."""
+def _answer(
+    problems: str,
+    outputs: tuple[Path | None, Path | None],
+    workers: int,
+    cluster: str | None,
+    written: Written,
+) -> None:
+    """Answers and writes line by line; `written` tells how far it came. `outputs`: of answers and of a picture."""
     from handsight.batch.run import answering
 
-    with naming(problems):
-        if output is not None and problems != "-" and output.exists() and output.samefile(problems):
-            raise InvalidFile(f"{output}: the answers would overwrite the problems")
-        # Stdin as a file of its own, so that no thread holds the interpreter's when it ends.
-        place = sys.stdin.fileno() if problems == "-" else problems
-        source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
+    output, plot = outputs
+    given = sys.stdin if problems == "-" else problems
+    place = sys.stdout if output is None or str(output) == "-" else output
+    apart(place, "the answers", given, "the problems")
+    apart(plot, "the picture", given, "the problems")
+    apart(plot, "the picture", place, "the answers")
+    source = _source(problems)
     size = os.fstat(source.fileno()).st_size  # a pipe has none
     whole, folder = problems.endswith(".json"), _folder(problems)
     run = answering(source, folder, whole=whole, workers=workers, cluster=cluster, first=announce_compiling)
     began, read = time.monotonic(), 0
     with (
         run as answered,
-        _opened(output) as sink,
+        writing(place) if isinstance(place, Path) else contextlib.nullcontext(place) as sink,
         bar("correcting", show=output is not None) as move,
     ):
         for lines, answers in answered:
@@ -155,17 +174,23 @@ def _answer(problems: str, output: Path | None, workers: int, cluster: str | Non
             move(read / size if size else None, f"{written.done} answers, {rate:.0f}/s")
 
 
+def _source(problems: str) -> "Source":
+    """Where problems come from; raises InvalidFile."""
+    with naming("stdin" if problems == "-" else problems):
+        # Stdin as a file of its own, so that no thread holds the interpreter's when it ends.
+        place = sys.stdin.fileno() if problems == "-" else problems
+        source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
+        found, nothing = os.fstat(source.fileno()), os.stat(os.devnull)
+    if stat.S_ISCHR(found.st_mode) and not source.isatty() and found.st_rdev != nothing.st_rdev:
+        # Such as /dev/zero: one line without an end.
+        source.close()
+        raise InvalidFile(f"{called(source)}: expected a file, a pipe or a terminal, got a device")
+    return source
+
+
 def _folder(problems: str) -> Path:
     """Where meshes are looked for."""
     return Path.cwd() if problems == "-" else Path(problems).parent.absolute()
-
-
-def _opened(output: Path | None) -> contextlib.AbstractContextManager[IO[str]]:
-    """Where answers go: a file, or stdout."""
-    if output is None or str(output) == "-":
-        return contextlib.nullcontext(sys.stdout)
-    with naming(output):
-        return open(output, "w", encoding="utf-8")
 
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:

@@ -13,7 +13,7 @@ from handsight.cli.correct import correct
 from handsight.cli.demo import demo
 from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.simulate import simulate
-from handsight.cli.terminal import say, warn
+from handsight.cli.terminal import flush_stdout, hold_streams, say, warn
 from handsight.cli.track import track
 from handsight.errors import HandsightError
 
@@ -27,13 +27,25 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Runs the command; wrong input is one sentence on stderr and exit code 2, never a traceback."""
+    """Runs the command; wrong input is one sentence on stderr and exit code 2, never a traceback.
+
+    So is what the system refuses: a full disk, a stream that is closed, too little memory.
+    """
+    hold_streams()
     warnings.showwarning = lambda message, *_: warn(str(message))
     try:
-        app()
+        try:
+            app()
+        finally:
+            flush_stdout()
     except HandsightError as error:
-        say(f"handsight: {error}")
-        sys.exit(2)
+        said = str(error)
+    except OSError as error:
+        said = f"{error.filename or 'output'}: {error.strerror or error}"
+    except MemoryError:
+        said = "expected what fits into memory, got more"
+    say(f"handsight: {said}")
+    sys.exit(2)
 
 
 def _version(wanted: bool) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import sys
 import time
 import traceback
@@ -9,9 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from handsight.errors import HandsightError, InvalidFile, printable
+from handsight.places import STREAMS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,7 +35,45 @@ def _messages() -> "Console":
 
 def say(message: str) -> None:
     """Prints a line on stderr, as it stands but for what the terminal would obey."""
-    _messages().print(printable(message), markup=False)
+    try:
+        _messages().print(printable(message), markup=False)
+    except OSError:  # there is nobody to tell
+        _abandon(sys.stderr)
+
+
+def hold_streams() -> None:
+    """Has stdin, stdout and stderr be there: a file that is opened must not get the number of one that was closed.
+
+    To read or to write one is then the error that it always was, said as any other; what is said is lost.
+    """
+    for number, name in enumerate(STREAMS):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest number that is free is this one; stdin cannot be read, nor stdout be written.
+            os.open(os.devnull, (os.O_WRONLY, os.O_RDONLY, os.O_RDWR)[number])
+            stream = open(number, "w" if number else "r", encoding="utf-8", closefd=False)  # noqa: SIM115
+            setattr(sys, name, stream)
+
+
+def flush_stdout() -> None:
+    """Brings what was printed to where it goes: at exit nothing could be said. Raises InvalidFile; ends the command
+    where nobody reads."""
+    try:
+        with naming("stdout"):
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever read it has gone; there is nobody to tell.
+        _abandon(sys.stdout)
+        sys.exit(NOBODY_READS)
+    except InvalidFile:
+        _abandon(sys.stdout)
+        raise
+
+
+def _abandon(stream: IO[str]) -> None:
+    """Has what a stream still holds go nowhere at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @cache
@@ -143,8 +183,25 @@ def kept_going() -> Iterator[End]:
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """What the system refuses within is an InvalidFile that says which file, and why."""
+    """What the system refuses within is an InvalidFile that says which file, and why; not that nobody reads."""
     try:
         yield
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        raise InvalidFile(f"{path}: {error.strerror}") from None
+        raise InvalidFile(f"{path}: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[IO[str]]:
+    """A new text file; closed at the end, of which an error within says more than one in closing."""
+    with naming(path):
+        file = open(path, "w", encoding="utf-8")  # noqa: SIM115
+    try:
+        yield file
+    except BaseException:
+        with contextlib.suppress(OSError):
+            file.close()
+        raise
+    with naming(path):
+        file.close()

@@ -70,9 +70,9 @@ def track(
     from handsight.tracking import TrackerSettings
 
     announce_compiling()
+    settings = TrackerSettings(rate=rate, samples=samples, outside=outside)
     found, model = rig_and_object(recording, rig, object)
     folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
-    settings = TrackerSettings(rate=rate, samples=samples, outside=outside)
     with live_rows(recording.name, progress) as watch:
         ended = run(recording, found, model, settings, watch)
     for sentence in itertools.chain(ended.said, ended.sentences(), write(ended, found, model, folder)):

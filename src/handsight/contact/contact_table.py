@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+import secrets
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches
 from handsight.errors import InvalidFile, InvalidInput
+from handsight.places import apart, called
 
 Format = Literal["csv", "jsonl"]
 
@@ -64,7 +66,7 @@ def convert(
 
     Paths or text streams, as `COLUMNS_HELP` says; sigmas as in `contact_from_wrench`. `format` None: JSON lines for a
     path that ends in .jsonl, .ndjson or .json, CSV for all else. A destination that is a file appears only when
-    everything was read and written. Raises InvalidFile naming file and line.
+    everything was read and written; it may not be the source. Raises InvalidFile naming file and line.
     """
     if format is None:
         suffix = Path(destination).suffix if isinstance(destination, str | os.PathLike) else ""
@@ -72,6 +74,7 @@ def convert(
     writers = {"csv": _write_csv, "jsonl": _write_json}
     if format not in writers:
         raise InvalidInput(f"format: expected one of {', '.join(writers)}, got {format!r}")
+    apart(destination, "the contacts", source, "the wrenches")
     counts: Counter[int] = Counter()
     sigmas = {"sigma_force": sigma_force, "sigma_torque": sigma_torque}
     with _destination(destination) as file:
@@ -124,23 +127,32 @@ def _json_label(key: str, value: object) -> object:
 
 @contextmanager
 def _destination(destination: Place) -> Iterator[TextIO]:
-    """A stream to write to; a file gets its name only when all is well."""
-    if not isinstance(destination, str | os.PathLike):
-        yield destination
-        return
-    path = Path(destination)
-    # A device or a pipe cannot be renamed onto.
-    replace = path.is_file() or not path.exists()
-    part = path.with_name(path.name + ".part") if replace else path
+    """A stream to write to; a file gets its name only when all is well. What the system refuses is an InvalidFile."""
+    name = str(destination) if isinstance(destination, str | os.PathLike) else called(destination)
     try:
-        file = part.open("w", encoding="utf-8", newline="")
+        if not isinstance(destination, str | os.PathLike):
+            yield destination
+            destination.flush()
+        elif (path := Path(os.path.realpath(destination))).exists() and not path.is_file():
+            with path.open("w", encoding="utf-8", newline="") as file:  # a pipe cannot be renamed onto
+                yield file
+        else:
+            with _renamed(path) as file:
+                yield file
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        raise InvalidFile(f"{destination}: cannot be written: {error.strerror or error}") from None
+        raise InvalidFile(f"{name}: cannot be written: {error.strerror or error}") from None
+
+
+@contextmanager
+def _renamed(path: Path) -> Iterator[TextIO]:
+    """A file beside the path, which it is renamed to at the end."""
+    part = path.with_name(f".{path.name}-{secrets.token_hex(4)}")
+    file = part.open("x", encoding="utf-8", newline="")
     try:
         with file:
             yield file
-        if replace:
-            part.replace(path)
+        part.replace(path)
     finally:
-        if replace:
-            part.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)

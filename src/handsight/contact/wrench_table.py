@@ -4,10 +4,10 @@ import csv
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, count, islice, repeat
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -18,6 +18,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
 from handsight.explain import explain, named
+from handsight.places import called
 
 Place = str | os.PathLike[str] | TextIO
 
@@ -25,6 +26,9 @@ NUMBERS = ("fx", "fy", "fz", "tx", "ty", "tz")
 LABELS = ("stamp", "finger")
 CHUNK = 8192
 """Rows at a time."""
+LONGEST = 100_000
+"""Characters of a line."""
+BOUND = f"expected newtons and newton metres within {checks.STRONGEST:g}"
 WRENCHES_HELP = """\
 Wrenches: CSV with a header, columns in any order
   fx, fy, fz  force of the object on the tip [N]
@@ -32,6 +36,7 @@ Wrenches: CSV with a header, columns in any order
   stamp       optional; copied as it is
   finger      optional; copied as it is
 or JSON, one object a line: {"stamp": 1.5, "finger": "ff", "force": [fx, fy, fz], "torque": [tx, ty, tz]}.
+Text is UTF-8; a byte order mark at its beginning, as spreadsheets write it, is dropped.
 An empty number (CSV), null (JSON) or NaN is a reading that is missing: its row is answered "invalid".
 """
 
@@ -57,11 +62,11 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
     Blank lines are no rows. Raises InvalidFile naming the file, the line, the column, what was expected and what came;
     also for a file without a row.
     """
-    name = str(source if isinstance(source, str | os.PathLike) else getattr(source, "name", "stream"))
+    name = str(source) if isinstance(source, str | os.PathLike) else called(source)
     empty = True
     try:
-        with _source(source) as lines:
-            rows = _rows(lines, name)
+        with _source(source) as file:
+            rows = _rows(_lines(file, name), name)
             while some := list(islice(rows, chunk)):
                 empty = False
                 numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
@@ -74,14 +79,28 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
         raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
 
 
-def _rows(lines: Iterable[str], name: str) -> Iterator[_Row]:
+def _lines(file: TextIO, name: str) -> Iterator[str]:
+    """The lines, without a byte order mark before the first."""
+    mark = "\ufeff"
+    for i in count(1):
+        line = file.readline(LONGEST + 1)
+        if len(line) > LONGEST:
+            raise InvalidFile(f"{name}: line {i}: expected at most {LONGEST} characters, got more")
+        if not line:
+            return
+        yield line.removeprefix(mark)
+        mark = ""
+
+
+def _rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
     """The rows of either format."""
-    lines = iter(lines)
-    begun = [next(lines, "").removeprefix("\ufeff")]
-    while not begun[-1].strip() and (line := next(lines, "")):
-        begun.append(line)
-    parse = _json_rows if begun[-1].lstrip().startswith("{") else _csv_rows
-    return parse(chain(begun, lines), name)
+    blank, first = 0, ""
+    for first in lines:
+        if first.strip():
+            break
+        blank += 1
+    parse = _json_rows if first.lstrip().startswith("{") else _csv_rows
+    return parse(chain(repeat("\n", blank), [first], lines), name)
 
 
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
@@ -123,10 +142,18 @@ def _number(cell: str, where: str, column: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:
-        return float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
+        number = float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
     except ValueError:
         came = checks.brief(cell)
         raise InvalidFile(f"{where}, column {column}: expected a number, got {came!r}") from None
+    if _too_strong(number):
+        raise InvalidFile(f"{where}, column {column}: {BOUND}, got {number:g}")
+    return number
+
+
+def _too_strong(number: float) -> bool:
+    """Infinity is a reading that is missing, as NaN is."""
+    return not -checks.STRONGEST <= number <= checks.STRONGEST and math.isfinite(number)
 
 
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
@@ -136,6 +163,25 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
     torque: tuple[float | None, float | None, float | None]
     stamp: float | str | None = None
     finger: float | str | None = None
+
+    def __post_init__(self) -> None:
+        for key, label in (("stamp", self.stamp), ("finger", self.finger)):
+            if isinstance(label, str) and not _encodable(label):
+                raise ValueError(f"{key}: expected a text, got half a character in {label[:40]!r}")
+            if isinstance(label, float) and not math.isfinite(label):
+                raise ValueError(f"{key}: expected a finite number, got {label}")
+        for key, vector in (("force", self.force), ("torque", self.torque)):
+            for number in vector:
+                if number is not None and _too_strong(number):
+                    raise ValueError(f"{key}: {BOUND}, got {number:g}")
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:

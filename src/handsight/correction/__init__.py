@@ -1,7 +1,7 @@
 """Correction: contacts and vision to a pose with its uncertainty."""
 
 from handsight.correction.batch import correct_poses
-from handsight.correction.correct import METHODS, correct_pose, refine_pose
+from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, refine_pose
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
 from handsight.correction.outside import Outside, Plane
 from handsight.correction.paper import PaperMethod
@@ -9,6 +9,7 @@ from handsight.correction.problem import TwoPhase
 
 __all__ = [
     "METHODS",
+    "MOST_SAMPLES",
     "Hypothesis",
     "Outside",
     "PaperMethod",

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handsight import se3
+from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
@@ -17,6 +17,8 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 USUAL = TwoPhase()
+MOST_SAMPLES = 1_000_000
+"""They take ten seconds and a hundred megabytes."""
 METHODS: dict[str, TwoPhase | PaperMethod] = {
     "handsight": USUAL,
     "paper-lm": PaperMethod(optimizer="lm"),
@@ -40,10 +42,10 @@ def correct_pose(
     contacts: fingertip contacts in the palm frame. vision: where the object is thought to be; None: blind.
     outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
     `Outside` of such points and of planes that the object cannot cross.
-    samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, which
-    is the better answer where contacts bound a slide but do not fix it. method: a name of `METHODS`, or its
-    options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge says so in
-    `converged`.
+    samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, up to
+    `MOST_SAMPLES`, which is the better answer where contacts bound a slide but do not fix it. method: a name of
+    `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge
+    says so in `converged`.
     """
     options = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
@@ -53,8 +55,7 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 0 <= samples <= 10**7:
-        raise InvalidInput(f"samples: expected a whole number from 0 to 10000000, got {samples!r}")
+    samples = checks.whole(samples, "samples", MOST_SAMPLES)
     problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
     if options is USUAL and not samples:
         estimate = solve_single_start(problem)
@@ -64,7 +65,7 @@ def correct_pose(
         return _by_paper(problem, options)
     found = outliers.solve_robustly(problem, options)
     estimate = summarize(problem, found.minima, found.used)
-    return mean_by_sampling(problem, estimate, found.used, int(samples)) if samples else estimate
+    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
 def refine_pose(

@@ -5,7 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import checks
+from handsight.correction import MOST_SAMPLES
 from handsight.errors import InvalidInput
+
+MOST_OUTSIDE = 100_000
+"""Points of the hand; each is looked at in each step of a correction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +55,8 @@ class TrackerSettings:
         for names, most in ((LIMITS, np.inf), (STEPS, checks.FARTHEST)):
             for name in names:
                 _check_size(getattr(self, name), f"settings.{name}", most)
-        for name in ("samples", "outside"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-                came = checks.brief(value)
-                raise InvalidInput(f"settings.{name}: expected a whole number from 0 on, got {came}")
+        checks.whole(self.samples, "settings.samples", MOST_SAMPLES)
+        checks.whole(self.outside, "settings.outside", MOST_OUTSIDE)
 
 
 LIMITS = ("moved", "turned", "memory", "uncertain_position", "lost_after")

@@ -11,7 +11,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
-from handsight.errors import HandsightError, MissingExtra
+from handsight.errors import HandsightError, InvalidFile, MissingExtra
 from handsight.objects import ObjectModel
 
 BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
@@ -62,7 +62,9 @@ def save(figure: Any, path: Path) -> None:
     figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)
     try:
         figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise InvalidFile(f"{path}: cannot be written: {error.strerror or error}") from None
+    except ValueError as error:
         raise HandsightError(f"{path}: {error}") from None
     finally:
         require_matplotlib().close(figure)

@@ -1,0 +1,192 @@
+"""Many lines through `handsight correct` while its workers are killed: `python -m benchmarks.soak --lines 1000000`.
+
+Each line is the same box with three contacts, moved aside by its number, so that an answer says which line it answers;
+one in a thousand is malformed and says its number too. Printed: whether each line was answered once and in its place,
+how often a worker was killed, and the memory of the command and of its workers. The exit code is 1 where one was not.
+"""
+
+import argparse
+import json
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import IO, NamedTuple
+
+import psutil
+
+from handsight.cli.terminal import bar
+from shared import report
+
+STEP = 1e-4
+"""How far each line's problem lies from the one before [m]; its answer is exact to far less."""
+PERIOD = 10_000
+"""Lines until the problems begin again, before the object is farther from the palm than a position may be."""
+MALFORMED_EVERY = 1000
+LOOK_EVERY = 1.0
+"""Seconds between two looks at the memory."""
+
+
+def line(i: int) -> str:
+    """The problem of a number."""
+    if i % MALFORMED_EVERY == MALFORMED_EVERY - 1:
+        return json.dumps({f"line {i}": 0})
+    y = STEP * (i % PERIOD)
+    contacts = [
+        {"point": [0.03, y + 0.01, 0.03], "normal": [1, 0, 0]},
+        {"point": [0.01, y + 0.045, -0.02], "normal": [0, 1, 0]},
+        {"point": [0.01, y + 0.02, 0.07], "normal": [0, 0, 1]},
+    ]
+    prior = {"quaternion_xyzw": [0, 0, 0, 1], "sigma_position": 0.01, "sigma_rotation_deg": 5}
+    vision = {"position": [0.004, y, 0.002], **prior}
+    return json.dumps({"object": {"box": [0.06, 0.09, 0.14]}, "contacts": contacts, "vision": vision})
+
+
+def is_answer(i: int, text: str) -> bool:
+    """Whether a text is the answer to the problem of that number."""
+    answer = json.loads(text)
+    if i % MALFORMED_EVERY == MALFORMED_EVERY - 1:
+        return str(answer.get("error", "")).startswith(f"line {i}: unknown key")
+    return "error" not in answer and abs(answer["position"][1] - STEP * (i % PERIOD)) < STEP / 2
+
+
+@dataclass
+class Watch:
+    """What is seen of a command from outside, while its workers are killed at random."""
+
+    process: psutil.Process
+    every: int
+    """Answers between two deaths, about; 0: none."""
+    rng: random.Random = field(default_factory=lambda: random.Random(0))
+    came: int = 0
+    killed: int = 0
+    memory: list[tuple[float, float]] = field(default_factory=list)
+    """Of the command and of its largest worker, look by look [MB]."""
+    over: threading.Event = field(default_factory=threading.Event)
+
+    def run(self) -> None:
+        """Looks and kills until it is over."""
+        due = self._next()
+        while not self.over.wait(LOOK_EVERY):
+            sizes = [(resident(worker), worker) for worker in workers(self.process)]
+            self.memory.append((resident(self.process), max((size for size, _ in sizes), default=0.0)))
+            if self.every and sizes and self.came > due:
+                self.rng.choice(sizes)[1].kill()
+                self.killed += 1
+                due = self._next()
+
+    def _next(self) -> float:
+        return self.came + self.every * self.rng.uniform(0.5, 1.5)
+
+
+class Soaked(NamedTuple):
+    """What came of a run."""
+
+    watch: Watch
+    wrong: int
+    """Answers that were not those of their lines."""
+    code: int
+    seconds: float
+
+
+def resident(process: psutil.Process) -> float:
+    """Megabytes in memory; 0 of one that has ended."""
+    try:
+        return float(process.memory_info().rss) / 1e6
+    except psutil.Error:
+        return 0.0
+
+
+def workers(process: psutil.Process) -> list[psutil.Process]:
+    """A command's worker processes, without what Python's multiprocessing has beside them."""
+    found = []
+    for child in process.children():
+        try:
+            found += [child] if "spawn_main" in " ".join(child.cmdline()) else []
+        except psutil.Error:
+            continue
+    return found
+
+
+def fed(sink: IO[bytes], count: int) -> None:
+    """Writes the lines."""
+    with sink:
+        for first in range(0, count, 100):
+            some = range(first, min(first + 100, count))
+            sink.write("".join(f"{line(i)}\n" for i in some).encode())
+
+
+def soak(count: int, size: int, every: int) -> Soaked:
+    """Runs the command; what came of it."""
+    arguments = [sys.executable, "-m", "handsight.cli", "correct", "-", "--workers", str(size)]
+    with (
+        tempfile.TemporaryFile() as said,
+        subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said) as command,
+        bar(f"{count} lines") as move,
+    ):
+        assert command.stdin is not None
+        assert command.stdout is not None
+        watch, began = Watch(psutil.Process(command.pid), every), time.monotonic()
+        threads = [
+            threading.Thread(target=fed, args=(command.stdin, count), daemon=True),
+            threading.Thread(target=watch.run, daemon=True),
+        ]
+        for thread in threads:
+            thread.start()
+        wrong = 0
+        for text in command.stdout:
+            wrong += not is_answer(watch.came, text.decode())
+            watch.came += 1
+            if watch.came % 1000 == 0:
+                move(watch.came / count, f"{watch.came} answers, {watch.killed} workers killed")
+        code, seconds = command.wait(), time.monotonic() - began
+        watch.over.set()
+        said.seek(0)
+        print(said.read().decode(), end="", file=sys.stderr)
+    return Soaked(watch, wrong, code, seconds)
+
+
+def row(count: int, found: Soaked) -> list[str]:
+    """The run for the table; memory after a tenth, at the end, and the most."""
+    # Medians of the second tenth and the last; the last look of all finds workers that have gone.
+    looks = found.watch.memory[:-1] or [(0.0, 0.0)]
+    tenth = max(len(looks) // 10, 1)
+    parts = (looks[tenth : 2 * tenth] or looks, looks[-tenth:])
+    cells = []
+    for k in (0, 1):
+        early, late = (statistics.median(look[k] for look in part) for part in parts)
+        cells.append(f"{early:.0f} / {late:.0f} / {max(look[k] for look in looks):.0f}")
+    came = found.watch.came
+    numbers = (
+        count,
+        came,
+        found.wrong,
+        found.watch.killed,
+        round(found.seconds),
+        round(came / found.seconds),
+    )
+    return [*(f"{number:,}".replace(",", " ") for number in numbers), *cells]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code: 0 where each line was answered once and in its place."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__.splitlines()[0])
+    add, default = parser.add_argument, "default: %(default)s"
+    add("--lines", type=int, default=20_000, help=default)
+    add("--workers", type=int, default=2, help=default)
+    add("--kill-every", type=int, default=5_000, metavar="LINES", help=f"0: none is killed; {default}")
+    given = parser.parse_args(arguments)
+    found = soak(given.lines, given.workers, given.kill_every)
+    columns = ["lines", "answers", "wrong", "killed", "seconds", "a second", "command [MB]", "worker [MB]"]
+    title = f"handsight correct - --workers {given.workers}; MB after a tenth / at the end / the most"
+    report.print_table(title, columns, [row(given.lines, found)], report.machine())
+    whole = found.watch.came == given.lines and not found.wrong
+    return 0 if whole and found.code == (given.lines >= MALFORMED_EVERY) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

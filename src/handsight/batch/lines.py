@@ -1,0 +1,46 @@
+"""The lines of a file or a stream as they come, none of them longer than a problem can be."""
+
+import codecs
+import io
+from collections.abc import Iterator
+
+from handsight.errors import InvalidFile
+from handsight.places import called
+
+LONGEST = 32_000_000
+"""Bytes of a line; what is in it takes up to thirty times as many once it is read."""
+BLOCK_BYTES = 256_000
+Source = io.BufferedIOBase
+
+
+def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
+    """The lines that are not blank, without their ends, as many at a time as have come; closes the source.
+
+    A byte order mark at the beginning is dropped. Of a line longer than `LONGEST` there is the beginning, a byte longer
+    than that; the rest is passed over. `whole`: all of it is one line. Raises InvalidFile.
+    """
+    marks = codecs.BOM_UTF8
+    with source:
+        try:
+            if whole:
+                yield [source.read(LONGEST + 1 + len(marks)).removeprefix(marks)]
+                return
+            for lines in _split(source):
+                lines[0], marks = lines[0].removeprefix(marks), b""
+                if come := [line for line in lines if line.strip() or len(line) > LONGEST]:
+                    yield come
+        except OSError as error:
+            raise InvalidFile(f"{called(source)}: {error.strerror or error}") from None
+
+
+def _split(source: Source) -> Iterator[list[bytes]]:
+    """All lines as they come, at least one at a time; each is cut where it is too long."""
+    begun = bytearray()
+    while block := source.read1(BLOCK_BYTES):
+        *lines, rest = block.split(b"\n")
+        if lines:
+            lines[0] = bytes(begun + lines[0])[: LONGEST + 1]
+            begun.clear()
+            yield lines
+        begun += rest[: LONGEST + 1 - len(begun)]
+    yield [bytes(begun)]
