@@ -44,5 +44,9 @@ class InvalidFile(HandsightError, ValueError):
     """A file that cannot be read as what it should be; the message starts with its name."""
 
 
+class NotWritten(InvalidFile):
+    """A file or a stream that cannot be written: a full disk, a folder that is not there, no permission."""
+
+
 class MissingExtra(HandsightError, ImportError):
     """An optional dependency is not installed; the message says which `pip install` brings it."""

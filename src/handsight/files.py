@@ -1,11 +1,13 @@
-"""Files as they come in: what is not a regular file, or is larger than any that was meant, is refused unread."""
+"""Files as they come in and go out: what is no regular file, or larger than any that was meant, is refused unread."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 from typing import BinaryIO
 
-from handsight.errors import InvalidFile
+from handsight.errors import InvalidFile, NotWritten
 
 
 def open_regular(path: str | os.PathLike[str], name: str | None = None) -> BinaryIO:
@@ -38,3 +40,14 @@ def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None)
             return file.read(size)
         except OSError as error:
             raise InvalidFile(f"{name or path}: cannot be read: {error.strerror or error}") from None
+
+
+@contextmanager
+def written(name: str | os.PathLike[str]) -> Iterator[None]:
+    """What the system refuses within is a NotWritten that begins with the name; that nobody reads is not."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise NotWritten(f"{name}: cannot be written: {error.strerror or error}") from None

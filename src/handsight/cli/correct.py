@@ -24,6 +24,7 @@ from handsight.cli.terminal import (
     writing,
 )
 from handsight.errors import InvalidFile, InvalidInput
+from handsight.files import written
 from handsight.places import apart, called
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Written:
         for warning in answers.warnings:
             warn(warning)
         good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
-        with naming(called(sink)):
+        with written(called(sink)):
             sink.write("".join(f"{text}\n" for text in answers.texts))
             # Before the flush: once in the buffer, answers are written whatever interrupts us.
             self.done += len(lines)

@@ -13,7 +13,7 @@ from handsight.cli.correct import correct
 from handsight.cli.demo import demo
 from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.simulate import simulate
-from handsight.cli.terminal import flush_stdout, hold_streams, say, warn
+from handsight.cli.terminal import CANNOT_WRITE, WRONG_INPUT, exit_code, flush_stdout, hold_streams, say, warn
 from handsight.cli.track import track
 from handsight.errors import HandsightError
 
@@ -27,9 +27,9 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Runs the command; wrong input is one sentence on stderr and exit code 2, never a traceback.
+    """Runs the command; what goes wrong is one sentence on stderr and an exit code, never a traceback.
 
-    So is what the system refuses: a full disk, a stream that is closed, too little memory.
+    2: wrong input, or more of it than memory holds. 74: what cannot be written, such as onto a full disk.
     """
     hold_streams()
     warnings.showwarning = lambda message, *_: warn(str(message))
@@ -39,13 +39,13 @@ def main() -> None:
         finally:
             flush_stdout()
     except HandsightError as error:
-        said = str(error)
+        said, code = str(error), exit_code(error)
     except OSError as error:
-        said = f"{error.filename or 'output'}: {error.strerror or error}"
+        said, code = f"{error.filename or 'output'}: {error.strerror or error}", CANNOT_WRITE
     except MemoryError:
-        said = "expected what fits into memory, got more"
+        said, code = "expected what fits into memory, got more", WRONG_INPUT
     say(f"handsight: {said}")
-    sys.exit(2)
+    sys.exit(code)
 
 
 def _version(wanted: bool) -> None:

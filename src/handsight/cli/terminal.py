@@ -12,7 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from handsight.errors import HandsightError, InvalidFile, printable
+from handsight.errors import HandsightError, InvalidFile, NotWritten, printable
+from handsight.files import written
 from handsight.places import STREAMS
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 REFRESH = 0.2
 """Seconds between two updates of what is shown."""
 
-FAILED, WRONG_INPUT, INTERRUPTED, NOBODY_READS = 1, 2, 130, 141
+FAILED, WRONG_INPUT, CANNOT_WRITE, INTERRUPTED, NOBODY_READS = 1, 2, 74, 130, 141
 """Exit codes; the last two as a shell gives them for SIGINT and SIGPIPE."""
 
 
@@ -60,7 +61,7 @@ def flush_stdout() -> None:
     """Brings what was printed to where it goes: at exit nothing could be said. Raises InvalidFile; ends the command
     where nobody reads."""
     try:
-        with naming("stdout"):
+        with written("stdout"):
             sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read it has gone; there is nobody to tell.
@@ -173,7 +174,7 @@ def kept_going() -> Iterator[End]:
     except KeyboardInterrupt:
         end.exit_code = INTERRUPTED
     except HandsightError as error:
-        end.exit_code, end.error, end.said = WRONG_INPUT, error, f"handsight: {error}"
+        end.exit_code, end.error, end.said = exit_code(error), error, f"handsight: {error}"
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}, line {place.lineno}"
@@ -181,13 +182,16 @@ def kept_going() -> Iterator[End]:
         end.exit_code, end.error, end.said = FAILED, error, said
 
 
+def exit_code(error: HandsightError) -> int:
+    """Of a command that ends with it."""
+    return CANNOT_WRITE if isinstance(error, NotWritten) else WRONG_INPUT
+
+
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """What the system refuses within is an InvalidFile that says which file, and why; not that nobody reads."""
+    """What the system refuses within is an InvalidFile that says which file, and why."""
     try:
         yield
-    except BrokenPipeError:
-        raise
     except OSError as error:
         raise InvalidFile(f"{path}: {error.strerror or error}") from None
 
@@ -195,7 +199,7 @@ def naming(path: str | Path) -> Iterator[None]:
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[IO[str]]:
     """A new text file; closed at the end, of which an error within says more than one in closing."""
-    with naming(path):
+    with written(path):
         file = open(path, "w", encoding="utf-8")  # noqa: SIM115
     try:
         yield file
@@ -203,5 +207,5 @@ def writing(path: Path) -> Iterator[IO[str]]:
         with contextlib.suppress(OSError):
             file.close()
         raise
-    with naming(path):
+    with written(path):
         file.close()

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
-from handsight.cli.terminal import FAILED, End, announce_compiling, kept_going, live_rows, naming, say
+from handsight.cli.terminal import FAILED, End, announce_compiling, kept_going, live_rows, say
 from handsight.errors import HandsightError, MissingExtra, printable
+from handsight.files import written
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
@@ -136,7 +137,8 @@ class Run:
     def write_summary(self, path: Path, _: object) -> None:
         """Writes the summary as JSON."""
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False, allow_nan=False)
-        path.write_text(text + "\n", encoding="utf-8")
+        with written(path):
+            path.write_text(text + "\n", encoding="utf-8")
 
     def sentences(self) -> list[str]:
         """The run for a person."""
@@ -240,7 +242,7 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
     """Writes the results into a folder, and says what was written, and why anything was not."""
     from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
 
-    with naming(folder):
+    with written(folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows = [
         TrackRow(step.stamp, step.estimate.T_palm_object, step.estimate.covariance, step.state, step.reason)
@@ -252,14 +254,14 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
         "track.csv": write_track_csv,
         "summary.json": ended.write_summary,
     }
-    written = []
+    done = []
     for name, write_file in files.items():
         with ended.part() as end:
             write_file(folder / name, rows)
-            written.append(name)
+            done.append(name)
         if end.said:
             yield end.said
-    yield f"wrote {folder}: {', '.join(written)}"
+    yield f"wrote {folder}: {', '.join(done)}"
     if not rows:
         yield "no picture: there is no pose"
         return

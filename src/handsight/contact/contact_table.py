@@ -19,7 +19,8 @@ from handsight.contact.contact import REASON_NAMES, ContactBatch
 from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches
-from handsight.errors import InvalidFile, InvalidInput
+from handsight.errors import InvalidInput
+from handsight.files import written
 from handsight.places import apart, called
 
 Format = Literal["csv", "jsonl"]
@@ -127,22 +128,20 @@ def _json_label(key: str, value: object) -> object:
 
 @contextmanager
 def _destination(destination: Place) -> Iterator[TextIO]:
-    """A stream to write to; a file gets its name only when all is well. What the system refuses is an InvalidFile."""
-    name = str(destination) if isinstance(destination, str | os.PathLike) else called(destination)
-    try:
-        if not isinstance(destination, str | os.PathLike):
+    """A stream to write to; a file gets its name only when all is well. Raises NotWritten."""
+    if not isinstance(destination, str | os.PathLike):
+        with written(called(destination)):
             yield destination
             destination.flush()
-        elif (path := Path(os.path.realpath(destination))).exists() and not path.is_file():
+        return
+    path = Path(os.path.realpath(destination))
+    with written(destination):
+        if path.exists() and not path.is_file():
             with path.open("w", encoding="utf-8", newline="") as file:  # a pipe cannot be renamed onto
                 yield file
         else:
             with _renamed(path) as file:
                 yield file
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise InvalidFile(f"{name}: cannot be written: {error.strerror or error}") from None
 
 
 @contextmanager

@@ -4,8 +4,7 @@ import csv
 import math
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags asks only for its fields
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
+from handsight.files import written
 from handsight.messages.decode import rosbags_module, typestore
 from handsight.messages.topics import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.observation import Observation
@@ -38,7 +38,7 @@ class McapFile:
         self._path = path
         if path.is_dir():
             raise InvalidFile(f"{path}: expected a file to write, got a folder")
-        with _writing(path):
+        with written(path):
             # rosbags writes a folder with the file in it: beside the file, so that it need only be renamed.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
             plugin, mode = rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE
@@ -64,7 +64,7 @@ class McapFile:
             return
         self._open = False
         try:
-            with _writing(self._path):
+            with written(self._path):
                 self._writer.close()
                 (self._folder / "bag" / "bag.mcap").replace(self._path)
         finally:
@@ -232,7 +232,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
-    with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+    with written(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         for row in rows:
             if row.T_palm_object is not None:
                 file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
@@ -240,7 +240,7 @@ def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises InvalidFile."""
-    with _writing(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+    with written(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
         for row in rows:
@@ -249,15 +249,6 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
             if row.covariance is not None:
                 sigmas = [f"{x:.6g}" for x in np.sqrt(np.diagonal(row.covariance))]
             table.writerow([f"{row.stamp:.9f}", row.state, row.reason, *pose, *sigmas])
-
-
-@contextmanager
-def _writing(path: str | Path) -> Iterator[None]:
-    """Raises InvalidFile where the path cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _pose(T: Array) -> list[str]:

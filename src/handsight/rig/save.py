@@ -11,20 +11,18 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
-from handsight.errors import InvalidFile
+from handsight.files import written
 from handsight.hand.paths import PACKAGE
 from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
 
 
 def write(rig: Rig, path: Path) -> None:
-    """Writes the rig's text to a file; raises InvalidFile where that cannot be.
+    """Writes the rig's text to a file; raises NotWritten where that cannot be.
 
     Files that the rig names are written as they are found from anywhere: with their whole path, or as `package://`.
     """
-    try:
+    with written(path):
         path.write_text(text(rig), encoding="utf-8")
-    except OSError as error:
-        raise InvalidFile(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def text(rig: Rig) -> str:

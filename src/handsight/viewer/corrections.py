@@ -11,7 +11,8 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
-from handsight.errors import HandsightError, InvalidFile, MissingExtra
+from handsight.errors import HandsightError, MissingExtra
+from handsight.files import written
 from handsight.objects import ObjectModel
 
 BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
@@ -61,9 +62,8 @@ def save(figure: Any, path: Path) -> None:
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
     figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)
     try:
-        figure.savefig(path, dpi=130)
-    except OSError as error:
-        raise InvalidFile(f"{path}: cannot be written: {error.strerror or error}") from None
+        with written(path):
+            figure.savefig(path, dpi=130)
     except ValueError as error:
         raise HandsightError(f"{path}: {error}") from None
     finally:
