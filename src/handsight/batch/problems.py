@@ -17,6 +17,7 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import METHODS, PosePrior, correct_pose
+from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.explain import explain, named
 from handsight.objects import ObjectModel
@@ -208,6 +209,7 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
     if not rows:
         raise InvalidInput("contacts: expected at least one contact, got none")
     n = len(rows)
+    check_number(n, MOST_CONTACTS, "contacts", "contacts")
     points, covariance = np.empty((n, 3)), np.zeros((n, 6, 6))
     normals: list[Array | None] = []
     for i, row in enumerate(rows):
