@@ -1,7 +1,7 @@
 """All doors and all cases, room by room."""
 
-from tests.corpus import arguments
+from tests.corpus import arguments, searches
 
-ROOMS = [arguments]
+ROOMS = [arguments, searches]
 DOORS = [door for room in ROOMS for door in room.DOORS]
 CASES = [case for room in ROOMS for case in room.CASES]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, brief
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.estimate import PoseEstimate, PosePrior
@@ -82,8 +82,8 @@ def refine_pose(
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
     if isinstance(method, TwoPhase | PaperMethod):
         return method
-    if method not in METHODS:
-        raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    if not isinstance(method, str) or method not in METHODS:
+        raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {brief(method)!r}")
     return METHODS[method]
 
 
