@@ -1,7 +1,16 @@
 """All doors and all cases, room by room."""
 
-from tests.corpus import arguments, caches, lines, object_files, observations, recordings, rigs
+from tests.corpus import (
+    arguments,
+    caches,
+    lines,
+    object_files,
+    observations,
+    recordings,
+    rigs,
+    searches,
+)
 
-ROOMS = [arguments, caches, lines, object_files, observations, recordings, rigs]
+ROOMS = [arguments, caches, lines, object_files, observations, recordings, rigs, searches]
 DOORS = [door for room in ROOMS for door in room.DOORS]
 CASES = [case for room in ROOMS for case in room.CASES]

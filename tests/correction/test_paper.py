@@ -299,12 +299,12 @@ def test_a_wrong_argument_is_named(argument, value, message):
     ("field", "value", "message"),
     [
         ("optimizer", "adam", "optimizer: expected 'lm' or 'gd', got 'adam'"),
-        ("w_n", -1.0, "w_n: expected a number of at least 0"),
+        ("w_n", -1.0, "w_n: expected a number from 0 to 1000, got -1.0"),
         ("damping", np.nan, "damping: expected a finite number"),
         ("epsilon", 0.0, "epsilon: expected a number above 0"),
         ("learning_rate", -1.0, "learning_rate: expected a number above 0"),
-        ("min_points", 0, "min_points: expected a whole number of at least 1, got 0"),
-        ("max_iterations", 2.5, "max_iterations: expected a whole number of at least 1, got 2.5"),
+        ("min_points", 0, "min_points: expected a whole number from 1 to 20000, got 0"),
+        ("max_iterations", 2.5, "max_iterations: expected a whole number from 1 to 20000, got 2.5"),
         ("patience", True, "patience: expected a whole number"),
     ],
 )

@@ -54,17 +54,19 @@ def _fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
 
 
 @inner
-def _solve(evidence: Evidence, pose: Pose, follows: bool) -> tuple[Pose, float, int, bool]:
-    """The minimum that both phases lead to from a pose, or the fine field alone; its cost, steps, convergence."""
+def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
+    """The minimum that both phases lead to from a pose, or the fine field alone; writes costs, steps, convergence."""
     model, steps = evidence.model, 0
     if not follows:
         pose, steps = match(evidence, pose)
     cost, converged = 0.0, False
     for phase in range(1 if follows else 0, 2):
+        answer.coarse_cost = cost
         field = model.fine if phase else model.coarse
         pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], phase >= 0)
         steps += more
-    return pose, cost, steps, converged
+    answer.cost, answer.iterations, answer.converged = cost, steps, converged
+    return pose
 
 
 @inner
@@ -114,7 +116,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         evidence = Evidence(model[0], nodes, terms, outside, prior, center)
         prior_pose = pose_of(problem.prior.pose)
         start = pose_of(problem.start) if problem.follows else prior_pose
-        pose, answer.cost, answer.iterations, answer.converged = _solve(evidence, start, problem.follows != 0)
+        pose = _solve(evidence, start, problem.follows != 0, answer)
         pose = nearest(model[0], pose, prior_pose)
         _store_answer(pose, answer)
         answer.first_order, answer.weight = 0, 1.0
@@ -135,7 +137,7 @@ def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: An
         vision_prior(model[0], problem.prior, prior, room)
         evidence = Evidence(model[0], nodes, terms, outside, prior, center)
         start = pose_of(problem.prior.pose)
-        pose, answer.cost, answer.iterations, answer.converged = _solve(evidence, start, problem.follows != 0)
+        pose = _solve(evidence, start, problem.follows != 0, answer)
         store_pose(pose, answer.pose)
 
 

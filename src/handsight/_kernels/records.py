@@ -126,6 +126,7 @@ ANSWER = _record(
     ("complete", "i8"),  # whether there is a covariance
     ("unobservable", "f8", (6, 6)),
     ("open_count", "i8"),  # how many of these rows count
+    ("coarse_cost", "f8"),  # squared residuals on the coarse field, where phase 1 and two steps had led
     ("cost", "f8"),  # squared residuals at the end of the descent
     ("iterations", "i8"),
     ("converged", "i8"),

@@ -19,6 +19,7 @@ from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import METHODS, MOST_SAMPLES, PosePrior, correct_pose
+from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.explain import explain, named
 from handsight.objects import ObjectModel
@@ -213,6 +214,7 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
     if not rows:
         raise InvalidInput("contacts: expected at least one contact, got none")
     n = len(rows)
+    check_number(n, MOST_CONTACTS, "contacts", "contacts")
     points, covariance = np.empty((n, 3)), np.zeros((n, 6, 6))
     normals: list[Array | None] = []
     for i, row in enumerate(rows):

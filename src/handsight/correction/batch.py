@@ -6,6 +6,7 @@ from typing import Any
 from handsight.contact import Contacts
 from handsight.correction.correct import correct_pose
 from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.correction.solve import solve_batch
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -64,6 +65,7 @@ def _arguments(problem: Any, name: str) -> dict[str, Any]:
     contacts, vision = given.get("contacts"), given.get("vision")
     if not isinstance(contacts, Contacts):
         raise InvalidInput(f"{name}.contacts: expected Contacts, got {type(contacts).__name__}")
+    check_number(len(contacts), MOST_CONTACTS, f"{name}.contacts", "contacts")
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"{name}.vision: expected a PosePrior or None, got {type(vision).__name__}")
     return {key: value for key, value in given.items() if value is not None}

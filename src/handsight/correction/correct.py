@@ -83,8 +83,8 @@ def refine_pose(
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
     if isinstance(method, TwoPhase | PaperMethod):
         return method
-    if method not in METHODS:
-        raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    if not isinstance(method, str) or method not in METHODS:
+        raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {checks.brief(method)!r}")
     return METHODS[method]
 
 

@@ -16,6 +16,11 @@ ALARM = 1e-3
 """Probability that evidence which fits is called inconsistent."""
 RECHECK_P = 0.003
 """Probability that contacts which fit are searched for a wrong one all the same: time lost, nothing else."""
+DOUBT_P, DOUBT_COARSE = 0.2, 5.0
+"""What one start from the widest prior that it may do for found is doubted, and other starts are tried, when what is
+right fits worse with this probability at most, or when it was this many times worse yet on the coarse field. (An
+L-shaped mesh, contacts with normals, a prior of 0.22 diameters: one start misses a better mode in 1.1-1.5 % of the
+problems; of those that raise no doubt, 4 of 5, in less than 0.1 %.)"""
 DECISIVE = 16.27
 """A contact is wrong when the cost falls by more than this without it: a right one's does once in 1000."""
 
@@ -51,6 +56,17 @@ def distinct(
         new[0] = False
         rest = rest[new]
     return chosen
+
+
+def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> bool:
+    """Whether what one start led to fits so well that another mode is hardly better.
+
+    `wide`: how wide the prior is, of the widest that one start may do for. What could be missed grows with its square.
+    """
+    doubt = round(wide * wide, 2)  # few different ones, for each has its limits worked out
+    if coarse_cost * doubt > DOUBT_COARSE * _limit(max(freedom, 1), 0.1):
+        return False
+    return fits(cost, freedom, max(DOUBT_P * doubt, RECHECK_P))
 
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:

@@ -11,12 +11,15 @@ from handsight import checks
 from handsight._kernels.records import OUTSIDE
 from handsight.checks import Array
 from handsight.contact import Contacts
+from handsight.correction.problem import check_number
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 POINT_SIGMA = (1.5, 1e-3)
 """Of a point of the hand: in sigmas of the contacts' points, and at least this [diameters]. It is as uncertain as the
 contacts, through the same kinematics, and the points of one link are wrong together, hence more than that."""
+MOST_POINTS, MOST_PLANES = 10_000, 100
+"""Of one correction: each costs as much as the one before it."""
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 
 
@@ -61,6 +64,8 @@ def outside_records(
     points = np.empty((0, 3))
     if not (isinstance(given.points_palm, np.ndarray | list | tuple) and not len(given.points_palm)):
         points = checks.position(given.points_palm, "outside", (None, 3))
+    check_number(len(points), MOST_POINTS, "outside", "points")
+    check_number(len(given.planes), MOST_PLANES, "outside.planes", "planes")
     if not model.closed:
         points = points[:0]
     rows = np.zeros(len(points) + len(given.planes), dtype=OUTSIDE)

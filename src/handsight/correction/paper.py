@@ -17,11 +17,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import Array, brief, finite, positive, unit
+from handsight.checks import FARTHEST, Array, brief, finite, positive, unit
 from handsight.errors import InvalidInput
 from handsight.se3 import compose, inverse
 
 CM_PER_M = 100.0
+MOST = 20_000
+"""Points or steps."""
 
 Cost = Callable[[Array], Array]
 """`G`: one x (7,) to (n,) residuals, or a stack (k, 7) to (k, n)."""
@@ -60,14 +62,17 @@ class PaperMethod:
         if self.optimizer not in ("lm", "gd"):
             raise InvalidInput(f"optimizer: expected 'lm' or 'gd', got {brief(self.optimizer)!r}")
         for name in ("w_n", "damping"):
-            if finite(getattr(self, name), name, ()) < 0:
-                raise InvalidInput(f"{name}: expected a number of at least 0, got {getattr(self, name)}")
+            if not 0 <= finite(getattr(self, name), name, ()) <= FARTHEST:
+                expected = f"expected a number from 0 to {FARTHEST:g}"
+                raise InvalidInput(f"{name}: {expected}, got {brief(getattr(self, name))}")
         for name in ("epsilon", "step", "learning_rate", "tolerance"):
-            positive(getattr(self, name), name)
+            if positive(getattr(self, name), name) > FARTHEST:
+                expected = f"expected a number up to {FARTHEST:g}"
+                raise InvalidInput(f"{name}: {expected}, got {brief(getattr(self, name))}")
         for name in ("cloud_size", "min_points", "max_iterations", "patience"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise InvalidInput(f"{name}: expected a whole number of at least 1, got {brief(value)}")
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST:
+                raise InvalidInput(f"{name}: expected a whole number from 1 to {MOST}, got {brief(value)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +161,8 @@ def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: f
     """Eq. 6: x after one damped Gauss-Newton step; a parameter without influence stays where it is."""
     hessian = jacobian.T @ jacobian
     damped = hessian + damping * np.diag(np.diag(hessian))
+    if not np.isfinite(damped).all():
+        return np.full_like(x, np.nan)
     step = np.linalg.pinv(damped, hermitian=True) @ (jacobian.T @ value)
     return np.asarray(x - step, dtype=np.float64)
 

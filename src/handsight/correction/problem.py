@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight import checks
 from handsight._kernels.records import DESCENT, PRIOR
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
@@ -15,6 +16,8 @@ from handsight.objects import ObjectModel
 
 Records = NDArray[np.void]
 
+MOST_CONTACTS = 256
+"""Contacts of one correction. A hand has a few dozen at most; up to here time and memory grow as their number does."""
 MOST_STARTS = 1_000_000
 NO_PRIOR = np.empty(0, dtype=PRIOR)
 
@@ -29,9 +32,11 @@ class TwoPhase:
     """Look for a contact that is wrong when the contacts do not fit together."""
 
     def __post_init__(self) -> None:
-        if self.starts is not None and not (isinstance(self.starts, int) and 1 <= self.starts <= MOST_STARTS):
+        given = self.starts
+        whole = isinstance(given, int) and not isinstance(given, bool)
+        if given is not None and not (whole and 1 <= given <= MOST_STARTS):
             raise InvalidInput(
-                f"starts: expected a whole number from 1 to {MOST_STARTS}, got {self.starts!r}"
+                f"starts: expected a whole number from 1 to {MOST_STARTS}, got {checks.brief(given)}"
             )
 
 
@@ -44,6 +49,9 @@ class Problem:
     vision: PosePrior | None
     outside: Records
     """(m,) OUTSIDE."""
+
+    def __post_init__(self) -> None:
+        check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")
 
     @property
     def blind(self) -> bool:
@@ -65,6 +73,12 @@ class Problem:
         """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
         rows = int((used * (1 + 2 * self.contacts.has_normal)).sum())
         return max(rows - 6, 1) if self.blind else rows
+
+
+def check_number(n: int, most: int, name: str, what: str) -> None:
+    """Raises InvalidInput where there are more than `most` of them."""
+    if n > most:
+        raise InvalidInput(f"{name}: expected at most {most} {what}, got {n}")
 
 
 def descents_at(Ts_palm_object: Array) -> Records:

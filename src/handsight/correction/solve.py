@@ -19,9 +19,9 @@ from handsight.objects.symmetry import nearest
 
 FEW = 128
 """Descents that are not worth another thread."""
-ENDED = ["width", "converged", "cost", "chi2", "gain", "rows"]
+ENDED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
 """What of an answer says whether it can stand."""
-KEPT, KEPT_BLIND = 24, 64
+KEPT, KEPT_BLIND = 32, 64
 """Candidates that go on from the coarse field to the fine one."""
 
 
@@ -70,10 +70,17 @@ def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstim
 
     `searched`: whether a wrong contact has been looked for; what fits then stands, though one may look suspicious.
     """
-    width, converged, cost, chi2, gain, freedom = answer[ENDED].item()  # one by one takes twice as long
+    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[
+        ENDED
+    ].item()  # one by one takes twice as long
     if not width < WIDEST_OF_ONE or not converged:
         return None
-    if not (modes.fits(cost, freedom) if searched else modes.unsuspicious(cost, freedom, gain)):
+    if searched:
+        stands = modes.fits(cost, freedom)
+    else:
+        stands = modes.beyond_doubt(cost, coarse_cost, freedom, width / WIDEST_OF_ONE)
+        stands = stands and modes.unsuspicious(cost, freedom, gain)
+    if not stands:
         return None
     return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom))
 

@@ -10,23 +10,24 @@ import numpy as np
 
 from handsight import se3
 from handsight._kernels import batch
-from handsight._kernels.settings import WIDEST_OF_ONE
 from handsight.checks import Array, Mask
 from handsight.correction.estimate import PosePrior
-from handsight.correction.problem import Problem, descents_at
+from handsight.correction.problem import Problem, Records, descents_at
 from handsight.objects import ObjectModel
 
-MOST_STARTS = 32
+LEAST_STARTS, MOST_STARTS = 16, 32
 FEW = 1024
 """Draws that are kept: the same for every problem, along its own axes."""
 BLIND_SPINS = 18
 BLIND_KEPT = 384
+MOST_HEARD = 20
+"""Contacts by which starts without vision are scored: more of them tell no more of poses that are so far off."""
 
 
 def count(model: ObjectModel, vision: PosePrior) -> int:
-    """How many starts a prior of that width needs: one up to a fifth of the diameter, more beyond."""
+    """How many starts a prior of that width needs, where one does not do."""
     w = batch.width(model.record.model, vision.record)
-    return 1 if w < WIDEST_OF_ONE else int(np.clip(round(60 * (w - 0.2)), 1, MOST_STARTS))
+    return int(np.clip(round(80 * w), LEAST_STARTS, MOST_STARTS))
 
 
 def from_prior(vision: PosePrior, number: int) -> Array:
@@ -74,7 +75,11 @@ def blind(problem: Problem, used: Mask) -> Array:
     normalled = [i for i in order if contacts.has_normal[chosen[i]]]
     anchors = (normalled or list(order))[:3]
     poses = np.concatenate([_anchored(model, points[a], normals[a], points, a) for a in anchors])
-    return poses[np.argsort(_start_costs(problem, used, poses), kind="stable")[:BLIND_KEPT]]
+    heard = problem.sets(used)[0]
+    if len(order) > MOST_HEARD:
+        # Near the middle and far from it.
+        heard = heard[chosen[order[np.linspace(0, len(order) - 1, MOST_HEARD).astype(int)]]]
+    return poses[np.argsort(_start_costs(model, heard, poses), kind="stable")[:BLIND_KEPT]]
 
 
 def _anchored(model: ObjectModel, point: Array, normal: Array, points: Array, anchor: int) -> Array:
@@ -109,10 +114,10 @@ def _basis(z: Array, hint: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _start_costs(problem: Problem, used: Mask, poses: Array) -> Array:
-    """(K,) what the contacts say of each pose, with standard deviations as coarse as the starts are."""
+def _start_costs(model: ObjectModel, contacts: Records, poses: Array) -> Array:
+    """(K,) what contacts (n,) say of each pose, with standard deviations as coarse as the starts are."""
     step = 2 * np.pi / BLIND_SPINS
-    reach = np.linalg.norm(problem.contacts.points_palm - poses[:, None, :3, 3], axis=-1).mean() * step / 2
+    reach = np.linalg.norm(contacts["point"] - poses[:, None, :3, 3], axis=-1).mean() * step / 2
     descents = descents_at(poses)
-    batch.start_costs(*problem.model.record[:2], problem.sets(used)[0], reach, step, descents)
+    batch.start_costs(*model.record[:2], contacts, reach, step, descents)
     return np.asarray(descents["cost"])
