@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching, serialize
 
-from handsight import cache_folder
+from handsight import cache_folder, checks
 from handsight._kernels.linked import Linked
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -57,9 +57,9 @@ def entry(function: F) -> F:
 
 
 def _stamp() -> str:
-    """One for all kernels: they are compiled into each other."""
+    """One for all kernels, and for the bounds that they know: they are compiled into each other."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in (Path(checks.__file__), *sorted(Path(__file__).parent.glob("*.py"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

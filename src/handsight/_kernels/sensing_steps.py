@@ -25,6 +25,7 @@ from numba.extending import intrinsic
 
 from handsight._kernels import vec3
 from handsight._kernels.vec3 import Mat33, Vec3
+from handsight.checks import STRONGEST
 
 F = TypeVar("F", bound=Callable[..., Any])
 Vec6 = tuple[Vec3, Vec3]
@@ -106,8 +107,9 @@ def _largest(v: Vec3) -> float:
 
 
 @lane
-def _finite(v: Vec3) -> bool:
-    return (abs(v[0]) <= LARGEST) & (abs(v[1]) <= LARGEST) & (abs(v[2]) <= LARGEST)
+def _is_load(v: Vec3) -> bool:
+    """Whether it is a force [N] or a torque [N m] that a fingertip can feel; NaN is none."""
+    return (abs(v[0]) <= STRONGEST) & (abs(v[1]) <= STRONGEST) & (abs(v[2]) <= STRONGEST)
 
 
 @lane
@@ -167,7 +169,7 @@ def prepared(force: Vec3, torque: Vec3, tip: Fingertip) -> Any:
     size = _size(_larger(_largest(force), _largest(torque)))
     compared = scale(force, tip.unit)
     reason = CONTACT if dot(compared, compared) >= tip.least_squared else FREE
-    reason = reason if _finite(force) & _finite(torque) else INVALID
+    reason = reason if _is_load(force) & _is_load(torque) else INVALID
     shrink = _reciprocal(size)
     f = mul(tip.R, scale(force, shrink))
     moment = add(mul(tip.R, scale(torque, shrink)), cross(tip.origin, f))
