@@ -14,6 +14,8 @@ Indices = NDArray[np.int64]
 
 FARTHEST = 1e3
 """No position on or near a robot is farther from any frame's origin [m]; beyond it numbers are not measurements."""
+REACH = 5.0
+"""Nothing that a hand touches or holds is farther from its palm [m]: beyond it the unit is another."""
 STRONGEST = 1e5
 """No fingertip reads a larger force [N] or torque [N m]."""
 FINEST = 1e-9
@@ -94,11 +96,37 @@ def in_metres(length: float | list[float], most: float) -> str:
     )
 
 
+def in_reach(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """`value` [m] in the palm's frame as `finite` takes it, each number within `REACH`; raises InvalidInput."""
+    array = finite(value, name, shape)
+    if (np.abs(array) > REACH).any():
+        came = in_metres(array.tolist(), REACH) if array.ndim < 2 else "more (millimetres?)"
+        raise InvalidInput(f"{name}: expected metres within {REACH:g}, got {came}")
+    return array
+
+
 def sigma(value: ArrayLike, name: str) -> float:
     """`value` as a standard deviation [m or rad] from `FINEST` to `FARTHEST`; raises InvalidInput otherwise."""
     number = positive(value, name)
     if not FINEST <= number <= FARTHEST:
         raise InvalidInput(f"{name}: expected a number from {FINEST:g} to {FARTHEST:g}, got {number:g}")
+    return number
+
+
+def sigma_point(value: ArrayLike, name: str) -> float:
+    """As `sigma`, of where a contact is [m]: within `REACH`."""
+    number = sigma(value, name)
+    if number > REACH:
+        raise InvalidInput(f"{name}: expected metres within {REACH:g}, got {in_metres(number, REACH)}")
+    return number
+
+
+def sigma_normal(value: ArrayLike, name: str) -> float:
+    """As `sigma`, of a direction [rad]: within half a turn."""
+    number = sigma(value, name)
+    if number > np.pi:
+        came = f"{number:g} (degrees? {np.deg2rad(number):.4g} rad)"
+        raise InvalidInput(f"{name}: expected radians within {np.pi:.4g}, got {came}")
     return number
 
 

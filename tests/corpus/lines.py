@@ -128,6 +128,14 @@ def _changed(**fields: object) -> bytes:
     return json.dumps(PROBLEM | fields).encode()
 
 
+def _contact(**fields: object) -> bytes:
+    return _changed(contacts=[PROBLEM["contacts"][0] | fields])
+
+
+def _vision(**fields: object) -> bytes:
+    return _changed(vision=PROBLEM["vision"] | fields)
+
+
 DOORS = [
     Door("a line's values", values_spoilt, 250),
     Door("a line's text", line_spoilt, 100),
@@ -162,6 +170,26 @@ CASES = [
     ),
     Case(
         "a billion samples", lambda: answer(_changed(samples=999_999_999)), "samples: expected a whole number"
+    ),
+    Case(
+        "a sigma of 200 m",
+        lambda: answer(_contact(sigma_point=200)),
+        "sigma_point: expected metres within 5, got 200 (milli",
+    ),
+    Case(
+        "a normal known to 400 degrees",
+        lambda: answer(_contact(sigma_normal_deg=400)),
+        "expected degrees from 6e-08 to 180",
+    ),
+    Case(
+        "a contact in millimetres",
+        lambda: answer(_contact(point=[31, 0, 100])),
+        "got [31, 0, 100] (millimetres? [0.031",
+    ),
+    Case(
+        "vision in millimetres",
+        lambda: answer(_vision(position=[20, 0, 100])),
+        "vision.position: expected metres within 5",
     ),
     Case("a mark before the first line", lambda: answer("\ufeff".encode() + LINE.encode()), None),
     Case("two marks", lambda: answer("\ufeff\ufeff".encode() + LINE.encode()), "line: expected JSON"),

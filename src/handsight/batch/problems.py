@@ -5,7 +5,6 @@ the field, what was expected, what came.
 """
 
 import json
-import re
 import time
 from collections import Counter
 from pathlib import Path
@@ -219,7 +218,7 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
     normals: list[Array | None] = []
     for i, row in enumerate(rows):
         name = f"contacts[{i}]"
-        points[i] = checks.position(row.point, f"{name}.point", (3,))
+        points[i] = checks.in_reach(row.point, f"{name}.point", (3,))
         normals.append(None if row.normal is None else checks.unit(row.normal, f"{name}.normal", (3,)))
         if row.covariance is not None:
             if row.sigma_point is not None or row.sigma_normal_deg is not None:
@@ -227,22 +226,19 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
             covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
             continue
         sigma_point = (
-            1e-3 if row.sigma_point is None else checks.sigma(row.sigma_point, f"{name}.sigma_point")
+            1e-3 if row.sigma_point is None else checks.sigma_point(row.sigma_point, f"{name}.sigma_point")
         )
         sigma_normal = 0.1
         if row.sigma_normal_deg is not None:
-            sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg")
+            sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg", np.pi)
         covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
-    try:
-        return Contacts(points, normals, covariance=covariance)
-    except HandsightError as error:
-        raise InvalidInput(re.sub(r"^points_palm(\[\d+\])", r"contacts\1.point", str(error))) from None
+    return Contacts(points, normals, covariance=covariance)
 
 
 def _vision(fields: VisionFields | None) -> PosePrior | None:
     if fields is None:
         return None
-    position = checks.position(fields.position, "vision.position", (3,))
+    position = checks.in_reach(fields.position, "vision.position", (3,))
     quaternion = checks.unit(fields.quaternion_xyzw, "vision.quaternion_xyzw", (4,))
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
     given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
@@ -257,14 +253,16 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
         if getattr(fields, field) is None:
             raise InvalidInput(f"vision.{field}: expected a number above 0, got nothing")
     shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
-    return PosePrior.from_sigmas(T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg"))
+    return PosePrior.from_sigmas(
+        T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.FARTHEST)
+    )
 
 
-def _radians(degrees: Any, name: str) -> float:
-    """A standard deviation that comes in degrees [rad]; its bounds are those of radians, told in degrees."""
+def _radians(degrees: Any, name: str, most: float) -> float:
+    """A standard deviation that comes in degrees, up to `most` [rad]; its bounds are told in degrees."""
     radians = float(np.deg2rad(checks.positive(degrees, name)))
-    if not checks.FINEST <= radians <= checks.FARTHEST:
-        lowest, highest = np.rad2deg([checks.FINEST, checks.FARTHEST])
+    if not checks.FINEST <= radians <= most:
+        lowest, highest = np.rad2deg([checks.FINEST, most])
         raise InvalidInput(f"{name}: expected degrees from {lowest:.1g} to {highest:.3g}, got {degrees:g}")
     return radians
 

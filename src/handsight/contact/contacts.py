@@ -13,10 +13,6 @@ from handsight.checks import Array, Mask
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 
-FARTHEST = 5.0
-"""No contact is farther from the palm than this [m]; beyond it the unit is wrong."""
-_WIDEST = {"sigma_point": FARTHEST, "sigma_normal": np.pi}
-
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Contacts:
@@ -145,11 +141,7 @@ def _tangent(covariance: Array, normals: Array, has_normal: Mask) -> Array:
 def _points(points_palm: Any) -> Array:
     if checks.axes(points_palm) and not len(points_palm):
         raise InvalidInput("points_palm: expected at least one contact, got no contacts")
-    points = _by_row(checks.finite, points_palm, "points_palm", (3,))
-    for i in np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST):
-        came = checks.in_metres(points[i].tolist(), FARTHEST)
-        raise InvalidInput(f"points_palm[{i}]: expected metres within {FARTHEST:g}, got {came}")
-    return points
+    return _by_row(checks.in_reach, points_palm, "points_palm", (3,))
 
 
 def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
@@ -169,29 +161,14 @@ def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
 
 def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
     """(n,) positive, and no larger than what they are sigmas of."""
+    check = checks.sigma_point if name == "sigma_point" else checks.sigma_normal
     if checks.axes(value) == 0:
-        sigmas = np.full(n, checks.sigma(value, name))
-        _check_width(sigmas[0], name)
-        return sigmas
+        return np.full(n, check(value, name))
     sigmas = checks.finite(value, name, (None,))
     _same_length(sigmas, name, n)
-    for i in np.flatnonzero(~((sigmas >= checks.FINEST) & (sigmas <= _WIDEST[name]))):
-        checks.sigma(sigmas[i], f"{name}[{i}]")
-        _check_width(sigmas[i], name, f"[{i}]")
+    for i in np.flatnonzero(~((sigmas >= checks.FINEST) & (sigmas <= np.pi))):
+        check(sigmas[i], f"{name}[{i}]")
     return sigmas
-
-
-def _check_width(sigma: float, name: str, row: str = "") -> None:
-    """Raises InvalidInput for a sigma larger than what it is a sigma of: then its unit is another."""
-    most = _WIDEST[name]
-    if sigma > most:
-        metres = name == "sigma_point"
-        came = (
-            checks.in_metres(sigma, most) if metres else f"{sigma:g} (degrees? {np.deg2rad(sigma):.4g} rad)"
-        )
-        raise InvalidInput(
-            f"{name}{row}: expected {'metres' if metres else 'radians'} within {most:.4g}, got {came}"
-        )
 
 
 def _by_row(check: Callable[..., Array], value: Any, name: str, shape: tuple[int, ...]) -> Array:

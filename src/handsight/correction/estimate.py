@@ -28,6 +28,7 @@ class PosePrior:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "vision.T_palm_object"))
+        checks.in_reach(self.T_palm_object[:3, 3], "vision.T_palm_object: translation", (3,))
         covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
         object.__setattr__(self, "covariance", covariance)
         object.__setattr__(self, "record", _prior_record(self.T_palm_object, covariance))

@@ -61,13 +61,13 @@ def save(figure: Any, path: Path) -> None:
     legends = [axes.get_legend_handles_labels() for axes in figure.axes]
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
     figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)
-    try:
-        with written(path):
+    with written(path):
+        try:
             figure.savefig(path, dpi=130)
-    except ValueError as error:
-        raise HandsightError(f"{path}: {error}") from None
-    finally:
-        require_matplotlib().close(figure)
+        except ValueError as error:
+            raise HandsightError(f"{path}: {error}") from None
+        finally:
+            require_matplotlib().close(figure)
 
 
 def _draw(axes: Any, panel: Panel) -> None:
