@@ -105,7 +105,7 @@ def test_a_picture_that_may_not_grow_is_told(folder):
 def test_a_recording_that_may_not_grow_is_told(folder):
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
-    code, err = shell("handsight simulate can --motion grasp -o can.mcap", folder, blocks=8)
+    code, err = shell("handsight simulate can --motion grasp -o can.mcap", folder, blocks=32)
     assert code == 74
     assert err.splitlines()[-1] == "handsight: can.mcap: cannot be written: File too large"
 

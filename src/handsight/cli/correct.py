@@ -103,8 +103,8 @@ def correct(
 
     Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves
     open, wrong contacts, other hypotheses. A line that cannot be read is answered `{"error": ...}`; the exit
-    code is then 1; it is 2 where problems cannot be read, 74 where answers cannot be written. Any number of lines fits: they
-    are read as they are answered. A byte order mark at the beginning is dropped.
+    code is then 1; it is 2 where problems cannot be read, 74 where answers cannot be written. Any number of lines
+    fits: they are read as they are answered. A byte order mark at the beginning is dropped.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png

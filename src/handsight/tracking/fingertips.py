@@ -15,7 +15,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
 
-SILENT, FLOAT = np.full(6, np.nan), np.dtype(np.float64)
+SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = tuple("silent" if name == "invalid" else name for name in REASON_NAMES)
 """By the kernel's number; the first is a contact."""
 
@@ -83,9 +83,10 @@ class FingertipSensors:
             came = checks.brief(wrenches)
             raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
         rows = [wrenches.get(name, SILENT) for name in self.names]
-        if all(type(row) is np.ndarray and row.shape == (6,) and row.dtype == FLOAT for row in rows):
+        if {type(row) for row in rows} == {np.ndarray} and {(row.dtype, row.shape) for row in rows} == WRENCH:
             readings = np.array(rows)
-            if not np.count_nonzero(np.abs(readings) > checks.STRONGEST):
+            # NaN is smaller than nothing: where one is, each row is looked at.
+            if readings.min() >= -checks.STRONGEST and readings.max() <= checks.STRONGEST:
                 return readings
         named = zip(self.names, rows, strict=True)
         return np.array([_reading(row, f"observation.wrenches[{name!r}]") for name, row in named])
