@@ -9,6 +9,7 @@ import trimesh
 import handsight as hs
 from handsight._kernels import batch
 from handsight.correction import refine_pose
+from handsight.correction.modes import APART
 from handsight.correction.outside import MOST_PLANES
 from handsight.correction.problem import MOST_CONTACTS
 from scenes import NOISE, anywhere_on, box, off, random_scene
@@ -38,27 +39,35 @@ def scene_on(model, seed):
 
 
 def better_near_the_truth(seed):
-    """How much cheaper a descent from the truth ends than the answer, and how far from it [m]."""
+    """How much cheaper a descent on the fine field from the truth ends than the answer, and how far off it [m, rad]."""
     scene = scene_on(bracket(), seed)
     answer = hs.correct_pose(bracket(), scene.contacts, vision=scene.vision)
     near = refine_pose(bracket(), scene.contacts, scene.vision, scene.T_palm_object)
     if near is None or answer.outliers or not answer.consistent:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     gain = answer.hypotheses[0].cost - near.hypotheses[0].cost
-    return gain, off(answer.T_palm_object, near.T_palm_object)[0]
+    return gain, *off(answer.T_palm_object, near.T_palm_object)[:2]
 
 
 @pytest.mark.parametrize("seed", [2462, 4079, 5944])
 def test_a_start_that_led_to_the_wrong_face_of_an_l_is_not_the_last(seed):
-    gain, _ = better_near_the_truth(seed)
+    gain, *_ = better_near_the_truth(seed)
     assert gain < 3
 
 
 @pytest.mark.slow
 def test_on_an_l_few_better_modes_are_missed():
-    missed = [gain > 3 and shift > 0.005 for gain, shift in map(better_near_the_truth, range(3000, 6000))]
-    # 33 when this was written: a descent that begins at the truth ends in modes that no draw of the prior leads to.
-    assert sum(missed) <= 40
+    missed = [
+        (shift, turn) for gain, shift, turn in map(better_near_the_truth, range(3000, 6000)) if gain > 3
+    ]
+    near = sum(shift > 0.005 for shift, _ in missed)
+    far = sum(shift > APART[0] or turn > APART[1] for shift, turn in missed)
+    print(
+        f"of 3000, a mode that costs less by 3: {near} over 5 mm off, {far} that would be told as another hypothesis"
+    )
+    # 33 and 1 when this was written: a descent from the truth ends where no draw of the prior leads to.
+    assert near <= 40
+    assert far <= 4
 
 
 def poses_seen(n, monkeypatch, *, blind, wrong=8):
