@@ -18,8 +18,8 @@ RECHECK_P = 0.003
 """Probability that contacts which fit are searched for a wrong one all the same: time lost, nothing else."""
 DOUBT_P, DOUBT_COARSE = 0.2, 5.0
 """What one start from the widest prior that it may do for found is doubted, and other starts are tried, when what is
-right fits worse with this probability at most, or when it was this many times worse yet on the coarse field. Four of
-five problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt."""
+right fits worse with this probability at most, or when it was this many times worse yet on the coarse field. Two of
+three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt."""
 DECISIVE = 16.27
 """A contact is wrong when the cost falls by more than this without it: a right one's does once in 1000."""
 
