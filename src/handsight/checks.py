@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterable
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -188,13 +189,19 @@ def describe(shape: tuple[int | None, ...]) -> str:
     return f"finite numbers of shape ({', '.join('n' if s is None else str(s) for s in shape)})"
 
 
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The one that a name may be a slip of, whatever its letters' case; None where none is alike."""
+    lower = {one.lower(): one for one in islice(known, MOST_COMPARED) if len(one) <= LONGEST_NAME}
+    like = name.lower() if len(name) <= LONGEST_NAME else ""
+    alike = difflib.get_close_matches(like, lower, n=1, cutoff=0.5)
+    return lower[alike[0]] if alike else None
+
+
 def among(name: str, valid: Iterable[str]) -> str:
     """`; the nearest valid one is 'x'`, or, where none is alike, the first few of them: for the end of a message."""
     known = sorted(valid)
-    lower = {one.lower(): one for one in known[:MOST_COMPARED] if len(one) <= LONGEST_NAME}
-    like = name.lower() if len(name) <= LONGEST_NAME else ""
-    if alike := difflib.get_close_matches(like, lower, n=1, cutoff=0.5):
-        return f"; the nearest valid one is {lower[alike[0]]!r}"
+    if (alike := nearest(name, known)) is not None:
+        return f"; the nearest valid one is {alike!r}"
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; valid: {listed}" if known else ""
 

@@ -1,13 +1,16 @@
-"""Files as they come in and go out: what is no regular file, or larger than any that was meant, is refused unread."""
+"""Files and streams that a user names: read whole, written, told apart, and what they are called in a message."""
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from stat import S_ISDIR, S_ISREG
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from handsight.errors import InvalidFile, NotWritten
+
+STREAMS = ("stdin", "stdout", "stderr")
+"""By their numbers."""
 
 
 def open_regular(path: str | os.PathLike[str], name: str | None = None) -> BinaryIO:
@@ -18,13 +21,15 @@ def open_regular(path: str | os.PathLike[str], name: str | None = None) -> Binar
     name = str(path) if name is None else name
     try:
         mode = Path(path).stat().st_mode
-        if S_ISREG(mode):
+        if stat.S_ISREG(mode):
             return Path(path).open("rb")
     except OSError as error:
         raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
     except ValueError:  # a null byte in the path
         raise InvalidFile(f"{name!r}: not a path") from None
-    raise InvalidFile(f"{name}: expected a file, got {'a folder' if S_ISDIR(mode) else 'something else'}")
+    raise InvalidFile(
+        f"{name}: expected a file, got {'a folder' if stat.S_ISDIR(mode) else 'something else'}"
+    )
 
 
 def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None) -> bytes:
@@ -51,3 +56,34 @@ def written(name: str | os.PathLike[str]) -> Iterator[None]:
         raise
     except OSError as error:
         raise NotWritten(f"{name}: cannot be written: {error.strerror or error}") from None
+
+
+def called(stream: Any) -> str:
+    """What a stream is called in a message."""
+    name = getattr(stream, "name", "stream")
+    if isinstance(name, int) and name in range(len(STREAMS)):
+        return STREAMS[name]
+    return str(name).strip("<>")
+
+
+def apart(written: Any, what: str, other: Any, whose: str) -> None:
+    """Raises InvalidFile where writing `what` to one place would overwrite the other; places are paths and streams.
+
+    Links to one file are one place. A terminal, a pipe or None is no place: nothing there is overwritten.
+    """
+    place = _place(written)
+    if place is not None and place == _place(other):
+        name = written if isinstance(written, str | os.PathLike) else called(written)
+        raise InvalidFile(f"{name}: {what} would overwrite {whose}")
+
+
+def _place(given: Any) -> tuple[Any, ...] | None:
+    """What two names of the same file have in common."""
+    if given is None:
+        return None
+    named = isinstance(given, str | os.PathLike)
+    try:
+        found = os.stat(given if named else given.fileno())
+    except (OSError, ValueError, AttributeError):  # not yet a file, or never one
+        return (os.path.realpath(Path(given)),) if named else None
+    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None

@@ -3,7 +3,6 @@
 What is missing is None, or not in the mapping: nothing stands for a reading that was not taken.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -86,28 +85,7 @@ def checked(observation: Observation) -> Observation:
         came = type(vision).__name__
         raise InvalidInput(f"observation.vision: expected a PoseMeasurement or None, got {came}")
     if T is not None:
-        T = T.copy() if _surely_rigid(T) else se3.check(T, "observation.T_world_palm")
+        T = se3.check(T, "observation.T_world_palm")
         T.setflags(write=False)
     joints, wrenches = observation.joint_positions, observation.wrenches
     return Observation(stamp, joints, wrenches, vision, T, observation.color, observation.depth)
-
-
-def _surely_rigid(T: object) -> bool:
-    """Whether `se3.check` would take it, in plain floats: a tenth of the time. False: it may."""
-    if type(T) is not np.ndarray or T.shape != (4, 4) or T.dtype != np.float64:
-        return False
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = T.tolist()
-    drift = (
-        abs(a * a + d * d + g * g - 1)
-        + abs(b * b + e * e + h * h - 1)
-        + abs(c * c + f * f + i * i - 1)
-        + abs(a * b + d * e + g * h)
-        + abs(a * c + d * f + g * i)
-        + abs(b * c + e * f + h * i)
-    )
-    right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0
-    near = min(x, y, z) > -checks.FARTHEST and max(x, y, z) < checks.FARTHEST
-    # Half of what is allowed: rounding decides nothing.
-    return (
-        math.isfinite(x + y + z) and drift < 5e-7 and right_handed and near and last == [0.0, 0.0, 0.0, 1.0]
-    )

@@ -134,9 +134,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, *args: Any) -> Any:
         kept = None
-        with contextlib.suppress(
-            Exception
-        ):  # none yet, damaged, or of another build: compiled, and kept anew
+        with contextlib.suppress(Exception):  # none yet, damaged, of another build: compiled, and kept anew
             kept = super().load_overload(*args)
         while kept is None and on_compile:
             on_compile.pop()()

@@ -5,7 +5,7 @@ import io
 from collections.abc import Iterator
 
 from handsight.errors import InvalidFile
-from handsight.places import called
+from handsight.files import called
 
 LONGEST = 32_000_000
 """Bytes of a line; what is in it takes up to thirty times as many once it is read."""

@@ -24,8 +24,7 @@ from handsight.cli.terminal import (
     writing,
 )
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import written
-from handsight.places import apart, called
+from handsight.files import apart, called, written
 
 if TYPE_CHECKING:
     from handsight.batch.lines import Source

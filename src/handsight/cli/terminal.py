@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from handsight.errors import HandsightError, InvalidFile, NotWritten, printable
-from handsight.files import written
-from handsight.places import STREAMS
+from handsight.files import STREAMS, written
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -20,8 +20,7 @@ from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches
 from handsight.errors import InvalidInput
-from handsight.files import written
-from handsight.places import apart, called
+from handsight.files import apart, called, written
 
 Format = Literal["csv", "jsonl"]
 

@@ -18,7 +18,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
 from handsight.explain import explain, named
-from handsight.places import called
+from handsight.files import called
 
 Place = str | os.PathLike[str] | TextIO
 

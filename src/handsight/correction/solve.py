@@ -70,9 +70,8 @@ def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstim
 
     `searched`: whether a wrong contact has been looked for; what fits then stands, though one may look suspicious.
     """
-    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[
-        ENDED
-    ].item()  # one by one takes twice as long
+    # One by one takes twice as long.
+    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[ENDED].item()
     if not width < WIDEST_OF_ONE or not converged:
         return None
     if searched:

@@ -126,6 +126,7 @@ def text_of(root: Part) -> tuple[str, list[Part]]:
     lines, parts = list[str](), list[Part]()
 
     def write(part: Part) -> None:
+        """An element and, after it, those in it."""
         check_numbers(part)
         given = "".join(f" {name}={quoteattr(value)}" for name, value in part.attributes.items())
         lines.append(f"<{part.tag}{given}>")

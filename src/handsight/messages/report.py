@@ -1,11 +1,10 @@
 """What was heard of a robot and what its rig needs and did not hear, as numbers and as sentences for the user."""
 
-import difflib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import islice
 
+from handsight.checks import nearest
 from handsight.errors import printable
 from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
 from handsight.messages.units import Units
@@ -13,8 +12,6 @@ from handsight.rig import Rig
 
 MAX_TOLD = 12
 """Sentences of one kind."""
-MAX_COMPARED = 1000
-"""Names, and characters of one, among which the nearest is looked for."""
 
 
 @dataclass(slots=True)
@@ -128,6 +125,5 @@ def _missing_frames(rig: Rig, report: Report, topic: str, frames: set[str]) -> l
 
 
 def _nearest(name: str, there: Iterable[str]) -> str:
-    known = islice((each for each in there if len(each) < MAX_COMPARED), MAX_COMPARED)
-    near = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.5)
-    return f"; the nearest is {near[0]!r}" if near else ""
+    near = nearest(name, sorted(there))
+    return f"; the nearest is {near!r}" if near else ""

@@ -6,10 +6,8 @@ import numpy as np
 
 from handsight import checks
 from handsight.correction import MOST_SAMPLES
+from handsight.correction.outside import MOST_POINTS
 from handsight.errors import InvalidInput
-
-MOST_OUTSIDE = 100_000
-"""Points of the hand; each is looked at in each step of a correction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +54,7 @@ class TrackerSettings:
             for name in names:
                 _check_size(getattr(self, name), f"settings.{name}", most)
         checks.whole(self.samples, "settings.samples", MOST_SAMPLES)
-        checks.whole(self.outside, "settings.outside", MOST_OUTSIDE)
+        checks.whole(self.outside, "settings.outside", MOST_POINTS)
 
 
 LIMITS = ("moved", "turned", "memory", "uncertain_position", "lost_after")
