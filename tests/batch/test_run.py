@@ -1,5 +1,6 @@
 """Many lines through many workers: each is answered once, in its place, whatever happens to the workers."""
 
+import errno
 import io
 import json
 import os
@@ -8,7 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-from concurrent.futures import Future
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -267,6 +268,35 @@ def test_workers_killed_while_they_wait_are_replaced():
         os.close(write)
         assert list(answers) == []
     assert len(set(pids)) == 4
+
+
+@pytest.mark.parametrize("said", [OSError("handle is closed"), BrokenPipeError(errno.EPIPE, "Broken pipe")])
+def test_a_pool_that_closes_while_it_is_given_work_is_replaced(monkeypatch, said):
+    """A worker that dies between two chunks: the pool's pipes are closed before the pool calls itself broken."""
+    given, raised = ProcessPoolExecutor.submit, []
+
+    def submit(pool, work, *args):
+        if len(args) > 0 and not raised:
+            raised.append(pool)
+            raise said
+        return given(pool, work, *args)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", submit)
+    with Processes(1, obeyed) as workers:
+        pairs = answered(Run(source(["say 1", "say 2"]), workers))
+    assert [answer["line"] for _, answer in pairs] == ["say 1", "say 2"]
+    assert raised
+
+
+def test_no_more_processes_are_no_death(monkeypatch):
+    """Nothing is tried again forever where the system gives no more processes."""
+    no_more = BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", lambda *_: (_ for _ in ()).throw(no_more))
+    with (
+        Processes(1, obeyed) as workers,
+        pytest.raises(WorkerFailure, match="temporarily unavailable.*--workers 1"),
+    ):
+        answered(Run(source(["say 1"]), workers))
 
 
 def test_a_line_of_many_megabytes_passes():

@@ -123,12 +123,16 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         """The answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be had."""
         while True:
             pool = self._pool or self._started()
-            with contextlib.suppress(BrokenProcessPool, BrokenPipeError), _spawning():
-                named = pool.submit(_to_file, self._work, self._folder.name, lines)
+            try:
+                with _spawning():
+                    named = pool.submit(_to_file, self._work, self._folder.name, lines)
+            except (BrokenProcessPool, OSError) as error:
+                _check_broken(error)
+                self._end()
+            else:
                 answers: Future[Answers] = Future()
                 named.add_done_callback(functools.partial(_from_file, answers=answers))
                 return answers
-            self._end()
 
     def answers(self, future: Future[Answers]) -> Answers | None:
         """The answers once they are there, None where a worker died; raises WorkerFailure for what else went wrong."""
@@ -151,10 +155,18 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                 children = multiprocessing.active_children()
                 ready.result()
                 return self._pool
-            except (BrokenProcessPool, BrokenPipeError):  # it may die before it has read what to do
+            except (BrokenProcessPool, OSError) as error:  # it may die before it has read what to do
+                _check_broken(error)
                 self._end()
         said = ", ".join(str(child.exitcode) for child in children)
         raise WorkerFailure(f"worker processes end as they start (exit code {said}); --workers 1 needs none")
+
+
+def _check_broken(error: BrokenProcessPool | OSError) -> None:
+    """Raises WorkerFailure where this is not of a pool with a dead worker, which may close its pipes before it says
+    that it is broken."""
+    if not isinstance(error, BrokenProcessPool | BrokenPipeError) and str(error) != "handle is closed":
+        raise WorkerFailure(f"worker processes cannot begin ({error}); --workers 1 needs none") from None
 
 
 @contextlib.contextmanager
