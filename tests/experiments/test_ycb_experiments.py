@@ -18,7 +18,7 @@ needs_data = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize("name", ["three_finger_contacts", "vision_errors"])
+@pytest.mark.parametrize("name", ["three_finger_contacts", "vision_errors", "holding"])
 def test_without_data_an_experiment_says_so_and_ends_well(name, tmp_path, monkeypatch):
     empty, output = tmp_path / "empty", tmp_path / "output"
     empty.mkdir()

@@ -13,14 +13,14 @@ from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
     from handsight.rig import ObjectEntry, Rig
-    from handsight.simulation import Nuisances, Scenario
+    from handsight.simulation import Grasp, Nuisances, Scenario
 
 MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
 
 def simulate(
-    object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres, standing along z.")],
+    object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres.")],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="The recording, MCAP; default: OBJECT-SEED.mcap here."),
@@ -36,13 +36,18 @@ def simulate(
             metavar="NAME=VALUE", help="Another size of a nuisance, in SI units; `none` switches all off."
         ),
     ] = None,
+    grasp: Annotated[
+        Path | None,
+        typer.Option(help="A grasp found before, OUTPUT.grasp.json of a recording; default: search one."),
+    ] = None,
 ) -> None:
     """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
 
-    Beside the recording goes its rig, OUTPUT.rig.yaml. All of it is synthetic (MuJoCo); what spoils the readings, and
-    by how much, is a setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`.
+    Beside the recording goes its rig, OUTPUT.rig.yaml, and for a mesh its grasp, OUTPUT.grasp.json: grasps are tried
+    in the simulator until one holds. All of it is synthetic (MuJoCo); what spoils the readings, and by how much, is a
+    setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`.
     """
-    from handsight.simulation import Scenario
+    from handsight.simulation import Scenario, read_grasp
 
     announce_compiling()
     chosen: Any = motion  # the scenario says which there are
@@ -50,7 +55,9 @@ def simulate(
         object=object, seed=seed, motion=chosen, images=images, nuisances=nuisances(nuisance or [])
     )
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
-    samples, dropped = record(scenario, path)
+    _recordable(path)
+    chosen_grasp = read_grasp(grasp) if grasp else _found(scenario, path)
+    samples, dropped = record(scenario, path, chosen_grasp)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {own_rig(path).name}")
     if dropped:
@@ -85,28 +92,48 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
     return chosen
 
 
-def record(scenario: "Scenario", path: Path) -> tuple[int, bool]:
+def record(scenario: "Scenario", path: Path, grasp: "Grasp | None" = None) -> tuple[int, bool]:
     """How many observations were simulated into `path`, and whether the hand dropped the object in the end.
 
-    The rig is written beside it. Ctrl-C, or an error, leaves what was simulated by then.
+    `grasp`: else the object's own, or one that is searched. The rig is written beside it. Ctrl-C, or an error, leaves
+    what was simulated by then.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate
 
-    if path.suffix.lower() != ".mcap":
-        raise InvalidFile(f"{path}: expected a name that ends in .mcap")
+    _recordable(path)
     rig = rig_of(scenario)
     # The one object there is need not be named to `track`.
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
         write_rig(rig, own_rig(path))
-        for sample in simulate(scenario, advance):
+        for sample in simulate(scenario, advance, grasp):
             writer.write(sample.observation)
             writer.write_truth(sample.observation.stamp, sample.T_palm_object)
             samples, dropped = samples + 1, sample.dropped
     return samples, dropped
+
+
+def _recordable(path: Path) -> None:
+    if path.suffix.lower() != ".mcap":
+        raise InvalidFile(f"{path}: expected a name that ends in .mcap")
+
+
+def _found(scenario: "Scenario", path: Path) -> "Grasp":
+    """The scenario's grasp; one that was searched is said, and written beside the recording."""
+    from handsight.simulation import find_grasp, write_grasp
+
+    with bar("searching a grasp") as advance:
+        found = find_grasp(scenario, advance)
+    if found.trials:
+        beside = path.with_suffix(".grasp.json")
+        write_grasp(found, scenario.object, beside)
+        before = f" ({found.failures})" if found.failures else ""
+        end = "the last one holds" if found.held else "none holds, this one did longest"
+        say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
+    return found.grasp
 
 
 def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":

@@ -1,19 +1,27 @@
 """Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
 
 from handsight.simulation.camera import looking
+from handsight.simulation.grasp_file import read_grasp, write_grasp
+from handsight.simulation.grasp_search import Found, find_grasp
+from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Nuisances, Sample, Scenario, TipContact
 from handsight.simulation.simulate import simulate
 
 __all__ = [
+    "Found",
+    "Grasp",
     "Nuisances",
     "Sample",
     "Scenario",
     "TipContact",
+    "find_grasp",
     "looking",
     "model_of",
+    "read_grasp",
     "render",
     "rig_of",
     "simulate",
+    "write_grasp",
 ]

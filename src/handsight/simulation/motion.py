@@ -1,23 +1,35 @@
 """How the hand moves: it closes on an object, then the palm goes over the table, up, round.
 
-The grasps' numbers were found by random search on the Shadow hand (J3 spread, J2 knuckle, J1 middle; the last joint of
-a finger is coupled to its middle one by a tendon).
+The numbers of the grasps on can and box were found by random search on the Shadow hand (J3 spread, J2 knuckle, J1
+middle; the last joint of a finger is coupled to its middle one by a tendon).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.simulation.scene import BOX_SIZE, CAN_SIZE
 
 CLOSED, FREE, SETTLED, MOVES = 0.7, 1.0, 1.4, 1.9
 """When the servos' targets are closed, the object is let go, has settled in the hand, and the palm may move [s]."""
 SHIFT, TURN, AIM = 0.003, float(np.deg2rad(3.0)), float(np.deg2rad(1.0))
 """Half widths of the draws: place [m] and turn [rad] of the object per axis, targets of the joints [rad]."""
-PALM_ABOVE_TABLE = 0.0468
-"""Of a grasp on any object [m]: lower, the palm's edge touches the table."""
+R_WORLD_PALM = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
+"""Fingers along x, the palm towards y, the thumb up."""
+
+SERVOS = frozenset(
+    f"robot0:{finger}J{number}"
+    for finger, numbers in {
+        **dict.fromkeys(("FF", "MF", "RF"), (3, 2, 1)),
+        "LF": (4, 3, 2, 1),
+        "TH": (4, 3, 2, 1, 0),
+    }.items()
+    for number in numbers
+)
+"""Joints that a grasp may name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,15 +37,15 @@ class Grasp:
     """A closing motion of the hand around an object."""
 
     T_palm_middle: Array
-    """(4, 4) of the upright object's middle, its z up, when the fingers begin to close."""
+    """(4, 4) of the object's axes in the middle of its bounds, when the fingers begin to close."""
     opening: Mapping[str, float]
     """Targets of the joints' servos at first [rad]; 0 for those not named."""
     closed: Mapping[str, float]
     """The same at the end."""
-    furthest: float = 1.0
-    """How far a finger closes at most, in parts of the way from opening to closed."""
-    stop_force: float = np.inf
-    """Force at the tip at which a finger closes no further [N]."""
+    height: float
+    """Of that middle above the table [m]."""
+    R_world_palm: Array = field(default_factory=lambda: R_WORLD_PALM)
+    """(3, 3) when the fingers begin to close; a draw turns it a little."""
 
 
 def _joints(**of_finger: Mapping[int, float]) -> dict[str, float]:
@@ -48,6 +60,7 @@ _UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 """R_palm_object with the object's z along the palm's x, which is up."""
 
 CAN = Grasp(
+    height=CAN_SIZE[1] / 2,
     T_palm_middle=se3.compose(_UPRIGHT, np.array([0.0142, -0.0884, 0.0923])),
     opening=_joints(TH={4: -0.45, 3: 1.22, 2: 0.18, 1: -0.2, 0: -1.3}),
     closed=_joints(
@@ -59,6 +72,7 @@ CAN = Grasp(
     ),
 )
 BOX = Grasp(
+    height=BOX_SIZE[2] / 2,
     T_palm_middle=se3.compose(
         _UPRIGHT @ se3.rotation_exp(np.array([0.0, 0.0, -0.315])), np.array([-0.0023, -0.0897, 0.1001])
     ),
@@ -69,19 +83,8 @@ BOX = Grasp(
         TH={4: 0.0, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61},
     ),
 )
-MESH = replace(
-    CAN, opening=_joints(TH={4: -0.7, 3: 1.22, 2: 0.18, 1: 0.0, 0: -0.9}), furthest=1.6, stop_force=1.5
-)
-"""Any other object: as the can, each finger until it touches the object."""
-
-
-def grasp_of(name: str, height: float) -> Grasp:
-    """How an object is grasped; `height` of it [m]."""
-    if name in ("can", "box"):
-        return CAN if name == "can" else BOX
-    T = MESH.T_palm_middle.copy()
-    T[0, 3] = height / 2 - PALM_ABOVE_TABLE
-    return replace(MESH, T_palm_middle=T)
+OWN = {"can": CAN, "box": BOX}
+"""By object; how a mesh is grasped is searched."""
 
 
 def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:

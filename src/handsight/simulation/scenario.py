@@ -99,8 +99,8 @@ class Scenario:
     """One grasp or manipulation: what, which draw of it, how it is recorded."""
 
     object: str = "can"
-    """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres, standing along z: its convex hull
-    is what is simulated, closed on until the tips touch it."""
+    """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres: its convex hull is what is
+    simulated, as it rests in the file, or on a side where only that can be held, in a grasp that is searched."""
     seed: int = 0
     """Of everything that is drawn."""
     motion: Motion = "grasp"

@@ -8,8 +8,11 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.errors import InvalidObject
 from handsight.observation import Observation, PoseMeasurement
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement, kinect
+from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
@@ -105,15 +108,18 @@ def _drawn(sigma_first: float, sigma_second: float, rng: np.random.Generator, *r
     return np.repeat([sigma_first, sigma_second], 3) * rng.normal(size=(*rows, 6))
 
 
-def simulate(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Iterator[Sample]:
+def simulate(
+    scenario: Scenario, progress: Callable[[float], None] | None = None, grasp: Grasp | None = None
+) -> Iterator[Sample]:
     """Samples at the scenario's rate, from the open hand on; the same scenario gives the same ones.
 
     The fingers close (1 s, the object held in place), the object is let go, and the palm holds still or moves: 1.9 s
     for a grasp, 18.4 s for a manipulation. `progress` is told the share that is done, 0 to 1. Raises MissingExtra
     without mujoco or gymnasium-robotics (`handsight[sim]`), or where images are asked for and nothing can draw them;
-    InvalidFile or InvalidObject for a mesh that cannot be used.
+    InvalidFile or InvalidObject for a mesh that cannot be used, or where the simulator, not the hand, throws it away.
+    `grasp`: else the object's own, or for a mesh the one that `find_grasp` finds for this seed.
     """
-    world = World(scenario)
+    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed)))
     sensors = Sensors(scenario, world)
     every, steps = round(STEPS_PER_SECOND / scenario.rate), round(world.duration * STEPS_PER_SECOND)
     with closing(sensors):
@@ -122,6 +128,10 @@ def simulate(scenario: Scenario, progress: Callable[[float], None] | None = None
                 world.step()
             if step % every == 0:
                 world.refresh()
+                if world.thrown():
+                    raise InvalidObject(
+                        f"object: the simulator threw it away after {world.time:.1f} s, not the hand"
+                    )
                 yield Sample(
                     observation=sensors.observe(),
                     T_palm_object=world.T_palm_object(),

@@ -7,18 +7,18 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.simulation.motion import CLOSED, FREE, LEGS, MOVES, SETTLED, grasp_of, palm_poses, perturbed
+from handsight.simulation.motion import CLOSED, FREE, LEGS, MOVES, SETTLED, Grasp, palm_poses, perturbed
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
-from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, mujoco_module, scene
+from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module, scene
 
 SETTLE = 0.15
 """For the servos to hold the open hand [s]."""
-R_WORLD_PALM = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
-"""Fingers along x, the palm towards y, the thumb up; a draw turns it a little."""
 AWAY = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the object waits meanwhile: position [m], quaternion, w first."""
 MAX_SHIFT, MAX_TURN = 0.03, 0.5
 """How far [m], and by what angle [rad], an object moves in a grasp that holds it."""
+FLYING = 3.0
+"""Sideways or upwards [m/s]: no hand of this strength throws an object as fast."""
 MAX_OVERLAP = 0.003
 """Of the open hand and the object [m]: more, and it does not fit in."""
 
@@ -26,17 +26,19 @@ MAX_OVERLAP = 0.003
 class World:
     """One draw of a scene over time; `step` is the only thing that changes it."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        """At time 0: the hand is open and still, the object stands on the table, held in place."""
+    def __init__(self, scenario: Scenario, grasp: Grasp) -> None:
+        """At time 0: the hand is open and still, the object stands on the table, held in place.
+
+        Raises InvalidObject where hand and object overlap.
+        """
         self._mujoco = mujoco_module()
         self.scene = scene(scenario.object)
         self.data: Any = self._mujoco.MjData(self.scene.model)
         low, high = self.scene.bounds_object
         self._size = high - low
-        middle = np.array([0.0, 0.0, self._size[2] / 2])
-        grasp = grasp_of(scenario.object, self._size[2])
+        middle = np.array([0.0, 0.0, grasp.height])
         self._grasp = perturbed(grasp, np.random.default_rng((int(scenario.seed), 1)))
-        T_world_middle = se3.compose(R_WORLD_PALM @ grasp.T_palm_middle[:3, :3], middle)
+        T_world_middle = se3.compose(grasp.R_world_palm @ grasp.T_palm_middle[:3, :3], middle)
         T_middle_object = se3.compose(np.eye(3), -(low + high) / 2)
         T_world_palm = T_world_middle @ se3.inverse(self._grasp.T_palm_middle)
         self._moves = scenario.motion == "manipulate"
@@ -47,7 +49,7 @@ class World:
         self._arm = _rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         self._begin = _rows((T_world_middle @ T_middle_object)[None])[0]
         self.steps = 0
-        self._closed = dict.fromkeys(FINGERS, 0.0)
+        self._closed = 0.0
         self._T_palm_object_freed: Array | None = None
         self._open()
 
@@ -94,12 +96,34 @@ class World:
         """(4, 4) true."""
         return se3.inverse(self.pose(PALM)) @ self.pose("object")
 
+    def moved(self) -> tuple[float, float]:
+        """How far [m], and by what angle [rad], the object has moved in the palm since it was free."""
+        if self._T_palm_object_freed is None:
+            return 0.0, 0.0
+        moved = se3.difference(self.T_palm_object(), self._T_palm_object_freed)
+        return float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
+
     def dropped(self) -> bool:
         """Whether the object has left the grasp since it was free."""
-        if self._T_palm_object_freed is None:
-            return False
-        moved = se3.difference(self.T_palm_object(), self._T_palm_object_freed)
-        return bool(np.linalg.norm(moved[:3]) > MAX_SHIFT or np.linalg.norm(moved[3:]) > MAX_TURN)
+        shift, turn = self.moved()
+        return shift > MAX_SHIFT or turn > MAX_TURN
+
+    def touches(self) -> list[tuple[str, float, float]]:
+        """Contacts of the hand with the object: the hand's geom, how hard it presses [N], how deep [m]."""
+        found = []
+        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
+            names = [self.scene.model.geom(int(geom)).name for geom in contact.geom]
+            if "object" in names and "table" not in names and contact.exclude == 0:
+                wrench = np.zeros(6)
+                self._mujoco.mj_contactForce(self.scene.model, self.data, i, wrench)
+                force = float(np.linalg.norm(wrench[:3]))
+                found.append((names[1 - names.index("object")], force, -float(contact.dist)))
+        return found
+
+    def thrown(self) -> bool:
+        """Whether the object flies as nothing that falls does: the simulator's fault."""
+        velocity = self.data.joint("object").qvel[:3]
+        return not (np.linalg.norm(velocity[:2]) < FLYING and velocity[2] < FLYING)
 
     def tip_contacts(self) -> tuple[TipContact, ...]:
         """The fingertips' contacts with whatever they touch."""
@@ -156,15 +180,11 @@ class World:
         self.data.mocap_pos[0], self.data.mocap_quat[0] = row[:3], row[3:]
 
     def _close_fingers(self) -> None:
-        """Moves the servos' targets on, of those fingers that do not press enough yet."""
-        for finger in FINGERS:
-            if np.linalg.norm(self.reading(finger)[:3]) < self._grasp.stop_force:
-                further = self._closed[finger] + self._grasp.furthest / (CLOSED * STEPS_PER_SECOND)
-                self._closed[finger] = min(further, self._grasp.furthest)
+        """Moves the servos' targets on."""
+        self._closed = min(self._closed + 1 / (CLOSED * STEPS_PER_SECOND), 1.0)
         for joint, angle in self._grasp.closed.items():
             begin = self._grasp.opening.get(joint, 0.0)
-            share = self._closed[joint.removeprefix("robot0:")[:2].lower()]
-            self._servo(joint).ctrl[:] = begin + share * (angle - begin)
+            self._servo(joint).ctrl[:] = begin + self._closed * (angle - begin)
 
 
 def _rows(Ts: Array) -> Array:

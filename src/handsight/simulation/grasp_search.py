@@ -1,0 +1,138 @@
+"""A grasp that holds an object: holds that geometry promises, tried in the simulator until one does."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import islice
+
+import numpy as np
+
+from handsight.errors import InvalidObject
+from handsight.simulation.holds import Hold, body_of, holds
+from handsight.simulation.motion import FREE, LEGS, MOVES, OWN, SETTLED, Grasp
+from handsight.simulation.posture import Posture
+from handsight.simulation.scenario import STEPS_PER_SECOND, Scenario
+from handsight.simulation.scene import convex_hull, scene
+from handsight.simulation.world import World
+
+MOST_FITTED, MOST_TRIALS = 90, 24
+"""Holds that the hand is fitted to, and grasps that are simulated, before the search gives up."""
+KIN_FAILED = 0.1
+"""What a failure takes from the merit of those alike."""
+CHECKED = 0.05
+"""How often a trial looks at what it does [s]."""
+MOVED, TURNED = 0.024, 0.42
+"""Of the object in the palm, at most, in a trial: well below what counts as dropped [m], [rad]."""
+FELT, MOSTLY = 0.1, 0.9
+"""Force of a tip that is felt [N]; share of the time for which thumb and a finger must feel the object."""
+DEEP, OTHERS = 0.002, 2.0
+"""How far the hand may be pressed into the object [m], and how hard its unsensed links may press it [N]."""
+FELL = (
+    (MOVES, "slipped when let go"),
+    (SETTLED + float(LEGS[:4, 0].sum()), "slipped on the table"),
+    (SETTLED + float(LEGS[:5, 0].sum()), "slipped when lifted"),
+    (np.inf, "slipped when turned"),
+)
+"""Why a trial ended, by when [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """How an object is grasped, and how that was found."""
+
+    grasp: Grasp
+    held: bool
+    """Whether a trial held it through the whole manipulation; else this is the grasp that held it longest."""
+    trials: int
+    """How many grasps were simulated."""
+    hold: str
+    """Which fingers, from where."""
+    failures: str
+    """What was tried and why it failed; empty where nothing failed."""
+
+
+def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Found:
+    """A grasp that holds the scenario's object through the scenario's own manipulation: the same for the same seed.
+
+    `progress` is told the share of the search that is spent, 0 to 1. Raises MissingExtra, InvalidFile, or InvalidObject
+    for an object on which the hand finds no hold.
+    """
+    if scenario.object in OWN:
+        return Found(OWN[scenario.object], True, 0, "its own grasp", "")
+    tried = replace(scenario, motion="manipulate", images=False)
+    built, promising = scene(scenario.object), holds(body_of(convex_hull(scenario.object)[0]))
+    failures: Counter[str] = Counter()
+    best: tuple[float, Grasp | None, str] = (-1.0, None, "")
+    trials = 0
+    for spent, hold in enumerate(islice(_in_turn(promising), MOST_FITTED)):
+        if progress is not None:
+            progress(max(spent / MOST_FITTED, trials / MOST_TRIALS))
+        grasp, reason = Posture(built, hold).grasp()
+        if grasp is not None:
+            trials += 1
+            lasted, reason = _trial(tried, grasp)
+            if not reason:
+                return Found(grasp, True, trials, _named(hold), _counted(failures))
+            best = max(best, (lasted, grasp, _named(hold)), key=lambda b: b[0])
+        failures[reason] += 1
+        if trials == MOST_TRIALS:
+            break
+    if best[1] is None:
+        size = " x ".join(f"{1000 * side:.0f}" for side in np.ptp(built.bounds_object, axis=0))
+        why = _counted(failures) or "no opposite sides that thumb and fingers span"
+        raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm ({why})")
+    return Found(best[1], False, trials, best[2], _counted(failures))
+
+
+@lru_cache(maxsize=16)
+def grasp_for(name: str, seed: int) -> Grasp:
+    """The grasp that is found for an object and a seed, remembered; raises as `find_grasp`."""
+    return find_grasp(Scenario(object=name, seed=seed)).grasp
+
+
+def _in_turn(found: list[Hold]) -> Iterator[Hold]:
+    """The best that is left, where each that was asked for and did not do counts against its kin."""
+    left, failed = list(found), Counter[tuple[int, float, float]]()
+    while left:
+        best = max(left, key=lambda hold: hold.merit - KIN_FAILED * failed[hold.kin])
+        left.remove(best)
+        failed[best.kin] += 1
+        yield best
+
+
+def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
+    """How long a grasp held [s], and why no longer; empty where it did to the end."""
+    try:
+        world = World(scenario, grasp)
+    except InvalidObject:
+        return 0.0, "no room to open"
+    every, looked, felt = round(CHECKED * STEPS_PER_SECOND), 0, 0
+    while world.time < world.duration:
+        world.step()
+        if world.steps % every or world.time <= FREE:
+            continue
+        if world.thrown():
+            return 0.0, "thrown by the simulator"
+        shift, turn = world.moved()
+        if shift > MOVED or turn > TURNED:
+            return world.time, next(reason for end, reason in FELL if world.time <= end)
+        touches = world.touches()
+        if max((depth for _, _, depth in touches), default=0.0) > DEEP:
+            return world.time, "pressed in"
+        if sum(force for geom, force, _ in touches if not geom.endswith("_tip")) > OTHERS:
+            return world.time, "pressed by what does not feel"
+        feel = {geom for geom, force, _ in touches if force > FELT and geom.endswith("_tip")}
+        looked, felt = looked + 1, felt + ("th_tip" in feel and len(feel) > 1)
+    return world.time, "" if felt >= MOSTLY * looked else "hardly felt"
+
+
+def _named(hold: Hold) -> str:
+    """Which fingers, from where."""
+    fingers = ", ".join(finger for finger in hold.points if finger != "th")
+    beside = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
+    return f"thumb against {fingers}, from {beside}"
+
+
+def _counted(failures: Counter[str]) -> str:
+    return ", ".join(f"{reason}: {count}" for reason, count in failures.most_common())

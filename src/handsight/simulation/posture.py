@@ -1,0 +1,172 @@
+"""How the hand stands and presses for a hold: palm and joints from where its tips shall be, servos from the forces."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.simulation.holds import Hold, forces, wished
+from handsight.simulation.motion import Grasp
+from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, Scene, mujoco_module, tip_shape
+
+PAD = {"th": np.array([-0.85, 0.0, 0.53]), **dict.fromkeys(FINGERS[:4], np.array([0.0, -0.85, 0.53]))}
+"""By finger: where on the tip the object shall be, a direction in the distal link's axes."""
+BENT = {"J2": 0.75, "J1": 0.6}
+BENT_THUMB = {"THJ4": 0.2, "THJ3": 1.1, "THJ2": 0.1, "THJ1": -0.25, "THJ0": -0.7}
+"""Joints of a hand that grips something of middle size [rad]; 0 for the others."""
+R_GRIP_PALM, CENTRE_PALM = (
+    np.array([[0.0, 0.3, 0.954], [0, -0.954, 0.3], [1, 0, 0]]),
+    np.array([0.005, -0.09, 0.1]),
+)
+"""Where such a hand has its grip: axes of (thumb to fingers, away from the palm, along the row), and the middle [m]."""
+COUPLED, SLACK = 1.142, 0.142
+"""The tendon of a finger's last two joints: J0 follows J1 by that ratio, behind by at most so much [rad]."""
+STIFFNESS = 1.0
+"""Of the servos [N m/rad]."""
+FAR, ROOM, FLOOR = 0.022, 0.004, 0.003
+"""Of the open tips from their points; of the other links from the object, and of all from the table [m]."""
+MISSED, TIGHT = 0.002, 0.0005
+"""Of a posture at most: a tip off its point; at least: what is left of the room [m]."""
+FROM_STOP, END = 0.01, 1e-4
+"""Of a joint from its stop [rad]; relative change at which a descent ends."""
+
+
+class Posture:
+    """The hand about one hold; `grasp` is what comes out of it."""
+
+    def __init__(self, scene: Scene, hold: Hold) -> None:
+        """At a guess: a hand of middle width, turned and moved so that its grip is the hold's."""
+        self._mujoco, self._model = mujoco_module(), scene.model
+        self._data: Any = self._mujoco.MjData(scene.model)
+        self.hold, self._scene, self._used = hold, scene, tuple(hold.points)
+        mine = [name for name in scene.joints if name[7:9].lower() in self._used]
+        self._follows = [(n.replace("J0", "J1"), n) for n in mine if n.endswith("J0") and n[7:9] != "TH"]
+        self._names = [name for name in mine if name not in dict(self._follows).values()]
+        self._places = np.array([scene.joints[name] for name in self._names])
+        ranges = np.array([self._model.joint(name).range for name in self._names])
+        self._low, self._high = ranges[:, 0] + FROM_STOP, ranges[:, 1] - FROM_STOP
+        self._bent = np.array(
+            [BENT_THUMB.get(n[7:], 0.0 if n[7:9] == "TH" else BENT.get(n[9:], 0.0)) for n in self._names]
+        )
+        c, s = np.cos(hold.roll), np.sin(hold.roll)
+        self._R = np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]]) @ R_GRIP_PALM
+        fingers = np.mean([point for finger, point in hold.points.items() if finger != "th"], axis=0)
+        self._p = (hold.points["th"] + fingers) / 2 - self._R @ CENTRE_PALM
+        self._geoms, self._spots, self._radii = self._links()
+
+    def grasp(self) -> tuple[Grasp | None, str]:
+        """The grasp, or None and why the hand cannot have this hold."""
+        before = np.clip(self._bent, self._low + END, self._high - END)
+        bounds = np.concatenate([np.full(6, np.inf), self._high])
+        lower = np.concatenate([np.full(6, -np.inf), self._low])
+        x = _least(self._residuals, np.concatenate([np.zeros(6), before]), (lower, bounds))
+        self._place(x)
+        missed = [self._tip(finger)[0] - self.hold.points[finger] for finger in self._used]
+        if np.linalg.norm(missed, axis=1).max() > MISSED:
+            return None, "out of reach"
+        if min(room.min() for room in self._rooms()) < TIGHT:
+            return None, "no room for the hand"
+        closed = self._pressed(x)
+        opened = _least(
+            lambda joints: self._residuals(np.concatenate([x[:6], joints]), FAR),
+            np.clip(x[6:], self._low + END, self._high - END),
+            (self._low, self._high),
+        )
+        self._place(x)
+        palm, height = self._data.body(PALM), float(self.hold.body.middle[2])
+        R_world_palm = palm.xmat.reshape(3, 3).copy()
+        T_world_middle = se3.compose(self.hold.R_world_object, np.array([0.0, 0.0, height]))
+        return Grasp(
+            T_palm_middle=se3.inverse(se3.compose(R_world_palm, palm.xpos)) @ T_world_middle,
+            opening=dict(zip(self._names, opened.tolist(), strict=True)),
+            closed=dict(zip(self._names, closed.tolist(), strict=True)),
+            height=height,
+            R_world_palm=R_world_palm,
+        ), ""
+
+    def _place(self, x: Array) -> None:
+        """The hand as x says: the palm's shift [m] and turn [rad] from the guess, then the joints."""
+        angles = self._data.qpos
+        angles[:] = 0.0
+        angles[self._places] = x[6:]
+        for leader, follower in self._follows:
+            leads = angles[self._scene.joints[leader]]
+            angles[self._scene.joints[follower]] = max(0.0, COUPLED * leads - SLACK)
+        T = se3.compose(se3.rotation_exp(x[3:6]) @ self._R, self._p + x[:3]) @ se3.inverse(T_MOUNT_PALM)
+        mount = self._data.joint("mount").qpos
+        mount[:3], mount[3:] = T[:3, 3], np.roll(se3.quaternion_from_rotation(T[:3, :3]), 1)
+        self._mujoco.mj_kinematics(self._model, self._data)
+
+    def _tip(self, finger: str) -> tuple[Array, Array, float]:
+        """Point of a tip that would meet the object's side, where on the tip that is, and the tip's height [m]."""
+        geom, semi_axes = self._data.geom(f"{finger}_tip"), tip_shape(finger)[0]
+        R = geom.xmat.reshape(3, 3)
+        towards = -R.T @ self.hold.normals[finger]
+        scaled = semi_axes * towards
+        return geom.xpos + R @ (semi_axes * scaled / np.sqrt(scaled @ scaled)), towards, float(geom.xpos[2])
+
+    def _residuals(self, x: Array, away: float = 0.0) -> Array:
+        """What is wrong with a posture whose tips shall be so far from their points, in units that weigh alike."""
+        self._place(x)
+        parts = [0.15 * (x[6:] - self._bent), 0.5 * x[3:6]]
+        for finger in self._used:
+            point, towards, height = self._tip(finger)
+            goal = self.hold.points[finger] + away * self.hold.normals[finger]
+            parts += [(point - goal) / 0.002, 0.7 * (towards - PAD[finger])]
+            parts.append(np.array([max(0.0, 0.009 + FLOOR - height) / 0.002]))
+        from_object, from_table = self._rooms()
+        parts += [np.maximum(ROOM - from_object, 0) / 0.003, np.maximum(FLOOR - from_table, 0) / 0.003]
+        return np.concatenate(parts)
+
+    def _rooms(self) -> tuple[Array, Array]:
+        """How far spots of the links are from the object (its faces' planes) and from the table [m]."""
+        R = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        at = self._data.geom_xpos[self._geoms] + np.einsum("ijk,ik->ij", R, self._spots)
+        body = self.hold.body
+        from_object = (at @ body.normals.T - body.offsets).max(axis=1)
+        return from_object - self._radii, at[:, 2] - self._radii
+
+    def _links(self) -> tuple[Any, Array, Array]:
+        """Balls that stand for what should touch nothing: geoms, centres in them (n, 3) and radii (n,) [m]."""
+        kinds = self._mujoco.mjtGeom
+        rows: list[tuple[int, Any, float]] = []
+        for i in range(self._model.ngeom):
+            geom = self._model.geom(i)
+            x, y, z = geom.size
+            if geom.type[0] == kinds.mjGEOM_CAPSULE and geom.contype[0]:
+                rows += [(i, (0, 0, t * y), x) for t in (-1, 0, 1)]
+            elif geom.name.startswith("robot0:C_") and geom.type[0] == kinds.mjGEOM_BOX:
+                rows += [
+                    (i, (a * (x - y), 0, b * (z - y)), y) for a in (-1, 0, 1) for b in (-1, -0.33, 0.33, 1)
+                ]
+            elif i in self._scene.tips and self._scene.tips[i] not in self._used:
+                rows += [(i, (0, 0, t * (z - x)), x) for t in (-1, 1)]
+        geoms, spots, radii = zip(*rows, strict=True)
+        return np.array(geoms), np.array(spots, dtype=np.float64), np.array(radii)
+
+    def _pressed(self, x: Array) -> Array:
+        """Targets of the servos that press with balanced forces in the posture x [rad]."""
+        self._place(x)
+        self._mujoco.mj_comPos(self._model, self._data)
+        points, normals = (np.array([*of.values()]) for of in (self.hold.points, self.hold.normals))
+        pressing, _ = forces(points, normals, wished(self.hold.points))
+        torques = np.zeros(self._model.nv)
+        for finger, point, force in zip(self._used, points, pressing, strict=True):
+            J = np.zeros((3, self._model.nv))
+            self._mujoco.mj_jac(self._model, self._data, J, None, point, self._model.body(f"{finger}_tip").id)
+            torques += J.T @ force
+        of = {name: torques[self._model.joint(name).dofadr[0]] for name in self._scene.joints}
+        for leader, follower in self._follows:
+            of[leader] += COUPLED * of[follower]
+        targets = x[6:] + np.array([of[name] for name in self._names]) / STIFFNESS
+        return np.clip(targets, self._low - FROM_STOP, self._high + FROM_STOP)
+
+
+def _least(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]) -> Array:
+    """Where the sum of squares is least."""
+    scale = np.where(np.isfinite(bounds[0]), 0.5, 0.1)
+    found = least_squares(residuals, start, bounds=bounds, x_scale=scale, ftol=END, xtol=END, max_nfev=40)
+    return np.asarray(found.x)

@@ -1,0 +1,49 @@
+"""`handsight simulate MESH`: the grasp that was searched is said, kept and used again."""
+
+import trimesh
+
+from cli.commands import called
+from handsight.cli import simulate as command
+from handsight.simulation import Found, grasp_search, read_grasp
+from handsight.simulation.motion import CAN
+
+
+def bottle(folder):
+    mesh = trimesh.creation.cylinder(radius=0.03, height=0.13, sections=24)
+    mesh.export(folder / "bottle.stl")
+    return "bottle.stl"
+
+
+def test_a_grasp_is_searched_said_kept_and_used_again(tmp_path, monkeypatch, capsys):
+    name = bottle(tmp_path)
+    arguments = ("simulate", name, "--motion", "grasp", "--seed", "2")
+    assert called(monkeypatch, tmp_path, *arguments, "-o", "one.mcap", columns=200) == 0
+    said = capsys.readouterr().err
+    assert "wrote one.grasp.json: thumb against ff, mf" in said
+    assert "the last one holds" in said
+    assert "slipped out" not in said
+    assert {path.name for path in tmp_path.iterdir()} == {name, "one.mcap", "one.rig.yaml", "one.grasp.json"}
+    searched = []
+    monkeypatch.setattr(command, "_found", lambda *_: searched.append(1))
+    again = ("--grasp", "one.grasp.json", "-o", "two.mcap")
+    assert called(monkeypatch, tmp_path, *arguments, *again) == 0
+    assert not searched
+    assert abs((tmp_path / "two.mcap").stat().st_size / (tmp_path / "one.mcap").stat().st_size - 1) < 0.05
+    assert called(monkeypatch, tmp_path, *arguments, "--grasp", name) == 2
+    assert f"{name}: " in capsys.readouterr().err
+
+
+def test_where_no_grasp_holds_what_was_tried_is_said(tmp_path, monkeypatch, capsys):
+    name = bottle(tmp_path)
+    found = Found(CAN, False, 24, "thumb against ff, mf", "slipped when lifted: 20, slipped when turned: 4")
+    monkeypatch.setattr("handsight.simulation.find_grasp", lambda *_: found)
+    assert (
+        called(monkeypatch, tmp_path, "simulate", name, "--motion", "grasp", "-o", "b.mcap", columns=200) == 0
+    )
+    said = capsys.readouterr().err
+    assert (
+        "wrote b.grasp.json: thumb against ff, mf; of 24 grasps tried none holds, this one did longest "
+        "(slipped when lifted: 20, slipped when turned: 4)" in said
+    )
+    assert read_grasp(tmp_path / "b.grasp.json").height == CAN.height
+    assert grasp_search.MOST_TRIALS == 24
