@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight._kernels.contacts_to_palm import NEAR_TIP, contacts_to_palm
+from handsight._kernels.contacts_to_palm import contacts_to_palm
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
+from handsight._kernels.tips_touching import NEAR_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.errors import InvalidInput
