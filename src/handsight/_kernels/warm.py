@@ -14,6 +14,7 @@ from handsight._kernels import (
     field,
     linking,
     nearest_triangle,
+    random_walk,
     records,
     sensing,
     spreading,
@@ -33,7 +34,7 @@ def warm(report: Report) -> None:
 
 def warm_tracker() -> None:
     """What a tracker calls, so that its first answer is not late: loading takes half a second, compiling a minute."""
-    for run in (_corrections, _starts, sensing.warm, _hands):
+    for run in (_corrections, _starts, sensing.warm, _hands, random_walk.warm):
         run()
 
 
@@ -82,6 +83,7 @@ GROUPS: dict[str, Callable[[], None]] = {
     "objects from meshes": _objects,
     "contact sensing": sensing.warm,
     "hands": _hands,
+    "time": random_walk.warm,
 }
 
 
