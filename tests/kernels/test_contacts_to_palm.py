@@ -58,9 +58,9 @@ def raw(rng, finger, T_palm_tip):
 
 
 def felt_by(fingers, readings, Ts, jacobians, variance=0.0):
-    records = np.array([finger_record(finger, variance) for finger in fingers], dtype=FINGER)
+    records = np.array([finger_record(finger) for finger in fingers], dtype=FINGER)
     felt = np.empty(len(fingers), dtype=PALM_CONTACT)
-    contacts_to_palm(records, readings, Ts, jacobians.copy(), GRAVITY, felt)
+    contacts_to_palm(records, readings, Ts, np.sqrt(variance) * jacobians, GRAVITY, felt)
     return felt
 
 

@@ -48,11 +48,11 @@ def _rotate(R: Mat33, C: Any) -> None:
 
 
 @inner
-def _add_joints(J: Any, lever: Vec3, normal: Vec3, variance: float, C: Any) -> None:
-    """Adds to a contact's covariance what each joint's `variance` makes of it.
+def _add_joints(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
+    """Adds to a contact's covariance what independent errors of the joints make of it.
 
-    `J` (6, j): how the tip moves and turns by each joint; overwritten by how point and normal change, the point by
-    `lever` from where the tip's motion is given.
+    `J` (6, j): how the tip moves and turns by each; overwritten by how point and normal change, the point by `lever`
+    from where the tip's motion is given.
     """
     for j in range(J.shape[1]):
         turn = J[3, j], J[4, j], J[5, j]
@@ -60,10 +60,8 @@ def _add_joints(J: Any, lever: Vec3, normal: Vec3, variance: float, C: Any) -> N
         store(cross(turn, normal), J[3:, j])
     for i in range(6):
         for k in range(6):
-            total = 0.0
             for j in range(J.shape[1]):
-                total += J[i, j] * J[k, j]
-            C[i, k] += variance * total
+                C[i, k] += J[i, j] * J[k, j]
 
 
 @inner
@@ -86,7 +84,7 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, felt: An
     store(point, felt.point)
     store(normal, felt.normal)
     _rotate(R, C)
-    _add_joints(J, sub(point, vector(T_palm_tip[:3, 3])), normal, finger.variance_joint, C)
+    _add_joints(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
     two = chance_of_touch(felt.gap)  # the sensor then feels the sum of two contacts
     for i in range(3):
         C[i, i] += finger.variance_point + two * TWO_AT_ONCE[0]
@@ -96,12 +94,13 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, felt: An
 
 @entry
 def contacts_to_palm(
-    fingers: Any, readings: Any, Ts_palm_tip: Any, jacobians: Any, gravity_palm: Any, felt: Any
+    fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, felt: Any
 ) -> None:
     """What n `fingers` FINGER feel, by raw `readings` (n, 6), NaN where a sensor is silent.
 
-    `jacobians` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by each joint;
-    overwritten. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `felt` (n)
+    `by_error` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by one standard
+    deviation of each of j independent errors; of a finger with a contact it becomes how that one's point and normal
+    change. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `felt` (n)
     PALM_CONTACT.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
@@ -131,7 +130,7 @@ def contacts_to_palm(
             # Comparing is false where the other sensor is silent: then its own load must do.
             lighter = other if other < norm(load[0]) else norm(load[0])
             add_press(load, tip, Ts_palm_surface[i], vector(nearest[i, 1:]), lighter, contact)
-            _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], jacobians[i], contact)
+            _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], by_error[i], contact)
 
 
 def warm() -> None:
