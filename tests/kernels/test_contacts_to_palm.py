@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.special import erfc
 
+import handsight as hs
 from contact.contact_cases import any_tip, touches
 from handsight import se3
-from handsight._kernels.contacts_to_palm import NEAR_TIP, TWO_AT_ONCE, contacts_to_palm
+from handsight._kernels.contacts_to_palm import contacts_to_palm
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
+from handsight._kernels.tips_touching import NEAR_TIP, PRESS, TWO_AT_ONCE
 from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
 from handsight.rig import Finger
 from handsight.tracking.fingertips import finger_record
@@ -56,9 +58,9 @@ def raw(rng, finger, T_palm_tip):
 
 
 def felt_by(fingers, readings, Ts, jacobians, variance=0.0):
-    records = np.array([finger_record(finger, variance) for finger in fingers], dtype=FINGER)
+    records = np.array([finger_record(finger) for finger in fingers], dtype=FINGER)
     felt = np.empty(len(fingers), dtype=PALM_CONTACT)
-    contacts_to_palm(records, readings, Ts, jacobians.copy(), GRAVITY, felt)
+    contacts_to_palm(records, readings, Ts, np.sqrt(variance) * jacobians, GRAVITY, felt)
     return felt
 
 
@@ -91,19 +93,56 @@ def ball(radius=0.01):
     return Finger(frame="tip", T_frame_surface=np.eye(4), tip=Sphere(radius), calibration=known)
 
 
-def test_a_contact_near_another_tip_is_less_certain_by_the_chance_of_two():
-    PUSH = np.array([0.0, 0, -1, 0, 0, 0])
-    for gap in (0.0, 0.001, NEAR_TIP, 0.006):
-        Ts = np.array([np.eye(4), se3.compose(np.eye(3), np.array([0.02 + gap, 0, 0]))])
-        alone, near = (
-            felt_by([ball()] * len(T), np.array([PUSH] * len(T)), T, np.zeros((len(T), 6, 0)))[0]
-            for T in (Ts[:1], Ts)
-        )
-        assert near["gap"] == pytest.approx(gap, abs=1e-15)
-        two = 0.5 * erfc(1.645 * gap / (np.sqrt(2) * NEAR_TIP))
-        added = near["covariance"] - alone["covariance"]
-        expected = two * np.repeat(TWO_AT_ONCE, 3) * [1, 1, 1, 1, 1, 0]  # gravity aside, the normal is -z
-        np.testing.assert_allclose(np.diag(added), expected, rtol=0.03, atol=1e-12)
+@pytest.mark.parametrize("gap", [0.0, 0.001, 0.0029, 0.0031, 0.006])
+@pytest.mark.parametrize("other", [0.5, 2.0, np.nan])
+def test_a_contact_near_another_tip_may_be_what_the_other_presses_as_well(gap, other):
+    """Two balls beside each other, pushed from above by 1 N and by `other`; a silent one may press as hard as that."""
+    down = np.array([0.0, 0, -1, 0, 0, 0])
+    Ts = np.array([np.eye(4), se3.compose(np.eye(3), np.array([0.02 + gap, 0, 0]))])
+    readings = np.array([down, other * down])
+    alone, near = (felt_by([ball()] * n, readings[:n], Ts[:n], np.zeros((n, 6, 0)))[0] for n in (1, 2))
+    assert near["gap"] == pytest.approx(gap, abs=1e-15)
+    chance = 0.5 * erfc(1.645 * gap / (np.sqrt(2) * NEAR_TIP))
+    # The other ball pushes this one to -x, so the object pushes it to +x as well, where the balls are nearest: no torque.
+    press = PRESS * np.linalg.norm(alone_load := down[:3] - 1e-9 * GRAVITY) * np.nanmin([other, 1.0])
+    pressed = hs.contact_from_wrench(alone_load + np.array([press, 0, 0]), np.zeros(3), ball().tip)
+    change = np.r_[pressed.point - alone["point"], pressed.normal - alone["normal"]]
+    mean = np.r_[alone["point"], alone["normal"]] + chance * change
+    mean[3:] /= np.linalg.norm(mean[3:])
+    # As drawn: pressed or not, by a load that is uniform from none to twice the mean one.
+    rng = np.random.default_rng(0)
+    drawn = np.var((rng.random(200_000) < chance) * rng.uniform(0, 2, 200_000))
+    if gap > NEAR_TIP:  # its contact is less certain, but no other one
+        drawn, mean = 0.0, np.r_[alone["point"], alone["normal"]]
+    np.testing.assert_allclose(np.r_[near["point"], near["normal"]], mean, atol=1e-7)
+    two = drawn * np.outer(change, change) + chance * np.diag(np.repeat(TWO_AT_ONCE, 3))
+    tangent = np.eye(6)
+    tangent[3:, 3:] -= np.outer(near["normal"], near["normal"])
+    expected = tangent @ two @ tangent
+    added = near["covariance"] - alone["covariance"]
+    np.testing.assert_allclose(added, expected, atol=0.03 * np.abs(expected).max())
+
+
+def test_a_tip_that_touches_nothing_else_presses_nothing():
+    down, T = np.array([0.0, 0, -1, 0, 0, 0]), se3.compose(np.eye(3), np.array([0.02, 0, 0]))
+    given = [ball()] * 2, np.array([down, np.zeros(6)]), np.array([np.eye(4), T]), np.zeros((2, 6, 0))
+    np.testing.assert_allclose(felt_by(*given)[0]["point"], [0, 0, 0.01], atol=1e-9)
+
+
+@settings(deadline=None)
+@given(SEEDS, st.floats(-0.004, 0.004))
+def test_pressed_contacts_stay_contacts(seed, gap):
+    """Whatever tips and loads: unit normals, and covariances that are positive semidefinite without any along them."""
+    rng = np.random.default_rng(seed)
+    fingers = [some_finger(rng) for _ in range(3)]
+    Ts = se3.random(rng, 3, spread=0.01 + gap)
+    readings = np.array([raw(rng, finger, T) for finger, T in zip(fingers, Ts, strict=True)])
+    for contact in felt_by(fingers, readings, Ts, rng.normal(scale=0.1, size=(3, 6, 4)), 0.02):
+        if contact["reason"] == Reason.CONTACT:
+            C, normal = contact["covariance"], contact["normal"]
+            assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-12)
+            assert np.abs(C[3:] @ np.r_[0, 0, 0, normal]).max() < 1e-12 * (1 + np.abs(C).max())
+            assert np.linalg.eigvalsh(C)[0] > -1e-10 * np.abs(C).max()
 
 
 @settings(max_examples=30)

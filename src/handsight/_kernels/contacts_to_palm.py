@@ -1,6 +1,5 @@
 """A hand's raw wrenches to contacts in the palm, with all that is uncertain about them: a finger at a time."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from handsight._kernels.compiled import entry, inner
 from handsight._kernels.sensing import uncertain_contact
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.sensing_steps import CONTACT, Vec6, fingertip
+from handsight._kernels.tips_touching import TWO_AT_ONCE, add_press, chance_of_touch, set_gaps
 from handsight._kernels.vec3 import (
     Mat33,
     Vec3,
@@ -23,23 +23,10 @@ from handsight._kernels.vec3 import (
     store,
     store33,
     sub,
-    times,
     tmul,
     transpose,
     vector,
 )
-
-NEAR_TIP = 0.003
-"""A tip closer than this to another may touch it as well, by one chance in twenty or more [m].
-
-One degree of each joint is 1.3 mm per axis at each of two tips.
-"""
-GAP_SCALE = 1.645 / (math.sqrt(2.0) * NEAR_TIP)
-"""To what `erfc` takes [1/m]: a gap of NEAR_TIP is 1.645 standard deviations of it."""
-TWO_AT_ONCE = 0.002**2, math.radians(12.0) ** 2
-"""Variances per axis of point [m²] and normal [rad²] of what one contact is taken for that is two."""
-STEPS = 12
-"""Halved steps to the direction that separates two tips best; the gap is too small by 0.1-1 mm after them."""
 
 
 @inner
@@ -52,45 +39,6 @@ def _load(reading: Any, finger: Any, gravity_sensor: Vec3) -> Vec6:
 
 
 @inner
-def _support(R: Mat33, axes: Vec3, u: Vec3) -> Vec3:
-    """The point of an ellipsoid, from its centre, that is farthest along u."""
-    local = times(axes, tmul(R, u))
-    return mul(R, scale(times(axes, local), 1.0 / norm(local)))
-
-
-@inner
-def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> float:
-    """The distance of two ellipsoids; where they overlap, a number below zero that says no more.
-
-    The distance of convex bodies is the widest slab that separates them; each step turns the slab halfway towards the
-    line between the points that touch it.
-    """
-    R, R_other = matrix(T), matrix(T_other)
-    between = sub(vector(T_other[:3, 3]), vector(T[:3, 3]))
-    u, widest = scale(between, 1.0 / max(norm(between), 1e-12)), -np.inf
-    for _ in range(STEPS):
-        v = sub(add(between, _support(R_other, axes_other, scale(u, -1.0))), _support(R, axes, u))
-        widest = max(widest, dot(u, v))
-        length = norm(v)
-        if widest <= 0.0 or length < 1e-12:
-            break
-        u = add(u, scale(v, 1.0 / length))
-        u = scale(u, 1.0 / max(norm(u), 1e-12))
-    return widest
-
-
-@inner
-def _set_gaps(fingers: Any, Ts_palm_surface: Any, felt: Any) -> None:
-    """Each tip's distance to the nearest other one."""
-    for i in range(len(felt)):
-        felt[i].gap = np.inf
-        for j in range(i):
-            axes, axes_other = vector(fingers[i].tip.semi_axes), vector(fingers[j].tip.semi_axes)
-            gap = _gap(Ts_palm_surface[i], axes, Ts_palm_surface[j], axes_other)
-            felt[i].gap, felt[j].gap = min(felt[i].gap, gap), min(felt[j].gap, gap)
-
-
-@inner
 def _rotate(R: Mat33, C: Any) -> None:
     """A covariance (6, 6) of two vectors in another frame, in place: `R block Rᵀ`, 3 x 3 each."""
     for row in range(0, 6, 3):
@@ -100,11 +48,11 @@ def _rotate(R: Mat33, C: Any) -> None:
 
 
 @inner
-def _add_joints(J: Any, lever: Vec3, normal: Vec3, variance: float, C: Any) -> None:
-    """Adds to a contact's covariance what each joint's `variance` makes of it.
+def _add_joints(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
+    """Adds to a contact's covariance what independent errors of the joints make of it.
 
-    `J` (6, j): how the tip moves and turns by each joint; overwritten by how point and normal change, the point by
-    `lever` from where the tip's motion is given.
+    `J` (6, j): how the tip moves and turns by each; overwritten by how point and normal change, the point by `lever`
+    from where the tip's motion is given.
     """
     for j in range(J.shape[1]):
         turn = J[3, j], J[4, j], J[5, j]
@@ -112,10 +60,8 @@ def _add_joints(J: Any, lever: Vec3, normal: Vec3, variance: float, C: Any) -> N
         store(cross(turn, normal), J[3:, j])
     for i in range(6):
         for k in range(6):
-            total = 0.0
             for j in range(J.shape[1]):
-                total += J[i, j] * J[k, j]
-            C[i, k] += variance * total
+                C[i, k] += J[i, j] * J[k, j]
 
 
 @inner
@@ -138,8 +84,8 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, felt: An
     store(point, felt.point)
     store(normal, felt.normal)
     _rotate(R, C)
-    _add_joints(J, sub(point, vector(T_palm_tip[:3, 3])), normal, finger.variance_joint, C)
-    two = 0.5 * math.erfc(GAP_SCALE * felt.gap)  # the chance that the sensor feels the sum of two contacts
+    _add_joints(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
+    two = chance_of_touch(felt.gap)  # the sensor then feels the sum of two contacts
     for i in range(3):
         C[i, i] += finger.variance_point + two * TWO_AT_ONCE[0]
         C[3 + i, 3 + i] += finger.variance_normal + two * TWO_AT_ONCE[1]
@@ -148,12 +94,13 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, felt: An
 
 @entry
 def contacts_to_palm(
-    fingers: Any, readings: Any, Ts_palm_tip: Any, jacobians: Any, gravity_palm: Any, felt: Any
+    fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, felt: Any
 ) -> None:
     """What n `fingers` FINGER feel, by raw `readings` (n, 6), NaN where a sensor is silent.
 
-    `jacobians` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by each joint;
-    overwritten. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `felt` (n)
+    `by_error` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by one standard
+    deviation of each of j independent errors; of a finger with a contact it becomes how that one's point and normal
+    change. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `felt` (n)
     PALM_CONTACT.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
@@ -162,19 +109,28 @@ def contacts_to_palm(
         store33(matmul(R, matrix(finger.R_tip_surface)), Ts_palm_surface[i])
         center = add(mul(R, vector(finger.center_tip)), vector(Ts_palm_tip[i, :3, 3]))
         store(center, Ts_palm_surface[i, :, 3])
-    _set_gaps(fingers, Ts_palm_surface, felt)
+    n, nearest, loads = len(fingers), np.zeros((len(fingers), 4)), np.zeros((len(fingers), 6))
+    set_gaps(fingers, Ts_palm_surface, nearest, felt)
     gravity = vector(gravity_palm)
-    for i in range(len(fingers)):
-        finger, contact = fingers[i], felt[i]
+    for i in range(n):
+        R_palm_sensor = matmul(matrix(Ts_palm_surface[i]), matrix(fingers[i].tip.R_surface_sensor))
+        force, torque = _load(readings[i], fingers[i], tmul(R_palm_sensor, gravity))
+        store(force, loads[i, :3])
+        store(torque, loads[i, 3:])
+    for i in range(n):
+        finger, contact, load = fingers[i], felt[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
         tip = fingertip(finger.tip)
-        load = _load(readings[i], finger, tmul(tip.R, tmul(matrix(Ts_palm_surface[i]), gravity)))
         sigmas = vector(finger.sigmas[:3]), vector(finger.sigmas[3:])
         answer = uncertain_contact(load, tip, sigmas, contact.covariance)
         contact.reason = int(answer[0])
         if answer[0] == CONTACT:
             store(answer[1], contact.point)
             store(answer[2], contact.normal)
-            _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], jacobians[i], contact)
+            other = norm(vector(loads[int(nearest[i, 0]), :3]))
+            # Comparing is false where the other sensor is silent: then its own load must do.
+            lighter = other if other < norm(load[0]) else norm(load[0])
+            add_press(load, tip, Ts_palm_surface[i], vector(nearest[i, 1:]), lighter, contact)
+            _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], by_error[i], contact)
 
 
 def warm() -> None:

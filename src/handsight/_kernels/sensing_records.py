@@ -34,7 +34,6 @@ FINGER = np.dtype(
         ("sigmas", "f8", (6,)),  # of a reading
         ("variance_point", "f8"),  # per axis, what sensor and joints do not explain [m²]
         ("variance_normal", "f8"),  # [rad²]
-        ("variance_joint", "f8"),  # of each joint that moves it [rad²]
     ]
 )
 PALM_CONTACT = np.dtype(

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from handsight._kernels import (
     batch,
     chain,
+    contact_information,
     contacts_to_palm,
     field,
     linking,
     nearest_triangle,
+    random_walk,
     records,
     sensing,
     spreading,
@@ -33,7 +35,7 @@ def warm(report: Report) -> None:
 
 def warm_tracker() -> None:
     """What a tracker calls, so that its first answer is not late: loading takes half a second, compiling a minute."""
-    for run in (_corrections, _starts, sensing.warm, _hands):
+    for run in (_corrections, _starts, sensing.warm, _hands, _time):
         run()
 
 
@@ -75,6 +77,12 @@ def _hands() -> None:
     contacts_to_palm.warm()
 
 
+def _time() -> None:
+    model, nodes, *_ = _ball()
+    random_walk.warm()
+    contact_information.warm(model, nodes)
+
+
 GROUPS: dict[str, Callable[[], None]] = {
     "corrections from a near pose": _corrections,
     "corrections from many starts": _starts,
@@ -82,6 +90,7 @@ GROUPS: dict[str, Callable[[], None]] = {
     "objects from meshes": _objects,
     "contact sensing": sensing.warm,
     "hands": _hands,
+    "time": _time,
 }
 
 

@@ -7,13 +7,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight._kernels.contacts_to_palm import NEAR_TIP, contacts_to_palm
+from handsight._kernels.contacts_to_palm import contacts_to_palm
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
+from handsight._kernels.tips_touching import NEAR_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
+from handsight.tracking.joint_offsets import JointOffsets
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = tuple("silent" if name == "invalid" else name for name in REASON_NAMES)
@@ -31,6 +33,9 @@ class FingertipContacts:
     and the joints' errors through the hand's Jacobian."""
     reasons: Mapping[str, str]
     """Why each of the other fingers has no contact: silent (no reading) or a `Reason` of its wrench."""
+    by_error: Array | None = None
+    """(n, 6, j) by how much point and normal of each contact are off for one standard deviation of each of j
+    independent errors of the joints (`JointOffsets.root`)."""
     near: tuple[str, ...] = ()
     """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
 
@@ -42,29 +47,31 @@ class FingertipSensors:
         """The rig's hand must have a tip for every finger."""
         self.rig, self.names = rig, tuple(rig.fingers)
         self._tips = np.array([list(rig.hand.tips).index(name) for name in self.names])
-        variance_joint = rig.sigma_joint_offset**2 + rig.sigma_joint**2
-        rows = [finger_record(finger, variance_joint) for finger in rig.fingers.values()]
-        self._fingers = np.array(rows, dtype=FINGER)
+        self._fingers = np.array([finger_record(finger) for finger in rig.fingers.values()], dtype=FINGER)
+        self._offsets = JointOffsets.of(rig)
 
-    def contacts(self, observation: Observation) -> FingertipContacts:
+    def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
         """What is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are wrong.
 
-        Without T_world_palm gravity's direction is not known, and the tips' weight (some 40 mN) stays in the readings.
+        `offsets`: what is known of the joints' constant errors; None: what the rig says. Without T_world_palm gravity's
+        direction is not known, and the tips' weight (some 40 mN) stays in the readings.
         """
         readings = self._readings(observation.wrenches)
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
-        hand = self.rig.hand.kinematics(observation.joint_positions)
+        offsets = self._offsets if offsets is None else offsets
+        hand = self.rig.hand.kinematics(offsets.corrected(observation.joint_positions))
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
         # A hinge may have turned however often; a slide that is far off takes the tip along.
         places = Ts_palm_tip[:, :3, 3]
         if not np.abs(places).max() <= checks.FARTHEST:
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
-        jacobians = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
+        by_joint = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
+        by_error = by_joint @ offsets.root
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         felt = np.empty(len(self.names), dtype=PALM_CONTACT)
-        contacts_to_palm(self._fingers, readings, Ts_palm_tip, jacobians, gravity_palm, felt)
+        contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, felt)
 
         reasons = {name: REASONS[k] for name, k in zip(self.names, felt["reason"].tolist(), strict=True) if k}
         fingers = tuple(name for name in self.names if name not in reasons)
@@ -73,9 +80,8 @@ class FingertipSensors:
         touching = felt[felt["reason"] == 0] if reasons else felt
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
-        return FingertipContacts(
-            fingers, contacts, reasons, tuple(name for name, gap in gaps if gap < NEAR_TIP)
-        )
+        near = tuple(name for name, gap in gaps if gap < NEAR_TIP)
+        return FingertipContacts(fingers, contacts, reasons, by_error[felt["reason"] == 0], near)
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """(n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""
@@ -102,7 +108,7 @@ def _reading(wrench: ArrayLike, name: str) -> Array:
     return SILENT if silent else checks.load(wrench, name, (6,))
 
 
-def finger_record(finger: Finger, variance_joint: float) -> tuple[object, ...]:
+def finger_record(finger: Finger) -> tuple[object, ...]:
     """A finger as the kernel takes it; FINGER names the fields."""
     T, known = finger.T_frame_surface, finger.calibration
     return (
@@ -116,5 +122,4 @@ def finger_record(finger: Finger, variance_joint: float) -> tuple[object, ...]:
         [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
         finger.sigma_point**2,
         finger.sigma_normal**2,
-        variance_joint,
     )

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
+from handsight._kernels.random_walk import filter_walk
 from handsight.checks import FARTHEST, Array
 from handsight.tracking.propagation import MOST_WALKED
 
@@ -133,7 +134,7 @@ class PoseBiasSmoother:
     process_noise: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) variance of the object's random walk in the palm since the prior."""
     measurements: NDArray[np.void] = field(default_factory=lambda: np.empty(0, MEASUREMENT))
-    """(k,) MEASUREMENT, a row for each palm they were taken from."""
+    """(k,) MEASUREMENT, a row for each palm they were taken from, in the order of time."""
 
     @classmethod
     def from_prior(
@@ -204,9 +205,8 @@ class PoseBiasSmoother:
         k = int(np.argmin(shift + LENGTH_PER_TURN * turn))
         if len(kept) < MOST_MEASUREMENTS and (shift[k] > SAME_PALM[0] or turn[k] > SAME_PALM[1]):
             return np.concatenate([kept, new])
-        merged = kept.copy()
-        merged[k] = self._averaged(kept[k], new[0])
-        return merged
+        merged = np.array([self._averaged(kept[k], new[0])], dtype=MEASUREMENT)
+        return np.concatenate([kept[:k], kept[k + 1 :], merged])
 
     def _averaged(self, kept: np.void, new: np.void) -> tuple[Array, Array, Array, Array]:
         """Two measurements as one, from the first's palm: innovations weighted by their information."""
@@ -224,25 +224,24 @@ class PoseBiasSmoother:
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """The maximum a posteriori of the prior and these measurements, by Gauss-Newton from the last answer.
 
-        Process noise inflates each measurement by itself: that it is common to those of one time is neglected.
+        A step is a Kalman filter over the measurements, in the order of time, with every derivative taken at one state:
+        what the object has walked since an older one is common to all that are as old.
         """
-        Ts, noise = measurements["T_mount_palm"], self.process_noise
-        walked = along_mount(Ts, noise - measurements["process_noise"])
-        weights = np.linalg.inv(measurements["covariance"] + walked)
-        prior = self.prior.inflated(noise)
-        prior_information = np.linalg.inv(prior.covariance)
+        whitening = np.linalg.inv(np.linalg.cholesky(measurements["covariance"]))
+        noise, since = self.process_noise, measurements["process_noise"]
+        walked = np.diff(since, axis=0, prepend=0.0)
         state = self.solved
         for _ in range(GAUSS_NEWTON_STEPS):
-            H, innovation = self._linearized(state, Ts, measurements["T_mount_object"])
-            weighted = H.swapaxes(1, 2) @ weights
-            information = prior_information + (weighted @ H).sum(axis=0)
-            gradient = (weighted @ innovation[..., None]).sum(axis=0)[:, 0]
-            step = np.linalg.solve(information, gradient - prior_information @ state.difference(prior))
+            H, innovation = self._linearized(
+                state, measurements["T_mount_palm"], measurements["T_mount_object"]
+            )
+            step, covariance = self.prior.difference(state), self.prior.covariance.copy()
+            innovation = (whitening @ innovation[..., None])[..., 0]
+            filter_walk(whitening @ H, innovation, walked, step, covariance)
             state = state.moved(step)
-            if step @ information @ step < SMALL_STEP:
+            if step @ np.linalg.solve(covariance, step) < SMALL_STEP:
                 break
-        covariance = np.linalg.inv(information)
-        state = replace(state, covariance=(covariance + covariance.T) / 2)
+        state = replace(state, covariance=covariance).inflated(noise - since[-1])
         return PoseBiasSmoother(self.prior, self.pivot, state, noise, noise, measurements)
 
     def _linearized(

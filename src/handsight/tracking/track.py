@@ -16,6 +16,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
+from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import propagated, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
@@ -29,6 +30,8 @@ RECOVERY_EVERY = 0.5
 """Seconds between two such searches, and between corrections while nothing fits: each costs a hundred others."""
 RETRY_EVERY = 0.1
 """The same when the fingers that touch have changed since."""
+ENOUGH_CONTACTS = 3
+"""Of fewer the pose takes up all that they say: nothing is left to tell the joints' offsets from."""
 RENEW_AFTER = 0.02
 """How old the growth of a propagated covariance may be [s]: a micrometre or so."""
 LOST_WITHOUT_FIT = 2.0
@@ -42,6 +45,10 @@ class Correction:
     estimate: PoseEstimate
     contacts: Contacts
     """Touched by `fingers` at `stamp` [s]."""
+    by_error: Array | None
+    """(n, 6, j) of the contacts, see `FingertipContacts`."""
+    prior: PosePrior
+    """The object without touch."""
     fingers: tuple[str, ...]
     stamp: float
     variance: float
@@ -52,7 +59,12 @@ class Track:
     """What is known of one object in one hand, on a clock that goes on."""
 
     def __init__(
-        self, rig: Rig, model: ObjectModel, start: PosePrior | None, settings: TrackerSettings
+        self,
+        rig: Rig,
+        model: ObjectModel,
+        start: PosePrior | None,
+        settings: TrackerSettings,
+        joint_offsets: JointOffsets,
     ) -> None:
         """See `Tracker`."""
         self.rig, self.model, self.settings = rig, model, settings
@@ -60,6 +72,10 @@ class Track:
         """How often the pose was corrected."""
         s, frames = settings, [finger.frame for finger in rig.fingers.values()]
         self._start, self._sensors = start, FingertipSensors(rig)
+        self._offsets = joint_offsets
+        """By the grips before this one."""
+        self._learnt_from: Correction | None = None
+        """The last correction of these."""
         self._surface = rig.hand.surface(s.outside, without=frames) if s.outside else None
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
@@ -96,7 +112,7 @@ class Track:
                 self.rig.hand.T_world_palm(joints), "observation.joint_positions: palm in the world"
             )
             observation = replace(observation, T_world_palm=T_world_palm)
-        self.fingertips = self._sensors.contacts(observation)
+        self.fingertips = self._sensors.contacts(observation, self._offsets)
         self._predict(observation.T_world_palm, stamp)
         before, touched = self.smoother, self.fingertips.contacts
         self.smoother = self.vision.update(observation, before, self.T_world_palm)
@@ -133,6 +149,18 @@ class Track:
         return state.vision_bias, state.covariance[6:, 6:]
 
     @property
+    def joint_offsets(self) -> JointOffsets:
+        """The joints' constant errors, by all grips so far: for the tracker of the next object in this hand."""
+        last = self._correction
+        if last is None or last is self._learnt_from or last.by_error is None:
+            return self._offsets
+        if len(last.contacts) < ENOUGH_CONTACTS or not last.estimate.consistent or last.estimate.outliers:
+            return self._offsets
+        return self._offsets.after(
+            self.model, last.contacts, last.by_error, last.estimate.T_palm_object, last.prior
+        )
+
+    @property
     def sigma(self) -> float:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
         last = self._correction
@@ -163,6 +191,7 @@ class Track:
 
     def _regrasped(self, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """The smoother after fingers came or went, which may have pushed the object."""
+        self._offsets, self._learnt_from = self.joint_offsets, self._correction
         state, T, table = smoother.now, self.T_world_palm, self.rig.table
         if change == "released":
             # What contacts have said outlives the grasp, but not where the object is in the palm from now on.
@@ -222,7 +251,9 @@ class Track:
             if i >= len(touched):
                 self._memory.forget(remembered[i - len(touched)])
         variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
-        self._correction = Correction(estimate, touched, fingers, now, variance)
+        self._correction = Correction(
+            estimate, touched, self.fingertips.by_error, prior, fingers, now, variance
+        )
         self.estimate, self._propagated_to = estimate, now
         self.corrections += 1
 

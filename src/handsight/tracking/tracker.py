@@ -3,12 +3,14 @@
 import math
 from typing import Any
 
+from handsight import checks
 from handsight._kernels.warm import warm_tracker
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, checked
 from handsight.rig import Rig
+from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.track import State, Track
 
@@ -46,17 +48,29 @@ class Tracker(Track):
         *,
         start: PosePrior | None = None,
         settings: TrackerSettings | None = None,
+        joint_offsets: JointOffsets | None = None,
     ) -> None:
-        """`start`: where the object is in the palm at first, if the user knows; else vision's first pose starts."""
+        """`start`: where the object is in the palm at first, if the user knows; else vision's first pose starts.
+
+        `joint_offsets`: those of a tracker that followed another object in this hand before, else as the rig says.
+        """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
             raise InvalidInput(f"tracker: expected a Rig and an ObjectModel, got {came}")
-        for name, given, kind in (("start", start, PosePrior), ("settings", settings, TrackerSettings)):
+        for name, given, kind in (
+            ("start", start, PosePrior),
+            ("settings", settings, TrackerSettings),
+            ("joint_offsets", joint_offsets, JointOffsets),
+        ):
             if not isinstance(given, kind | None):
                 expected = f"expected a {kind.__name__} or None"
                 raise InvalidInput(f"{name}: {expected}, got {type(given).__name__}")
+        offsets = joint_offsets or JointOffsets.of(rig)
+        if offsets.joints != rig.hand.moving:
+            came = checks.brief(", ".join(offsets.joints))
+            raise InvalidInput(f"joint_offsets: expected those of this hand's joints, got those of {came}")
         warm_tracker()
-        super().__init__(rig, model, start, settings or TrackerSettings())
+        super().__init__(rig, model, start, settings or TrackerSettings(), offsets)
         self.late = self.undone = self.refused = 0
         """How many observations were left out: late ones, those taken back when the next told that their stamps were
         wrong, and those that were wrong in themselves."""

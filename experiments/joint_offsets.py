@@ -1,0 +1,137 @@
+"""What a hand learns of its own joints from grip to grip: constant errors of 1 degree at each joint.
+
+Each hand grasps can and box in turn, 16 grasps of the simulator whose joints then read what this hand's would, and the
+tracker of each begins with the joint offsets of the one before (`Tracker(..., joint_offsets=...)`), or with none.
+Synthetic (MuJoCo).
+
+  seen     error of the object's middle in what contacts observe
+  turn     the same of its turn
+  offsets  root mean square of what is left of the joints' errors, and what is claimed to be left
+  inside   truths in the answer's 95 % region
+"""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.special import chdtri
+
+import handsight as hs
+from handsight.evaluation import correction_errors
+from handsight.simulation import Nuisances, Sample, Scenario, rig_of, simulate
+from handsight.tracking import JointOffsets
+from shared import figures, report, scenes
+from shared.report import Array, Row, Rows
+
+GRASPS = 8
+"""Of each object."""
+SIGMA = float(np.deg2rad(1.0))
+OBJECTS = {"can": scenes.can, "box": scenes.box}
+WAYS = {"as new": False, "learnt": True}
+
+
+@cache
+def grasped(name: str, seed: int) -> tuple[Sample, ...] | None:
+    """A grasp by a hand without joint offsets; None where it does not hold."""
+    perfect = Nuisances(joint_offset=0.0)
+    samples = tuple(simulate(Scenario(object=name, seed=seed, rate=50, nuisances=perfect)))
+    return None if samples[-1].dropped else samples
+
+
+def followed(tracker: hs.Tracker, samples: tuple[Sample, ...], offsets: dict[str, float]) -> hs.PoseEstimate:
+    """The last answer of a tracker whose hand's joints read too much by `offsets`."""
+    for sample in samples:
+        read = {joint: angle + offsets[joint] for joint, angle in sample.observation.joint_positions.items()}
+        estimate = tracker.update(replace(sample.observation, joint_positions=read))
+    return estimate
+
+
+def hand(rng: np.random.Generator, first_seed: int) -> Rows:
+    """A row for each grasp of one hand, each way."""
+    rig = rig_of(Scenario())
+    offsets = dict(zip(rig.hand.joint_names, SIGMA * rng.normal(size=len(rig.hand.joint_names)), strict=True))
+    order = [(name, first_seed + k) for k in rng.permutation(GRASPS) for name in OBJECTS]
+    rows = []
+    for way, learns in WAYS.items():
+        known: JointOffsets | None = None
+        held = ((name, samples) for name, seed in order if (samples := grasped(name, seed)))
+        for number, (name, samples) in enumerate(held):
+            model = OBJECTS[name]()
+            tracker = hs.Tracker(rig, model, joint_offsets=known if learns else None)
+            estimate = followed(tracker, samples, offsets)
+            known = tracker.joint_offsets
+            row = {"way": way, "grip": number, "object": name}
+            rows.append(row | errors(model, estimate, samples[-1].T_palm_object) | left(known, offsets))
+    return rows
+
+
+def errors(model: hs.ObjectModel, estimate: hs.PoseEstimate, T: Array) -> Row:
+    """Of one answer."""
+    none = np.zeros((1, 3))
+    found = correction_errors(model, estimate.T_palm_object, T, none, estimate.unobservable)
+    squared, freedom = scenes.chi2(model, estimate.T_palm_object, estimate.information, T)
+    inside = bool(squared < chdtri(freedom, 0.05))
+    return {"seen": 1e3 * found.shift_observable, "turn": np.rad2deg(found.turn), "inside": inside}
+
+
+def left(known: JointOffsets, offsets: dict[str, float]) -> Row:
+    """Of the offsets, after a grip [deg]."""
+    off = known.mean - [offsets[joint] for joint in known.joints]
+    claimed = np.sqrt(np.trace(known.covariance) / len(off))
+    return {"offsets": np.rad2deg(np.sqrt(np.mean(off**2))), "claimed": np.rad2deg(claimed)}
+
+
+@report.or_skip
+def main() -> None:
+    """Runs the experiment."""
+    options = report.options(__doc__, trials=20, quick_trials=2)
+    rows = []
+    for k in report.progress(range(options.trials), "hands"):
+        rows += [{"hand": k, **row} for row in hand(options.rng(k), options.first_seed)]
+    print_table(rows, options.trials)
+    report.write_csv(options.output / "joint_offsets.csv", rows)
+    draw_figure(rows, options.output / "joint_offsets.png")
+
+
+def print_table(rows: Rows, hands: int) -> None:
+    """Errors by how many grips there were before."""
+    table = []
+    for way in WAYS:
+        for first in range(0, 2 * GRASPS, 4):
+            mine = [row for row in report.chosen(rows, way=way) if first <= row["grip"] < first + 4]
+            if not mine:
+                continue
+            cells = [report.plus_minus(report.values(mine, key), 2) for key in ("seen", "turn")]
+            cells += [f"{report.values(mine, key).mean():.2f}" for key in ("offsets", "claimed")]
+            table.append(
+                [
+                    way,
+                    f"{first + 1}-{first + 4}",
+                    *cells,
+                    f"{100 * report.values(mine, 'inside').mean():.0f} %",
+                ]
+            )
+    report.print_table(
+        f"Grips of one hand after another, {hands} hands (synthetic)",
+        ["offsets", "grips", "seen mm", "turn °", "left °", "claimed °", "inside"],
+        table,
+        "± one standard error.",
+    )
+
+
+def draw_figure(rows: Rows, path: Path) -> None:
+    """Error by the number of the grip."""
+    figure, axes = figures.pyplot().subplots(figsize=(5.6, 3.4), layout="constrained")
+    for way, colour in zip(WAYS, (figures.INITIAL, figures.RESULT), strict=True):
+        mine = report.chosen(rows, way=way)
+        grips = sorted({row["grip"] for row in mine})
+        means = [report.values(mine, "seen", grip=grip).mean() for grip in grips]
+        axes.plot([1 + grip for grip in grips], means, marker="o", color=colour, label=way)
+    axes.set(xlabel="grip", ylabel="error in what contacts observe [mm]", ylim=(0, None))
+    axes.legend()
+    figures.save(figure, path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""What joints read too much is learnt from grips, as far as grips tell it and no further."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import approx_fprime, least_squares
+
+import handsight as hs
+import scenes
+from handsight import se3
+from handsight.correction.information import contact_information
+from handsight.correction.outside import NO_OUTSIDE
+from handsight.correction.problem import Problem
+from handsight.errors import InvalidInput
+from handsight.tracking import FingertipSensors, JointOffsets, Tracker
+from handsight.tracking.joint_offsets import CREEP
+from oracles import correction as oracle
+
+SEEDS = st.integers(0, 2**32 - 1)
+SIGMA, READING = np.deg2rad(1.0), np.deg2rad(0.1)
+MODELS = {"can": scenes.can(), "box": scenes.box()}
+VISION = np.array([0.02] * 3 + [0.2] * 3)
+
+
+def no_knowledge(joints, sigma=SIGMA):
+    names = tuple(f"joint {i}" for i in range(joints))
+    return JointOffsets(names, np.zeros(joints), sigma**2 * np.eye(joints), sigma, READING)
+
+
+def grip(rng, known, read_too_much, name="can"):
+    """A grip by five fingers whose joints (two each, then some common ones) read too much: model, truth and what
+    `after` takes, the contacts corrected by what is known."""
+    model, joints = MODELS[name], len(known.joints)
+    scene = scenes.random_scene((scenes.on_can_side if name == "can" else scenes.on_box_faces)(rng), rng)
+    n = len(scene.contacts)
+    K = 0.06 * rng.normal(size=(n, 6, joints))
+    K[:, 3:] *= 10
+    normals = scene.contacts.normals_palm
+    tangent = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+    K[:, 3:] = tangent @ K[:, 3:]
+    wrong = K @ (read_too_much - known.mean)
+    points = scene.contacts.points_palm + wrong[:, :3]
+    by_error = K @ known.root
+    covariance = scene.contacts.covariance + K @ known.covariance @ K.swapaxes(1, 2)
+    contacts = hs.Contacts(points, normals + wrong[:, 3:], covariance=covariance)
+    T_seen = se3.moved(scene.T_palm_object, VISION * rng.normal(size=6))
+    return model, scene.T_palm_object, contacts, by_error, hs.PosePrior(T_seen, np.diag(VISION**2))
+
+
+@given(SEEDS, st.sampled_from(sorted(MODELS)))
+def test_what_a_surface_says_of_contacts_is_the_derivative_of_their_residuals(seed, name):
+    rng = np.random.default_rng(seed)
+    model, T, contacts, *_ = grip(rng, no_knowledge(4), np.zeros(4), name)
+    T = se3.moved(T, np.array([0.001, 0, 0, 0, 0.01, 0]))
+    information, gradient = contact_information(model, contacts, T)
+    problem = Problem(model, contacts, None, NO_OUTSIDE)
+    S = oracle.covariance(problem, T)
+    for i in range(len(contacts)):
+        root = np.linalg.inv(np.linalg.cholesky(S[i]))
+
+        def residuals(change, i=i, root=root):
+            point, normal = contacts.points_palm[i] + change[:3], contacts.normals_palm[i] + change[3:]
+            distance, _, facing, _ = oracle.surface(problem, point[None], T)
+            return root @ np.r_[distance, facing[0] - normal]
+
+        J = approx_fprime(np.zeros(6), residuals, 1e-8)
+        scale = np.abs(J).max()
+        np.testing.assert_allclose(information[i], J.T @ J, atol=1e-4 * scale**2)
+        np.testing.assert_allclose(gradient[i], J.T @ residuals(np.zeros(6)), atol=1e-4 * scale**2)
+
+
+@settings(max_examples=20)
+@given(SEEDS)
+def test_pose_and_offsets_are_those_of_least_squares_of_both(seed):
+    """Against SciPy's solver on residuals in plain NumPy, where errors are so small that all is linear."""
+    rng = np.random.default_rng(seed)
+    known = no_knowledge(7, 1e-4)
+    model, T, contacts, by_error, prior = grip(rng, known, 1e-4 * rng.normal(size=7), "box")
+    prior = hs.PosePrior(se3.moved(T, 1e-3 * VISION), prior.covariance)
+    after = known.after(model, contacts, by_error, T, prior)
+    K = by_error @ np.linalg.inv(known.root)
+    alone = contacts.covariance - K @ known.covariance @ K.swapaxes(1, 2)
+    given_alone = hs.Contacts.trusted(contacts.points_palm, contacts.normals_palm, alone)
+    problem = Problem(model, given_alone, None, NO_OUTSIDE)
+    roots = np.linalg.inv(np.linalg.cholesky(oracle.covariance(problem, T)))
+    by_prior = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+
+    def residuals(z):
+        pose = se3.moved(T, z[:6])
+        change = -K @ z[6:]
+        distance, _, facing, _ = oracle.surface(problem, contacts.points_palm + change[:, :3], pose)
+        error = np.concatenate([distance[:, None], facing - contacts.normals_palm - change[:, 3:]], axis=1)
+        seen = by_prior @ se3.difference(pose, prior.T_palm_object)
+        return np.concatenate([(roots @ error[..., None]).ravel(), seen, z[6:] / 1e-4])
+
+    found = least_squares(residuals, np.zeros(13), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    covariance = np.linalg.inv(found.jac.T @ found.jac)[6:, 6:]
+    np.testing.assert_allclose(after.mean, found.x[6:], atol=5e-6)
+    np.testing.assert_allclose(
+        after.covariance, covariance + (CREEP * 1e-4) ** 2 * np.eye(7), atol=0.03 * 1e-8
+    )
+
+
+def test_offsets_are_known_as_well_after_many_grips_as_is_said():
+    """χ² of what is left, over many hands: as many as there are joints; and less is left than there was."""
+    squared, left = [], []
+    for hand in range(40):
+        rng = np.random.default_rng(hand)
+        known = no_knowledge(8)
+        truth = SIGMA * rng.normal(size=8)
+        for k in range(6):
+            model, T, contacts, by_error, prior = grip(rng, known, truth, ("can", "box")[k % 2])
+            estimate = hs.correct_pose(model, contacts, vision=prior)
+            if estimate.consistent and not estimate.outliers:
+                known = known.after(model, contacts, by_error, estimate.T_palm_object, prior)
+        off = known.mean - truth
+        squared.append(off @ np.linalg.solve(known.covariance, off))
+        left.append(np.sqrt(np.mean(off**2)) / SIGMA)
+    mean, spread = np.mean(squared), np.std(squared) / np.sqrt(len(squared))
+    assert mean < 8 + 3 * spread
+    assert np.mean(left) < 0.5
+
+
+def test_what_one_grip_cannot_tell_stays_as_uncertain_as_it_was():
+    """A joint that moves no contact, and one that moves all of them as moving the object would."""
+    rng = np.random.default_rng(3)
+    known = no_knowledge(3)
+    model, T, contacts, by_error, prior = grip(rng, known, np.zeros(3))
+    K = by_error @ np.linalg.inv(known.root)
+    K[:, :, 0] = 0.0
+    K[:, :, 1] = [0.1, 0, 0, 0, 0, 0]
+    blind = hs.PosePrior(prior.T_palm_object, 1e6 * prior.covariance)
+    after = known.after(model, contacts, K @ known.root, T, blind)
+    sigma = np.sqrt(after.covariance.diagonal() - (CREEP * SIGMA) ** 2)
+    np.testing.assert_allclose(sigma[:2], SIGMA, rtol=1e-3)
+    assert sigma[2] < 0.7 * SIGMA
+    np.testing.assert_allclose(after.mean[:2], 0, atol=1e-3 * SIGMA)
+
+
+@given(SEEDS)
+def test_positions_are_corrected_by_what_is_known_of_them(seed):
+    rng = np.random.default_rng(seed)
+    known = replace(no_knowledge(3), mean=rng.normal(size=3))
+    given_positions = {"joint 2": 0.5, "wrist": 1.0, "joint 0": -0.25}
+    corrected = known.corrected(given_positions)
+    assert list(corrected) == list(given_positions)
+    assert corrected["wrist"] == 1.0
+    assert corrected["joint 2"] == pytest.approx(0.5 - known.mean[2])
+    assert corrected["joint 0"] == pytest.approx(-0.25 - known.mean[0])
+    np.testing.assert_allclose(known.root @ known.root.T, known.covariance + READING**2 * np.eye(3))
+
+
+def test_a_tracker_learns_from_its_grip_and_the_next_one_begins_with_that(can):
+    tracker = Tracker(can.rig, MODELS["can"])
+    assert not tracker.joint_offsets.mean.any()
+    for observation in can.held:
+        tracker.update(observation)
+    learnt = tracker.joint_offsets
+    before = JointOffsets.of(can.rig)
+    assert np.trace(learnt.covariance) < 0.95 * np.trace(before.covariance)
+    last = can.held[-1]
+    plain, corrected = (FingertipSensors(can.rig).contacts(last, known).contacts for known in (None, learnt))
+    moved = np.linalg.norm(plain.points_palm - corrected.points_palm, axis=1)
+    assert 1e-5 < moved.max() < 5e-3
+    assert np.trace(corrected.covariance.sum(axis=0)) < np.trace(plain.covariance.sum(axis=0))
+    after = Tracker(can.rig, MODELS["can"], joint_offsets=learnt)
+    after.update(last)
+    np.testing.assert_array_equal(after.fingertips.contacts.points_palm, corrected.points_palm)
+
+
+def test_offsets_of_another_hand_are_refused(can):
+    with pytest.raises(
+        InvalidInput, match="joint_offsets: expected those of this hand's joints, got those of joint 0"
+    ):
+        Tracker(can.rig, MODELS["can"], joint_offsets=no_knowledge(2))
+    with pytest.raises(InvalidInput, match="joint_offsets: expected a JointOffsets or None, got float"):
+        Tracker(can.rig, MODELS["can"], joint_offsets=0.5)
