@@ -1,6 +1,8 @@
 """Distance [m], gradient and Hessian [1/m] of an object's field at a point of the object's frame.
 
-A grid is interpolated by cubic B-splines and continued beyond its edge; boxes, cylinders and spheres are exact.
+A grid is interpolated by cubic B-splines and continued beyond its edge; boxes, cylinders and spheres are exact. A sheet
+is a grid around a surface without an inside, its distances negative behind it: where this side gives way to the other
+with no surface between them, the sign jumps and the distance does not pass through zero.
 """
 
 from typing import Any
@@ -8,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import entry, inner
-from handsight._kernels.records import BOX, CYLINDER, GRID
-from handsight._kernels.simd import spline
+from handsight._kernels.records import BOX, CYLINDER, GRID, NODES, SHEET
+from handsight._kernels.simd import local, spline
 from handsight._kernels.vec3 import (
     Mat33,
     Vec3,
@@ -27,13 +29,16 @@ from handsight._kernels.vec3 import (
 )
 
 Values = tuple[float, Vec3, Mat33]
+Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 FLAT: Mat33 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+APART = 1.02
+"""Two places whose distances to a surface add up to more than this much of what is between them are on one side."""
 
 
 @inner
 def field_at(nodes: Any, field: Any, place: Vec3) -> Values:
     """Distance, gradient and Hessian of one field; `nodes`: those of all the object's grids."""
-    if field.kind == GRID:
+    if field.kind == GRID or field.kind == SHEET:
         return _grid(nodes, field, place)
     if field.kind == BOX:
         return _box(field, place)
@@ -51,12 +56,34 @@ def _grid(nodes: Any, field: Any, place: Vec3) -> Values:
     i, j, k = int(min(inside[0], nx - 3.0)), int(min(inside[1], ny - 3.0)), int(min(inside[2], nz - 3.0))
     first = field.nodes + ((i - 1) * ny + j - 1) * nz + k - 1
     past = inside[0] - i, inside[1] - j, inside[2] - k
-    d, gx, gy, gz, xx, xy, xz, yy, yz, zz = spline(nodes, first, ny * nz, nz, past)
+    ten = (
+        _on_one_side(nodes, field, first, past)
+        if field.kind == SHEET
+        else spline(nodes, first, ny * nz, nz, past)
+    )
+    d, gx, gy, gz, xx, xy, xz, yy, yz, zz = ten
     hessian = scale33(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), inverse * inverse)
     edge = d, scale((gx, gy, gz), inverse), hessian
     if u[0] == inside[0] and u[1] == inside[1] and u[2] == inside[2]:
         return edge
     return _beyond(edge, scale(sub(u, inside), field.cell))
+
+
+@inner
+def _on_one_side(nodes: Any, field: Any, first: int, past: Vec3) -> Ten:
+    """As `spline`, of a sheet: nodes with no surface between them and the nearest one get its sign."""
+    step_x, step_y, own = field.shape[1] * field.shape[2], field.shape[2], local(NODES)
+    x, y, z = 2 if past[0] > 0.5 else 1, 2 if past[1] > 0.5 else 1, 2 if past[2] > 0.5 else 1
+    nearest = nodes[first + x * step_x + y * step_y + z]
+    for i in range(4):
+        for j in range(4):
+            for k in range(4):
+                value = nodes[first + i * step_x + j * step_y + k]
+                gap2 = (APART * field.cell) ** 2 * ((i - x) ** 2 + (j - y) ** 2 + (k - z) ** 2)
+                if value * nearest < 0 and (value - nearest) ** 2 > gap2:
+                    value = -value
+                own.values[16 * i + 4 * j + k] = value
+    return spline(own.values, 0, 16, 4, past)
 
 
 @inner
@@ -79,17 +106,20 @@ def _where_zero(way: Vec3, v: Vec3) -> Vec3:
 @inner
 def _beyond(edge: Values, way: Vec3) -> Values:
     """The field a way outside the grid, from its values at the edge."""
-    m, g, H = edge
+    # Behind a sheet all of it is negative.
+    side = -1.0 if edge[0] < 0 else 1.0
+    m, g, H = side * edge[0], scale(edge[1], side), scale33(edge[2], side)
     slope = dot(g, way)
     # Along what is free of the grid's edge the gradient there counts; across it, the way itself.
     p = add(g, _where_zero(way, mul(H, way)))
     if way[0] == 0 and way[1] == 0 and way[2] == 0:
         return edge
     if not m > 0:
-        return m + slope, p, H
+        return m + slope, p, H  # a NaN, passed on
     f = np.sqrt(max(m * m + 2 * m * slope + dot(way, way), 1e-300))
     h = scale(add(add(scale(p, m), _where_zero(way, scale(g, slope))), way), 1 / f)
-    return f, h, _around(scale(h, 1 / np.sqrt(max(dot(h, h), 1e-12))), 1 / f)
+    bend = _around(scale(h, 1 / np.sqrt(max(dot(h, h), 1e-12))), side / f)
+    return side * f, scale(h, side), bend
 
 
 @inner
