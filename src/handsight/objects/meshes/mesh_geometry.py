@@ -51,7 +51,7 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     lie on each other without sharing their vertices (a vertex of one within the other, or each its own), it is whole.
     """
     pairs, _, count = mesh.edges
-    rim = count == 1
+    rim = np.asarray(count == 1)
     if not rim.any():
         return rim
     start, end = mesh.vertices[pairs[rim]].swapaxes(0, 1)
