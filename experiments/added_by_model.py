@@ -22,7 +22,7 @@ COLUMNS = ("object", "field mm", "field °", "9 of 10", "bend °", "9 of 10 ", "
 
 
 def added(model: hs.ObjectModel, places: int) -> tuple[Array, Array, Array]:
-    """(n,) standard deviations at places of the surface: the field's distance [m] and normal [rad], the bend's [rad]."""
+    """(n,) standard deviations at places of the surface: the field's distance [m], its normal and the bend's [rad]."""
     points, _ = model.sample(places)
     _, gradient, hessian = model.evaluate(points)
     length = np.linalg.norm(gradient, axis=1)
