@@ -5,6 +5,7 @@ import random
 import struct
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,15 +25,15 @@ def words(rows: object, before: str = "") -> str:
     return "".join(before + " ".join(map(str, row)) + "\n" for row in rows)
 
 
-def stl(kind: str = "binary") -> bytes:
-    """The box."""
+def stl(kind: str = "binary", off: float = 0.0) -> bytes:
+    """The box, each corner of each triangle up to so far [mm] off."""
+    corners = CORNERS[FACES] + off * np.random.default_rng(1).uniform(-1, 1, (12, 3, 3))
     if kind == "binary":
         table = np.zeros(12, [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
-        table["v"] = CORNERS[FACES]
+        table["v"] = corners
         return bytes(80) + struct.pack("<I", 12) + table.tobytes()
     facets = (
-        f"facet normal 0 0 1\nouter loop\n{words(each, 'vertex ')}endloop\nendfacet\n"
-        for each in CORNERS[FACES]
+        f"facet normal 0 0 1\nouter loop\n{words(each, 'vertex ')}endloop\nendfacet\n" for each in corners
     )
     return f"solid box\n{''.join(facets)}endsolid box\n".encode()
 
@@ -106,6 +107,17 @@ def check_object(path: Path) -> None:
     assert np.isfinite(at.gradient).all()
 
 
+def check_sides(path: Path, *, closed: bool) -> None:
+    """A model is closed or not, and its distance nowhere 5 mm off it is below 2 mm."""
+    check_object(path)
+    model = ObjectModel.from_file(path, 0.001)
+    assert model.closed == closed
+    far = 0.1 * np.random.default_rng(0).uniform(-1, 1, (2000, 3))
+    spread = model.sample(4000)[0]
+    gap = np.sqrt(((far[:, None] - spread[None, ::4]) ** 2).sum(axis=2).min(axis=1))
+    assert (np.abs(model.evaluate(far[gap > 0.012]).distance) > 0.002).all()
+
+
 def spoilt(rng: random.Random) -> tuple[str, bytes]:
     """A good file's name and what is left of it."""
     name, data = rng.choice(GOOD)
@@ -130,6 +142,13 @@ def case(name: str, file: str, data: bytes, says: str | None) -> Case:
     return Case(name, lambda: saved(file, data, check_object), says)
 
 
+def sided(name: str, file: str, data: bytes, closed: bool) -> Case:
+    """A mesh that has an inside, or none."""
+    return Case(name, lambda: saved(file, data, partial(check_sides, closed=closed)), None)
+
+
+SIDE = b"f 1 2 4 3\n"
+"""One of the box'."""
 BOM = b"\xef\xbb\xbf"
 DOORS = [
     Door("read_shape", lambda rng: saved(*spoilt(rng), check_shape), 400),
@@ -172,6 +191,10 @@ CASES = [
         lambda: saved("a.xyz", GOOD[-1][1], lambda path: print(ObjectModel.from_file(path, 1e308))),
         "a.xyz: points: expected finite numbers",
     ),
+    sided("an OBJ with a vertex on another's edge", "a.obj", OBJ.replace(SIDE, b"v -30 -45 0\nf 9 2 4 3 1\n"), True),
+    sided("an STL that rounds each corner anew", "a.stl", stl(off=1e-3), True),
+    sided("an OBJ of a box without a side", "a.obj", OBJ.replace(SIDE, b""), False),
+    sided("an OFF of one triangle", "a.off", b"OFF\n3 1 0\n0 0 0\n60 0 0\n0 60 0\n3 0 1 2\n", False),
     Case("a folder for a file", no_file(os.mkdir), "a.stl: expected a file, got a folder"),
     Case("a pipe for a file", no_file(os.mkfifo), "a.stl: expected a file, got something else"),
     Case("a device for a file", no_file(lambda path: path.symlink_to("/dev/zero")), "a.stl: expected a file, got some"),

@@ -44,6 +44,16 @@ def test_latency_is_measured_for_both_objects(tmp_path):
     assert (column(rows, "ms") > 0).all()
 
 
+def test_what_a_model_adds_is_that_of_a_circle_on_a_can(tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDSIGHT_DATA", str(tmp_path))
+    rows = run("added_by_model", tmp_path, "--trials", 50)["added_by_model"]
+    assert len(rows) == 2
+    # 1 mm along a circle of 33 mm, about one of two axes.
+    bend = np.rad2deg(1 / 33) / np.sqrt(2)
+    np.testing.assert_allclose(column(rows, "bend °", object="cylinder, exact"), bend, rtol=1e-3)
+    assert column(rows, "bend °", object="box, exact").max() == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

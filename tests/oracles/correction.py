@@ -24,16 +24,22 @@ def surface(problem: Problem, points_palm: Array, T: Array) -> tuple[Array, Arra
 
 
 def covariance(problem: Problem, T: Array) -> Array:
-    """(n, 4, 4) of every contact's distance and normal, to first order in the errors of point and normal."""
+    """(n, 4, 4) of every contact's distance and normal, to first order in the errors of point and normal.
+
+    With nothing of model and surface where the given covariance is of the residual.
+    """
     contacts, model = problem.contacts, problem.model
     _, gradient, _, curvature = surface(problem, contacts.points_palm, T)
     n = len(contacts)
     by_error = np.zeros((n, 4, 6))
-    by_error[:, 0, :3], by_error[:, 1:, :3], by_error[:, 1:, 3:] = gradient, curvature, -np.eye(3)
+    added = ~contacts.of_residual[:, None]
+    by_error[:, 0, :3], by_error[:, 1:, 3:] = gradient, -np.eye(3)
+    by_error[:, 1:, :3] = added[..., None] * curvature
     S = by_error @ contacts.covariance @ by_error.transpose(0, 2, 1)
     own = np.tile([(LEAST_ERROR[0] * model.diameter) ** 2, LEAST_ERROR[1] ** 2], (n, 1))
     if model.field_error is not None:
         own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))
+    own = added * own
     S[:, 0, 0] += own[:, 0]
     S[:, 1:, 1:] += own[:, 1, None, None] * np.eye(3)
     # Along the normal, where a unit vector has no noise of first order, the mean variance of the tangents.

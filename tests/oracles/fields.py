@@ -39,6 +39,8 @@ def _grid(field: GridField, points: Array) -> FieldValues:
     # (order, n, axis, 4): the weight of each of the four nodes around.
     weights = [np.nan_to_num(_CUBIC(edge[:, :, None] - node, nu=nu)) for nu in range(3)]
     nodes = field.values[node[:, 0, :, None, None], node[:, 1, None, :, None], node[:, 2, None, None, :]]
+    if field.sheet:
+        nodes = _on_one_side(nodes, edge - node[:, :, 1], field.cell)
     products = [
         np.einsum("nijk,ni,nj,nk->n", nodes.astype(float), *(weights[o][:, k] for k, o in enumerate(order)))
         / field.cell ** sum(order)
@@ -48,27 +50,36 @@ def _grid(field: GridField, points: Array) -> FieldValues:
     return _beyond(inner, (u - edge) * field.cell)
 
 
+def _on_one_side(nodes: Array, past: Array, cell: float) -> Array:
+    """Nodes (n, 4, 4, 4), those with no surface on the way to the nearest one with its sign.
+
+    `past` (n, 3): how far past the second node along each axis. A way from a node to another through the surface is at
+    least as long as their distances to it add up to.
+    """
+    nearest = 1 + (past > 0.5)
+    here = nodes[np.arange(len(nodes)), *nearest.T][:, None, None, None]
+    places = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), axis=-1)
+    way = cell * np.linalg.norm(places - nearest[:, None, None, None], axis=-1)
+    return np.where(np.abs(nodes) + np.abs(here) > 1.02 * way, np.copysign(nodes, here), nodes)
+
+
 def _beyond(edge: FieldValues, w: Array) -> FieldValues:
-    """The field at points a way `w` (n, 3) [m] outside the grid, as GridField's docstring has it."""
-    m, g, H = edge
+    """The field at points a way `w` (n, 3) [m] outside the grid, as GridField's docstring has it, on either side."""
+    side = np.where(edge.distance < 0, -1.0, 1.0)
+    m, g, H = side * edge.distance, side[:, None] * edge.gradient, side[:, None, None] * edge.hessian
     free = w == 0
     slope = (g * w).sum(axis=1)
     by_edge = np.where(free, (H @ w[:, :, None])[..., 0], 0.0)
-    outside = m > 0
-    m = np.where(outside, m, 1.0)
     f = np.sqrt(np.maximum(m * m + 2 * m * slope + (w * w).sum(axis=1), 1e-300))
     sideways = np.where(free, g * slope[:, None], 0.0)
     gradient = (m[:, None] * (g + by_edge) + sideways + w) / f[:, None]
-    still = free.all(axis=1)
-    distance = np.where(outside, f, edge.distance + slope)
-    gradient = np.where(outside[:, None], gradient, g + by_edge)
     length2 = np.maximum((gradient * gradient).sum(axis=1), 1e-12)[:, None, None]
     sphere = (np.eye(3) - gradient[:, :, None] * gradient[:, None, :] / length2) / f[:, None, None]
-    keep = still | ~outside
+    still = free.all(axis=1)
     return FieldValues(
-        np.where(still, edge.distance, distance),
-        np.where(still[:, None], g, gradient),
-        np.where(keep[:, None, None], H, sphere),
+        np.where(still, edge.distance, side * f),
+        np.where(still[:, None], edge.gradient, side[:, None] * gradient),
+        np.where(still[:, None, None], edge.hessian, side[:, None, None] * sphere),
     )
 
 

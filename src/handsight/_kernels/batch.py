@@ -36,6 +36,7 @@ def _load_terms(contacts: Any, terms: Any) -> Vec3:
         store(vector(contact.point), term.contact.point)
         store(vector(contact.normal), term.contact.normal)
         term.contact.has_normal, term.contact.used = contact.has_normal, contact.used
+        term.contact.of_residual = contact.of_residual
         for j in range(6):
             for k in range(6):
                 term.contact.covariance[j, k] = contact.covariance[j, k]

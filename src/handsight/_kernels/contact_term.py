@@ -85,10 +85,16 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
     """Of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], and what model and field add.
 
     A point that slides by its noise over a curved surface meets another normal, so curvature carries point noise into
-    the normal: this is what tells a normal near an edge from one on a face.
+    the normal: this is what tells a normal near an edge from one on a face. Where the covariance is of the residuals
+    already, nothing is carried and nothing added but the coarse field's own error.
     """
     _, g, _, K, place = surface
     contact = term.contact
+    of_distance, of_normal = 0.0, 0.0
+    if contact.of_residual:
+        K = FLAT
+    else:
+        of_distance, of_normal = field_error(model.error, nodes, place)
     if term.isotropic:
         v = term.variance_point
         distance, both = v * dot(g, g), scale(mul(K, g), v)
@@ -99,7 +105,6 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
         distance, both = dot(g, Pg), sub(mul(K, Pg), tmul(X, g))
         normal = add33(matmul(matmul(K, P), transpose(K)), block(contact.covariance, 3, 3))
         normal = sub33(normal, add33(KX, transpose(KX)))
-    of_distance, of_normal = field_error(model.error, nodes, place)
     of_distance += field.variance_distance
     of_normal += field.variance_normal
     tangential = (normal[0][0] + normal[1][1] + normal[2][2] + 3 * of_normal) / 2

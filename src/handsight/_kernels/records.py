@@ -19,8 +19,8 @@ def _record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
 POSE = _record(("rotation", "f8", (3, 3)), ("position", "f8", (3,)))
 
 # Kinds of field. An exact one has its half sizes (box), radius and half height (cylinder) or radius (sphere) in
-# `origin`, and no nodes.
-GRID, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
+# `origin`, and no nodes. A sheet is a grid around a surface that has no inside: its signs are sides.
+GRID, BOX, CYLINDER, SPHERE, SHEET = 0, 1, 2, 3, 4
 FIELD = _record(
     ("kind", "i8"),
     ("origin", "f8", (3,)),
@@ -78,6 +78,7 @@ CONTACT = _record(
     ("normal", "f8", (3,)),
     ("has_normal", "i8"),
     ("used", "i8"),  # whether it counts
+    ("of_residual", "i8"),  # whether the covariance is of its residuals: what model and surface add is in it
     ("covariance", "f8", (6, 6)),  # of (point, normal)
 )
 PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
@@ -143,6 +144,9 @@ ANSWER = _record(
 PROBLEM = _record(
     ("prior", PRIOR), ("first", "i8"), ("last", "i8"), ("follows", "i8"), ("start", POSE), ("answer", ANSWER)
 )
+
+# Room for the nodes that a spline reads, z fastest.
+NODES = _record(("values", "f4", (64,)))
 
 # Room for a descent: normal equations, and what is solved with them.
 WORKSPACE = _record(

@@ -63,6 +63,7 @@ class ProblemFields(_Strict):
 
     object: ObjectFields
     contacts: list[ContactFields]
+    contacts_of_residual: bool = False
     vision: VisionFields | None = None
     outside: Any = None
     samples: Any = 0
@@ -98,7 +99,8 @@ class Reader:
         outside = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
-        contacts, vision = _contacts(fields.contacts), _vision(fields.vision)
+        contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
+        vision = _vision(fields.vision)
         return Problem(self.model(fields.object), contacts, vision, outside, samples, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
@@ -209,7 +211,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return made
 
 
-def _contacts(rows: list[ContactFields]) -> Contacts:
+def _contacts(rows: list[ContactFields], *, of_residual: bool) -> Contacts:
     if not rows:
         raise InvalidInput("contacts: expected at least one contact, got none")
     n = len(rows)
@@ -232,7 +234,10 @@ def _contacts(rows: list[ContactFields]) -> Contacts:
         if row.sigma_normal_deg is not None:
             sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg", np.pi)
         covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
-    return Contacts(points, normals, covariance=covariance)
+    try:
+        return Contacts(points, normals, covariance=covariance, of_residual=of_residual)
+    except InvalidInput as error:  # of all of them together
+        raise InvalidInput(f"contacts: {error}") from None
 
 
 def _vision(fields: VisionFields | None) -> PosePrior | None:

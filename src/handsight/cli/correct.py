@@ -95,6 +95,8 @@ def correct(
       `{"mesh": "file.ply", "scale": 0.001}`; the file is looked for beside the problem file.
     * **contacts**: `normal` is the object's outward normal. Sigmas are one standard deviation per axis
       (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
+    * **contacts_of_residual**: `true` if these are of all that parts contacts from the model, as measured at known
+      poses; by default they are of the finger, and what the model adds is added.
     * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
     * **samples**: above 0, answer with the posterior's mean (say 4000; at most 1000000).

@@ -27,6 +27,8 @@ class Contacts:
     covariance: Array
     """(n, 6, 6) of (point [m], normal) along the palm's axes. A unit normal varies in its
     tangent plane only, so nothing is kept along it, and nothing at all where there is no normal."""
+    of_residual: Mask
+    """(n,) whether the covariance is of the residuals, the model's share in it already."""
     record: NDArray[np.void]
     """(n,) the same as kernels take it."""
 
@@ -37,12 +39,17 @@ class Contacts:
         sigma_point: ArrayLike = 1e-3,
         sigma_normal: ArrayLike = 0.1,
         covariance: ArrayLike | None = None,
+        *,
+        of_residual: ArrayLike = False,
     ) -> None:
         """`points_palm` (n, 3) [m]; `normals_palm` (n, 3), any length, None for a contact without one.
 
         `sigma_point` [m] and `sigma_normal` [rad], a number or (n,), are one standard deviation per axis (of
         a point's x; of a normal's angle about each of two tangent axes). `covariance` (n, 6, 6), positive
-        semidefinite, replaces both. Raises InvalidInput naming the entry.
+        semidefinite, replaces both. They are of the finger: `correct_pose` adds how far the model is off its surface,
+        and what the surface's bend makes of the point's noise. `of_residual` (a truth value or (n,)): they are of all
+        that parts a measured contact from the model instead, as compared with a known pose, and nothing is added; then
+        no direction may be known exactly. Raises InvalidInput naming the entry.
         """
         points = _points(points_palm)
         normals, has_normal = _normals(normals_palm, len(points))
@@ -53,7 +60,9 @@ class Contacts:
         else:
             covariance_palm = _by_row(checks.covariance, covariance, "covariance", (6, 6))
             _same_length(covariance_palm, "covariance", len(points))
-        _fill(self, points, normals, has_normal, _tangent(covariance_palm, normals, has_normal))
+        covariance_palm = _tangent(covariance_palm, normals, has_normal)
+        flags = _of_residual(of_residual, normals, has_normal, covariance_palm)
+        _fill(self, points, normals, has_normal, covariance_palm, flags)
 
     @classmethod
     def from_tips(
@@ -83,7 +92,8 @@ class Contacts:
         float64, finite, unit normals, covariances positive semidefinite and with nothing along the normals. For loops
         at control rate whose own inputs were checked; the arrays are kept and made read-only.
         """
-        return _made(points_palm, normals_palm, np.ones(len(points_palm), dtype=bool), covariance)
+        n = len(points_palm)
+        return _made(points_palm, normals_palm, np.ones(n, dtype=bool), covariance, np.zeros(n, dtype=bool))
 
     def __len__(self) -> int:
         return len(self.points_palm)
@@ -93,7 +103,8 @@ class Contacts:
         T = se3.check(T_new_palm, "T_new_palm")
         R = T[:3, :3]
         covariance = symmetric(se3.rotate_covariance(R, self.covariance))
-        return _made(se3.apply(T, self.points_palm), self.normals_palm @ R.T, self.has_normal, covariance)
+        points, normals = se3.apply(T, self.points_palm), self.normals_palm @ R.T
+        return _made(points, normals, self.has_normal, covariance, self.of_residual)
 
     def select(self, mask_or_indices: ArrayLike) -> "Contacts":
         """Some of the contacts: a mask (n,) bool, or indices, which may reorder and repeat; at least one."""
@@ -108,12 +119,14 @@ class Contacts:
         return _made(*(getattr(self, name)[chosen] for name in _GIVEN))
 
 
-_GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance")
-_RECORDED = ("point", "normal", "has_normal", "covariance")
+_GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance", "of_residual")
+_LEAST_SHARE = 1e-9
+"""Of a residual's covariance, scaled to a correlation: a smaller eigenvalue is rounding's."""
+_RECORDED = ("point", "normal", "has_normal", "covariance", "of_residual")
 
 
 def _made(*arrays: NDArray[Any]) -> Contacts:
-    """Contacts of points, normals, which have one, and covariances that are clean already."""
+    """Contacts of points, normals, which have one, covariances and whose these are, clean already."""
     contacts = object.__new__(Contacts)
     _fill(contacts, *arrays)
     return contacts
@@ -136,6 +149,30 @@ def _tangent(covariance: Array, normals: Array, has_normal: Mask) -> Array:
     B[:, 3:, 3:] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
     B[~has_normal, 3:, 3:] = 0.0
     return symmetric(B @ covariance @ B.swapaxes(-1, -2))
+
+
+def _of_residual(value: ArrayLike, normals: Array, has_normal: Mask, covariance: Array) -> Mask:
+    """(n,) flags; raises InvalidInput where a residual's covariance, clean already, knows something exactly."""
+    n, flags = len(normals), np.asarray(value)
+    if flags.dtype != np.bool_ or flags.shape not in ((), (n,)):
+        raise InvalidInput(f"of_residual: expected true or false, or {n} of these, got {checks.brief(value)}")
+    flags = np.array(np.broadcast_to(flags, n))
+    if not flags.any():
+        return flags
+    # Nothing is kept along a normal, and where there is none: there it need not be uncertain.
+    size = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2
+    free = np.where(has_normal[:, None, None], normals[:, :, None] * normals[:, None, :], np.eye(3))
+    whole = covariance.copy()
+    whole[:, 3:, 3:] += np.where(has_normal, size, 1.0)[:, None, None] * free
+    deviation = np.sqrt(np.einsum("nii->ni", whole))
+    scaled = whole / np.maximum(deviation[:, :, None] * deviation[:, None, :], 1e-300)
+    exact = flags & (np.linalg.eigvalsh(scaled).min(axis=1) < _LEAST_SHARE)
+    if exact.any():
+        i = int(np.flatnonzero(exact)[0])
+        raise InvalidInput(
+            f"covariance[{i}]: expected a residual's, uncertain in every direction, got one that is exact in some"
+        )
+    return flags
 
 
 def _points(points_palm: Any) -> Array:

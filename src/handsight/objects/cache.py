@@ -21,7 +21,7 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import SAMPLES, Geometry, frozen
 from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
 
-VERSION = 6
+VERSION = 7
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
@@ -129,7 +129,10 @@ def _numbers_fit(geometry: Geometry) -> bool:
     return (
         all(isinstance(x, float) and 1 / MOST < x < MOST for x in lengths)
         and all(isinstance(x, float) and 0 <= x < MOST for x in errors)
-        and isinstance(geometry.closed, bool)
+        and all(
+            isinstance(flag, bool)
+            for flag in (geometry.closed, *(grid.sheet for grid in _grids(geometry)[:2]))
+        )
         and all(isinstance(remark, str) for remark in geometry.remarks)
         and _grids(geometry)[2].values.min() >= 0
         and (isinstance(geometry.surface, Cloud) or 0 <= faces.min() <= faces.max() < len(geometry.vertices))

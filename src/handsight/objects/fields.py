@@ -71,8 +71,12 @@ class GridField(Field):
     Outside the grid the distance goes on as that to the surface point below the nearest point of the grid. With m and g
     the distance and gradient there and w the way out, that point is about -m g away, so f = |w + m g| =
     √(m² |g|² + 2 m g·w + |w|²), taken with |g| = 1 where w is 0 so that f is continuous. The gradient is exact and
-    continuous, bounded because |m H| ≤ 1 on a distance field; the Hessian is that of the distance to a point. Where the
-    edge of the grid lies inside the object (no model has this) f goes on linearly.
+    continuous, bounded because |m H| ≤ 1 on a distance field; the Hessian is that of the distance to a point.
+
+    Around a `sheet`, a surface that has no inside, distances are negative behind it, and somewhere beyond its rim the
+    sign must change where no surface is. A continuous field would pass through zero there. So before nodes are
+    interpolated, those with no surface between them and the node nearest to the point take that node's sign (two places
+    whose distances add up to more than what is between them): the sign jumps, the distance does not.
     """
 
     origin: Array
@@ -81,6 +85,8 @@ class GridField(Field):
     """Between neighbouring nodes [m]."""
     values: NDArray[np.float32]
     """(nx, ny, nz) distances [m], each side at least 4; read-only."""
+    sheet: bool = False
+    """Whether the surface has no inside: signs tell its sides."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for too few nodes."""
@@ -134,9 +140,9 @@ class Grid:
         """(n, 3) positions [m] of the nodes with these places in the flat order."""
         return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
 
-    def field(self, values: Array) -> GridField:
-        """The smooth field of these distances (nx ny nz,) [m] at the nodes."""
-        return GridField(self.origin, self.cell, values.reshape(self.shape).astype(np.float32))
+    def field(self, values: Array, *, sheet: bool = False) -> GridField:
+        """The smooth field of these distances (nx ny nz,) [m] at the nodes, of a `sheet` or not."""
+        return GridField(self.origin, self.cell, values.reshape(self.shape).astype(np.float32), sheet)
 
 
 def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:
@@ -181,14 +187,22 @@ def centered_grid(vertices: Array, cell: float, shape: Array) -> Grid:
 
 
 def sharpened(
-    coarse: Grid, values: Array, fine: Grid, exact: Callable[[Indices, float], tuple[Indices, Array]]
+    coarse: Grid,
+    values: Array,
+    fine: Grid,
+    exact: Callable[[Indices, float], tuple[Indices, Array]],
+    *,
+    sheet: bool = False,
 ) -> Array:
     """Distances at every fine node: exact near the surface, elsewhere between the coarse ones, `values` (n,) [m].
 
     `exact` tells which of these nodes are within a distance [m] of the surface, or more of them, and their distances.
+    Of a `sheet` size and sign are taken apart, as the sign jumps where the size does not.
     """
     sharp = _interpolated(coarse, values, fine)
     band = BAND * fine.cell
+    if sheet:
+        sharp = np.copysign(_interpolated(coarse, np.abs(values), fine), sharp)
     # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
     index, distance = exact(np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2), band)
     sharp[index] = distance

@@ -43,7 +43,8 @@ class Geometry:
     bounds_object: Array
     """(2, 3) least and largest coordinates [m]."""
     closed: bool
-    """Whether the surface has an inside; an open one has a distance only, negative behind it near by."""
+    """Whether the surface has an inside; an open one has a distance only, negative where its nearest point is within
+    the surface, not on its rim, and seen from behind."""
     sigma_point: float
     """Error of the fine field: one standard deviation of its distance at surface points [m]."""
     sigma_normal: float

@@ -103,7 +103,8 @@ def _nodes(field: Field) -> Nodes:
 def _fill_field(row: np.void, field: Field, nodes: int) -> None:
     """Fills in a FIELD record; the nodes of a grid begin at `nodes`."""
     if isinstance(field, GridField):
-        row["kind"], row["origin"], row["nodes"] = records.GRID, field.origin, nodes
+        row["kind"] = records.SHEET if field.sheet else records.GRID
+        row["origin"], row["nodes"] = field.origin, nodes
         row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
     elif isinstance(field, ExactField):
         row["kind"], row["origin"] = EXACT[field.shape], field.sizes

@@ -54,6 +54,11 @@ class Triangles:
         """(m,) of each triangle [m²]."""
         return np.asarray(np.linalg.norm(self.doubled_normals, axis=1) / 2)
 
+    @cached_property
+    def edges(self) -> tuple[Indices, Indices, Indices]:
+        """As `edges_of`."""
+        return edges_of(self.faces)
+
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
         return self.draw_on_faces(n, rng)[:2]
@@ -110,6 +115,19 @@ def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
     # One draw per n-th of the area spreads better than n free draws, and is as uniform.
     at = (np.arange(n) + rng.random(n)) / max(n, 1)
     return np.asarray(np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1))
+
+
+def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
+    """The edges of triangles (m, 3): vertices (e, 2), the smaller first; edges (m, 3) of each triangle; triangles (e,).
+
+    A triangle's edges are those from its corner 0 to 1, 1 to 2 and 2 to 0; last is how many triangles an edge has.
+    """
+    ordered = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    size = int(faces.max()) + 1
+    _, first, which, count = np.unique(
+        ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
+    )
+    return ordered[first], which.reshape(-1, 3), count
 
 
 def check_extent(points: Array, name: str) -> float:

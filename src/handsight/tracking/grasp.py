@@ -85,7 +85,8 @@ class ContactMemory:
         covariance[len(contacts) :] += [np.diag(walked(self._process_noise, age)) for age in ages]
         points = np.concatenate([part.points_palm for part in parts])
         normals = np.concatenate([part.normals_palm for part in parts])
-        return Contacts(points, normals, covariance=covariance), list(others)
+        flags = np.concatenate([part.of_residual for part in parts])
+        return Contacts(points, normals, covariance=covariance, of_residual=flags), list(others)
 
     def forget(self, finger: str) -> None:
         """Drops a contact that does not fit."""

@@ -8,12 +8,15 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grids, sharpened
 from handsight.objects.geometry import Geometry, measured
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding
-from handsight.objects.meshes.repair import components, edges_of, repaired, side_samples
+from handsight.objects.meshes.repair import components, repaired, side_samples
 from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 
 CLOSED_SHARE = 0.95
 LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
+SLIT, NOT_WHOLE = 0.1, 0.25
+"""How near to its rim a hole is looked for [fine cells], and how far winding numbers there are from whole ones: at
+least 0.375 at one of four places around a rim. Slits up to about half as wide are none."""
 VOTES = 16
 """Nodes of each linked set whose winding numbers are taken."""
 
@@ -23,9 +26,11 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
     coarse, fine, coarser = grids(mesh.vertices, size)
-    search, winding, holes = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree), holes_of(mesh)
+    search, winding = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree)
+    rim = rim_of(mesh, winding, fine.cell)
+    holes = holes_of(mesh, rim)
     closed = _is_closed(mesh, winding, holes, size)
-    side = ByWinding(winding, holes) if closed else ByNormal(mesh, holes, fine.cell)
+    side = ByWinding(winding, holes) if closed else ByNormal(mesh, rim)
 
     def exact(index: Indices, within: float) -> tuple[Indices, Array]:
         closest, near = search.closest(fine.nodes_at(index), within)
@@ -33,9 +38,40 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
 
     nodes = coarse.nodes()
     values = side.signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
-    sharp = fine.field(sharpened(coarse, values, fine, exact))
-    remarks = (*remarks, *coarser)
-    return measured(mesh, coarse.field(values), sharp, diameter=size, closed=closed, remarks=remarks)
+    sharp = sharpened(coarse, values, fine, exact, sheet=not closed)
+    smooth, sharp_field = coarse.field(values, sheet=not closed), fine.field(sharp, sheet=not closed)
+    return measured(mesh, smooth, sharp_field, diameter=size, closed=closed, remarks=(*remarks, *coarser))
+
+
+def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
+    """(e,) which edges of a mesh are its rim: those with one triangle, but for slits.
+
+    `cell` [m]: the spacing of the finest thing that is to be told. Around a point of a rim the winding number runs
+    through all that is between two whole numbers, a quarter of it on each quarter of a turn; around a slit, where edges
+    lie on each other without sharing their vertices (a vertex of one within the other, or each its own), it is whole.
+    """
+    pairs, _, count = mesh.edges
+    rim = np.asarray(count == 1)
+    if not rim.any():
+        return rim
+    start, end = mesh.vertices[pairs[rim]].swapaxes(0, 1)
+    along = end - start
+    pieces = np.ceil(np.linalg.norm(along, axis=1) / cell).astype(np.int64)
+    edge = np.repeat(np.arange(len(start)), pieces)
+    part = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5
+    middles = start[edge] + (part / pieces[edge])[:, None] * along[edge]
+    # Around each piece, neither along its triangle nor across it.
+    of_edge = np.empty(len(pairs), dtype=np.int64)
+    of_edge[mesh.edges[1]] = np.arange(len(mesh.faces))[:, None]
+    normal = mesh.doubled_normals[of_edge[rim]]
+    aside = np.cross(normal, along)
+    normal, aside = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, aside))
+    turns = np.stack([normal + aside, normal - aside, -normal + aside, -normal - aside], axis=1)
+    around = middles[:, None] + SLIT * cell / np.sqrt(2) * turns[edge]
+    number = winding.at(around.reshape(-1, 3)).reshape(-1, 4)
+    open_piece = np.abs(number - np.round(number)).max(axis=1) > NOT_WHOLE
+    rim[rim] = np.bincount(edge, open_piece, minlength=len(start)) > 0
+    return rim
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,17 +82,14 @@ class Holes:
     """(h, 3) of each connected run of boundary edges [m]."""
     extents: Array
     """(h,) the diagonal of its bounding box [m]."""
-    segments: Array
-    """(b, 2, 3) every boundary edge [m]."""
 
 
-def holes_of(mesh: Triangles) -> Holes:
-    """The boundary of a mesh: edges with one triangle, in connected runs."""
-    edges, _, count = edges_of(mesh.faces)
-    pairs = edges[count == 1]
-    segments = mesh.vertices[pairs]
+def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
+    """The holes of a mesh: its rim in connected runs. `rim` (e,): which edges; None: those with one triangle."""
+    edges, _, count = mesh.edges
+    pairs = edges[count == 1 if rim is None else rim]
     if not len(pairs):
-        return Holes(np.empty((0, 3)), np.empty(0), segments)
+        return Holes(np.empty((0, 3)), np.empty(0))
     used, local = np.unique(pairs, return_inverse=True)
     start, end = local.reshape(-1, 2).T
     label = components(start, end, len(used))
@@ -64,7 +97,7 @@ def holes_of(mesh: Triangles) -> Holes:
     high = -low
     np.minimum.at(low, label, mesh.vertices[used])
     np.maximum.at(high, label, mesh.vertices[used])
-    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1), segments)
+    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1))
 
 
 def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
@@ -127,22 +160,11 @@ class ByWinding:
 
 
 class ByNormal:
-    """Behind an open surface is where its normal at the nearest point looks away, and less so near its rim.
+    """Behind an open surface is where its normal at the nearest point looks away; nothing is behind a rim."""
 
-    The distance behind the surface is negative and meets the positive one around the rim continuously:
-    d - 2 min(d, e), with e from the nearest point to the rim.
-    """
-
-    def __init__(self, mesh: Triangles, holes: Holes, spacing: float) -> None:
-        """`spacing` [m]: between the points that stand for the rim."""
-        from scipy.spatial import cKDTree  # half of this room's import, for open surfaces alone
-
-        self._normals = _pseudonormals(mesh)
-        start, along = holes.segments[:, 0], holes.segments[:, 1] - holes.segments[:, 0]
-        count = np.ceil(np.linalg.norm(along, axis=1) / spacing).astype(np.int64) + 1
-        segment = np.repeat(np.arange(len(start)), count)
-        at = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)
-        self._rim = cKDTree(start[segment] + at[:, None] * along[segment]) if len(segment) else None
+    def __init__(self, mesh: Triangles, rim: Mask) -> None:
+        """`rim` (e,): which of the mesh's edges are its rim."""
+        self._normals = _pseudonormals(mesh, rim)
 
     def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
         """Signed distances (n,) [m] of these nodes of a grid, given their closest points."""
@@ -154,24 +176,23 @@ class ByNormal:
         feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
         normal = self._normals[closest.face, feature]
         behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
-        rim = np.full(len(index), np.inf) if self._rim is None else self._rim.query(closest.points)[0]
-        d = closest.distance
-        return np.asarray(np.where(behind, d - 2 * np.minimum(d, rim), d))
+        return np.asarray(np.where(behind, -closest.distance, closest.distance))
 
 
-def _pseudonormals(mesh: Triangles) -> Array:
+def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
     """(m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
 
     Angle-weighted, so that their sign tells the side of the nearest point wherever it lies (Baerentzen and
-    Aanaes 2005).
+    Aanaes 2005); zero on the rim, edges in `rim` (e,).
     """
     faces = mesh.faces
     normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]
-    (edges, of_face, _), corners = edges_of(faces), mesh.corners
+    (edges, of_face, _), corners = mesh.edges, mesh.corners
     at_edge, at_vertex = np.zeros((len(edges), 3)), np.zeros((len(mesh.vertices), 3))
     for k in range(3):
         np.add.at(at_edge, of_face[:, k], normal)
         u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
         angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
         np.add.at(at_vertex, faces[:, k], angle[:, None] * normal)
+    at_edge[rim], at_vertex[edges[rim]] = 0.0, 0.0
     return np.concatenate([normal[:, None], at_edge[of_face], at_vertex[faces]], axis=1)

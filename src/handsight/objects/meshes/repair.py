@@ -3,11 +3,12 @@
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
-from handsight.objects.surface import Triangles, check_extent, distinct
+from handsight.objects.surface import Triangles, check_extent, distinct, edges_of
 
 _FLAT = 1e-12
 """A triangle whose height is below this part of its longest side has no area."""
@@ -15,6 +16,8 @@ SIDE_SAMPLES = 400
 INSIDE_OUT = -0.55
 """A patch sees -0.5 in front of it, an inside-out solid -1."""
 SMALL_PIECE = 0.01
+SAME_CORNER = 1e-4
+"""Corners of edges with one triangle that are closer than this part of the extent are one: files round."""
 
 
 def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
@@ -28,7 +31,11 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     first, which = distinct(points, check_extent(points, "vertices"))
     points, triangles = points[first], which[triangles]
     triangles = _distinct(points, triangles, remarks)
-    triangles, turned, orientable = _consistent(triangles)
+    edges = edges_of(triangles)
+    if (edges[2] == 1).any():
+        points, triangles = _joined(points, triangles, edges[0][edges[2] == 1])
+        edges = edges_of(triangles)
+    triangles, turned, orientable = _consistent(triangles, edges)
     if turned:
         remarks.append(f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours")
     if not orientable:
@@ -68,9 +75,26 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     return triangles[np.sort(first)]
 
 
-def _consistent(faces: Indices) -> tuple[Indices, int, bool]:
+def _joined(points: Array, triangles: Indices, boundary: Indices) -> tuple[Array, Indices]:
+    """Points and triangles where corners (b, 2) of edges with one triangle that are nearly the same are the same."""
+    used = np.unique(boundary)
+    extent = float(np.ptp(points, axis=0).max())
+    near = cKDTree(points[used]).query_pairs(SAME_CORNER * extent, output_type="ndarray")
+    if not len(near):
+        return points, triangles
+    label = components(near[:, 0], near[:, 1], len(used))
+    which = np.arange(len(points))
+    which[used] = used[np.unique(label, return_index=True)[1][label]]
+    triangles = which[triangles]
+    # What lay between two such corners is a line now.
+    triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
+    triangles = _distinct(points, triangles, [])
+    return _referenced(points, triangles, [])
+
+
+def _consistent(faces: Indices, edges: tuple[Indices, ...]) -> tuple[Indices, int, bool]:
     """Triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
-    _, of_face, count = edges_of(faces)
+    _, of_face, count = edges
     order = np.argsort(of_face, axis=None, kind="stable")
     # Of each edge of just two triangles, its places in these; they agree where they run through it oppositely.
     first = (np.cumsum(count) - count)[count == 2]
@@ -118,19 +142,6 @@ def _turned_over(faces: Indices, flip: Mask) -> Indices:
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
     """Surface points (n, 3) [m], the normals (n, 3) and indices (n,) of their triangles."""
     return mesh.draw_on_faces(SIDE_SAMPLES, np.random.default_rng(3))
-
-
-def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
-    """The edges of triangles (m, 3): vertices (e, 2), the smaller first; edges (m, 3) of each triangle; triangles (e,).
-
-    A triangle's edges are those from its corner 0 to 1, 1 to 2 and 2 to 0; last is how many triangles an edge has.
-    """
-    ordered = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    size = int(faces.max()) + 1
-    _, first, which, count = np.unique(
-        ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
-    )
-    return ordered[first], which.reshape(-1, 3), count
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
