@@ -39,10 +39,14 @@ def grasped(name: str, seed: int) -> tuple[Sample, ...] | None:
     return None if samples[-1].dropped else samples
 
 
-def followed(tracker: hs.Tracker, samples: tuple[Sample, ...], offsets: dict[str, float]) -> hs.PoseEstimate:
+def followed(
+    tracker: hs.Tracker, samples: tuple[Sample, ...], offsets: dict[str, float]
+) -> hs.PoseEstimate | None:
     """The last answer of a tracker whose hand's joints read too much by `offsets`."""
+    estimate = None
     for sample in samples:
-        read = {joint: angle + offsets[joint] for joint, angle in sample.observation.joint_positions.items()}
+        joints = sample.observation.joint_positions or {}
+        read = {joint: angle + offsets[joint] for joint, angle in joints.items()}
         estimate = tracker.update(replace(sample.observation, joint_positions=read))
     return estimate
 
@@ -62,6 +66,8 @@ def hand(rng: np.random.Generator, first_seed: int) -> Rows:
             estimate = followed(tracker, samples, offsets)
             known = tracker.joint_offsets
             row = {"way": way, "grip": number, "object": name}
+            if estimate is None:  # nothing was seen
+                continue
             rows.append(row | errors(model, estimate, samples[-1].T_palm_object) | left(known, offsets))
     return rows
 
