@@ -281,3 +281,25 @@ def test_without_the_simulator_an_experiment_says_so_and_ends_well(name, monkeyp
                 monkeypatch.setattr(loaded, function, missing)
     assert printed(name, tmp_path, "--quick").startswith("skipped: simulation needs mujoco")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@needs_simulator
+def test_whole_manipulations_are_followed_and_told_truthfully(tmp_path):
+    rows = run("over_time", tmp_path, "--quick")["over_time"]
+    assert {row["object"] for row in rows} == {"can", "box"}
+    assert column(rows, "inside").mean() > 0.9
+    assert np.median(column(rows, "last")) < 5
+    assert column(rows, "speed").min() > 1
+
+
+@pytest.mark.slow
+@needs_simulator
+def test_a_hand_knows_its_joints_better_after_some_grips_and_says_how_well(tmp_path):
+    rows = run("joint_offsets", tmp_path, "--quick")["joint_offsets"]
+    new, learnt = (
+        [row for row in rows if row["way"] == way and int(row["grip"]) >= 8] for way in ("as new", "learnt")
+    )
+    assert column(learnt, "offsets").mean() < 0.9 * column(new, "offsets").mean()
+    assert 0.7 < column(learnt, "offsets").mean() / column(learnt, "claimed").mean() < 1.4
+    assert column(learnt, "seen").mean() < 0.8 * column(new, "seen").mean()
