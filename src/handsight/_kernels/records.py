@@ -79,6 +79,7 @@ CONTACT = _record(
     ("has_normal", "i8"),
     ("used", "i8"),  # whether it counts
     ("covariance", "f8", (6, 6)),  # of (point, normal)
+    ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
 )
 PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
 # What cannot be inside the object: a point of the hand; or a plane and all behind it, `point` any of its points.
@@ -115,6 +116,7 @@ DESCENT = _record(
     ("converged", "i8"),
     ("log_weight", "f8"),  # of the mode: log of exp(-cost/2) √det Σ
     ("posterior_cost", "f8"),  # minus two log of the density, up to a constant
+    ("gain", "f8"),  # the most that χ² falls, to first order, when one contact is left out
 )
 
 ANSWER = _record(
