@@ -20,8 +20,8 @@ from shared import figures, report, scenes
 from shared.report import Array, Row, Rows
 
 COLUMNS = (
-    "object", "vision off by", "clean", "limit", "solver", "right one rejected", "one moved", "known", "named",
-    "normal turned", "known", "named", "steps", "ms med", "ms p99",
+    "object", "vision off by", "clean", "limit", "solver", "rejected", "moved", "known", "named",
+    "turned", "known", "named", "steps", "ms med", "ms p99",
 )  # fmt: skip
 BARS = {
     "clean": ("clean", "#2e9e4f"),
@@ -114,7 +114,8 @@ def main() -> None:
         f"Found, of {options.trials} (synthetic)",
         COLUMNS,
         table,
-        "limit / solver: misses that are information limits / failures of the solver. one moved, normal turned: "
+        "limit / solver: misses that are information limits / failures of the solver. rejected: a right contact was. "
+        "moved, turned: one contact is, or its normal: "
         f"share found with one wrong contact; known: with it left out. {report.machine()}",
     )
     report.write_csv(options.output / "convergence.csv", rows)
