@@ -81,7 +81,7 @@ def others(sections: dict[str, Any]) -> None:
               {"name": "", **TIMES, "per_second": "per second"})  # fmt: skip
     if rows := sections.get("blind"):
         plain(
-            "Blind: five contacts with normals, no vision",
+            "Blind: no vision, five contacts with normals where nothing else is said",
             rows,
             {"name": "method", "object": "object", **TIMES, "success": "first", "among_8": "among 8"},
             "first, among 8: the true pose is the first answer, or one of the first eight.",

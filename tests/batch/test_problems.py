@@ -101,6 +101,8 @@ NAN = float("nan")
             "samples: expected a whole number from 0 to 1000000, got 999999999",
         ),
         (changed("samples", 1.5), "samples: expected a whole number from 0 to 1000000, got 1.5"),
+        (changed("budget", 0), "budget: expected a number above 0, got 0"),
+        (changed("budget", "soon"), "budget: expected a finite number, got soon"),
         (changed("outside", [[0, 0]]), "outside: expected finite numbers of shape (n, 3), got [[0, 0]]"),
         (changed("object", ...), "object: expected, got nothing"),
         ({**BOX, "extra": 1}, "extra: unknown key; "),
@@ -127,6 +129,13 @@ def test_blind_is_a_problem_without_vision():
     assert answer["consistent"]
     assert max(map(abs, answer["residuals"]["distance"])) < 0.003
     assert sum(h["weight"] for h in answer["hypotheses"]) == pytest.approx(1)
+
+
+def test_a_budget_that_is_over_says_so_in_converged():
+    blind = changed("vision", ...)
+    cut, whole = corrected({**blind, "budget": 1e-9}, {**blind, "budget": 60})
+    assert not cut["converged"]
+    assert whole["converged"]
 
 
 @pytest.mark.parametrize("method", ["paper-lm", "paper-gd", "paper-lm-distance", "paper-gd-distance"])

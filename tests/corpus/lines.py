@@ -32,6 +32,7 @@ PROBLEM = {
     },
     "outside": [[0.05, 0.1, 0.1], [0.2, 0.0, 0.0]],
     "samples": 0,
+    "budget": 10.0,
     "method": "handsight",
 }
 CYLINDER = {"cylinder": {"radius": 0.033, "height": 0.115}}

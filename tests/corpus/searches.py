@@ -129,6 +129,7 @@ def options(rng: random.Random) -> None:
             "contacts": contacts,
             "vision": vision,
             "samples": strange(0),
+            "budget": strange(1.0),
             "method": strange("handsight"),
         }
         hs.correct_poses(BOX, strange([(contacts, vision), problem, (contacts, vision)]))

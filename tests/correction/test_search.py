@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels import batch
+from handsight._kernels import search
 from handsight.correction import refine_pose
 from handsight.correction.modes import APART
 from handsight.correction.outside import MOST_PLANES
@@ -78,16 +78,16 @@ def poses_seen(n, monkeypatch, *, blind, wrong=8):
     contacts = hs.Contacts(points, scene.contacts.normals_palm, *NOISE)
     work = []
 
-    def counting(kernel):
+    def counting(kernel, place):
         def counted(*given):
-            work.append(given[2].shape[-1] * given[-1].size)
+            work.append(given[2].shape[-1] * given[place].size)
             kernel(*given)
 
         return counted
 
     with monkeypatch.context() as patch:
-        for name in ("coarse_solve", "fine_solve", "start_costs"):
-            patch.setattr(batch, name, counting(getattr(batch, name)))
+        for kernel, place in ((search.search, 5), (search.score, 4)):
+            patch.setattr(search, kernel.__name__, counting(kernel, place))
         hs.correct_pose(box(), contacts, vision=None if blind else scene.vision)
     return sum(work) / n
 

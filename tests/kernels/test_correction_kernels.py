@@ -291,7 +291,8 @@ def test_information_is_the_residuals_where_faces_are_touched():
         np.testing.assert_allclose(estimate.information / scale, expected / scale, atol=1e-5)
         np.testing.assert_allclose(estimate.covariance @ expected, np.eye(6), atol=1e-3)
         # With the second order, wider by little where all is known well.
-        full = solve.summarize(given, descent, np.ones((1, 5), dtype=bool))
+        everyone = np.ones((1, 5), dtype=bool)
+        full = solve.summarize(given, solve.Candidates(descent, everyone, given.freedom(everyone)))
         np.testing.assert_allclose(full.information / scale, expected / scale, atol=0.05)
         np.testing.assert_allclose(full.covariance @ full.information, np.eye(6), atol=1e-8)
 
@@ -336,7 +337,7 @@ def test_the_largest_gain_is_the_drop_of_a_linear_fit_without_the_contact():
             step = scale * np.linalg.lstsq(J[rest] * scale, -r[rest], rcond=None)[0]
             left = r[rest] + J[rest] @ step
             best = max(best, r @ r - left @ left)
-        gain = solve.largest_gain(given, descent, np.ones((1, 5), dtype=bool))
+        gain = solve.gains(given, descent, np.ones((1, 5), dtype=bool)).max()
         assert gain == pytest.approx(best, rel=1e-3, abs=1e-4)
 
 
@@ -501,7 +502,8 @@ def test_modes_are_weighed_by_the_density_there(name, kind):
     T, used = problem(name, 3).vision.T_palm_object, np.ones((1, len(given.contacts)), dtype=bool)
     Ts = se3.moved(np.broadcast_to(T, (8, 4, 4)), 0.01 * rng.normal(size=(8, 6)))
     descents = descents_at(Ts)
-    batch.mode_weights(*given.model.record[:2], given.sets(used), given.prior, given.outside, descents)
+    batch.weigh(*given.model.record[:2], given.sets(used), given.prior, given.outside, descents)
+    Ts = poses_of(descents)  # their equivalents nearest to vision
     np.testing.assert_allclose(descents["posterior_cost"], solve.cost(given, Ts, used), rtol=1e-9, atol=1e-9)
     volume = descents["log_weight"] + descents["posterior_cost"] / 2
     answers = solve._summaries(given, descents, used, first_order=True)
@@ -530,9 +532,8 @@ def test_blind_the_most_likely_place_along_a_slide_costs_what_the_contacts_say_o
     contacts = hs.Contacts(se3.apply(T, points), normals @ T[:3, :3].T, sigma_point=5e-4, sigma_normal=0.03)
     given, used = Problem(thing, contacts, None, NO_OUTSIDE), np.ones((1, 2), dtype=bool)
     slides = np.repeat(np.eye(6)[[1, 2]], 5, axis=0) * np.linspace(-0.02, 0.02, 10)[:, None]
-    minima, _ = solve.solve(
-        given, se3.moved(np.broadcast_to(T, (10, 4, 4)), slides @ np.kron(np.eye(2), T[:3, :3].T)), used
-    )
+    slid = se3.moved(np.broadcast_to(T, (10, 4, 4)), slides @ np.kron(np.eye(2), T[:3, :3].T))
+    minima = solve.solve(given, descents_at(slid)[None], used).minima
     assert len(minima) > 1
     assert (minima["cost"] < 0.01).all()
 
@@ -550,8 +551,10 @@ def test_the_nearest_equivalent_is_that_of_plain_numpy(name):
         )
     T = se3.random(rng)
     Ts = se3.random(rng, 200, spread=0.05)
-    descents, prior = descents_at(Ts), hs.PosePrior.from_sigmas(T, 0.01, 0.1).record
-    batch.nearest_all(thing.record.model, descents, prior)
+    descents, vision = descents_at(Ts), hs.PosePrior.from_sigmas(T, 0.01, 0.1)
+    given = Problem(thing, hs.Contacts([[0.0, 0.0, 0.0]], sigma_point=1e-3), vision, NO_OUTSIDE)
+    used = np.ones((1, 1), dtype=bool)
+    batch.weigh(*thing.record[:2], given.sets(used), given.prior, given.outside, descents)
     expected = nearest(thing.symmetries, Ts, T, thing.radius)
     np.testing.assert_allclose(poses_of(descents), expected, atol=1e-9)
     assert name == "can" or 20 < np.isclose(expected, Ts, atol=1e-9).all(axis=(1, 2)).sum() < 180

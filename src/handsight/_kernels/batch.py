@@ -14,14 +14,14 @@ from handsight._kernels.contact_term import Pose, prepare_term, surface_at
 from handsight._kernels.dense6 import eigen, in_metres
 from handsight._kernels.levenberg import Evidence, descend
 from handsight._kernels.match import match
-from handsight._kernels.posterior import information, posterior_cost
+from handsight._kernels.posterior import information, largest_gain, posterior_cost
 from handsight._kernels.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
-from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
 from handsight._kernels.uncertainty import summarize
-from handsight._kernels.vec3 import Vec3, add, cross, dot, norm, scale, store, sub, vector
+from handsight._kernels.vec3 import Vec3, add, cross, dot, norm, scale, store, vector
 
 LIMITS = COARSE_LIMITS, FINE_LIMITS
 
@@ -143,84 +143,26 @@ def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: An
 
 
 @entry
-def coarse_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
-    """Moves descents (K,) by phase 1 and on the coarse field."""
-    term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    nothing.kind = NO_PRIOR
-    for k in range(len(descents)):
-        descent = descents[k]
-        center = _load_terms(contacts[descent.set], terms)
-        if k == 0:
-            _fill_prior(model[0], prior, center, term)
-        evidence = Evidence(model[0], nodes, terms, outside, term, center)
-        pose, steps = match(evidence, pose_of(descent.pose))
-        # The weak prior keeps phase 1 from running away, and has no say in what fits.
-        fits = Evidence(model[0], nodes, terms, outside, term if len(prior) else nothing, center)
-        pose, descent.cost, more, _ = descend(fits, model[0].coarse, pose, COARSE_LIMITS, k >= 0)
-        descent.iterations, descent.converged = steps + more, 0
-        store_pose(pose, descent.pose)
+def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and what a contact gains at most.
 
-
-@entry
-def fine_solve(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
-    """Moves descents (K, 1) on the fine field; of (K, 2), without vision, the second on to the most likely pose.
-
-    Along a slide any place is a minimum; the weak prior on the position says which is the most likely one.
-    """
-    term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    nothing.kind = NO_PRIOR
-    for k in range(len(descents)):
-        pose, steps = pose_of(descents[k, 0].pose), descents[k, 0].iterations
-        center = _load_terms(contacts[descents[k, 0].set], terms)
-        if k == 0:
-            _fill_prior(model[0], prior, center, term)
-        for j in range(descents.shape[1]):
-            descent, weak = descents[k, j], term.kind == WEAK_PRIOR
-            evidence = Evidence(model[0], nodes, terms, outside, nothing if weak and j == 0 else term, center)
-            pose, cost, more, converged = descend(evidence, model[0].fine, pose, FINE_LIMITS, j == 0)
-            steps += more if j == 0 else 0
-            descent.cost, descent.iterations, descent.converged = cost, steps, converged
-            if weak and j == 1:
-                descent.cost -= prior_cost(term, pose)
-            store_pose(pose, descent.pose)
-
-
-@entry
-def start_costs(
-    model: Any, nodes: Any, contacts: Any, sigma_distance: float, sigma_normal: float, descents: Any
-) -> None:
-    """Fills in what contacts (n,) say of descents (K,), with sigmas [m], [rad] as coarse as the starts are."""
-    field = model[0].coarse
-    for k in range(len(descents)):
-        pose, cost = pose_of(descents[k].pose), 0.0
-        for i in range(len(contacts)):
-            contact = contacts[i]
-            if contact.used:
-                distance, _, facing, _, _ = surface_at(nodes, field, vector(contact.point), pose)
-                cost += (distance / sigma_distance) ** 2
-                if contact.has_normal:
-                    error = sub(facing, vector(contact.normal))
-                    cost += dot(error, error) / (sigma_normal * sigma_normal)
-        descents[k].cost = cost
-
-
-@entry
-def mode_weights(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
-    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, and their cost.
-
-    Σ over the directions known better than the prior, or, without vision, than the object's own size.
+    Of the first set of contacts. Σ over the directions known better than the prior, or, without vision, than the
+    object's own size. With a prior the poses are replaced by their equivalents nearest to it.
     """
     term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
     radius = model[0].radius
     floor = (1e-9 if len(prior) else 1.0) / (radius * radius)
+    center = _load_terms(contacts[0], terms)
+    _fill_prior(model[0], prior, center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, term, center)
     for k in range(len(descents)):
         descent = descents[k]
-        center = _load_terms(contacts[descent.set], terms)
-        if k == 0:
-            _fill_prior(model[0], prior, center, term)
-        evidence = Evidence(model[0], nodes, terms, outside, term, center)
         pose = pose_of(descent.pose)
+        if len(prior):
+            pose = nearest(model[0], pose, pose_of(prior[0].pose))
+            store_pose(pose, descent.pose)
         _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)
+        descent.gain = largest_gain(evidence, u.wider, u)
         if term.kind == WEAK_PRIOR:
             cost += prior_cost(term, pose)
         in_metres(u.wider, radius, u.matrix)
@@ -233,7 +175,7 @@ def mode_weights(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any
 
 @entry
 def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
-    """Completes answers (K,) whose pose is there; of the first set of contacts."""
+    """Completes answers (K,) whose pose is there; of the first set of contacts, with their gains at the first pose."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     center = _load_terms(contacts[0], terms)
     _fill_prior(model[0], prior, center, term)
@@ -242,6 +184,8 @@ def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: An
         pose = pose_of(answers[k].pose)
         _store_answer(pose, answers[k])
         summarize(evidence, pose, answers[k])
+        for i in range(len(terms) if k == 0 else 0):
+            contacts[0, i].gain = terms[i].contact.gain
 
 
 @entry
@@ -262,13 +206,6 @@ def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals:
     evidence = Evidence(model[0], nodes, terms, terms, nothing, (0.0, 0.0, 0.0))
     for i in range(len(contacts)):
         residuals[i, 0], residuals[i, 1] = _residual(evidence, contacts[i], pose_of(descent[0].pose))
-
-
-@entry
-def nearest_all(model: Any, descents: Any, prior: Any) -> None:
-    """Replaces the poses of descents (K,) by their equivalents nearest to the prior's."""
-    for k in range(len(descents)):
-        store_pose(nearest(model[0], pose_of(descents[k].pose), pose_of(prior[0].pose)), descents[k].pose)
 
 
 @entry

@@ -109,5 +109,6 @@ def largest_gain(evidence: Evidence, total: Any, u: Any) -> float:
                 solve(u.factor, 6, term.equations[6], u.row)
                 for k in range(6):
                     gain += u.row[k] * term.equations[6, k]
+            term.contact.gain = gain
             most = max(most, gain)
     return most

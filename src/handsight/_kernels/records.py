@@ -80,6 +80,7 @@ CONTACT = _record(
     ("used", "i8"),  # whether it counts
     ("of_residual", "i8"),  # whether the covariance is of its residuals: what model and surface add is in it
     ("covariance", "f8", (6, 6)),  # of (point, normal)
+    ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
 )
 PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
 # What cannot be inside the object: a point of the hand; or a plane and all behind it, `point` any of its points.
@@ -116,6 +117,7 @@ DESCENT = _record(
     ("converged", "i8"),
     ("log_weight", "f8"),  # of the mode: log of exp(-cost/2) √det Σ
     ("posterior_cost", "f8"),  # minus two log of the density, up to a constant
+    ("gain", "f8"),  # the most that χ² falls, to first order, when one contact is left out
 )
 
 ANSWER = _record(

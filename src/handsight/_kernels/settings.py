@@ -22,3 +22,5 @@ LEAST_FACTOR = 0.05
 """The most that one pass lowers an information."""
 CANDIDATE_APART = (0.002, float(np.deg2rad(2.0)))
 """Two descents are worth finishing both when further apart than this [m] or turned by more than this [rad]."""
+MATCHED_APART = (0.001, float(np.deg2rad(1.0)))
+"""After phase 1 two are worth going on with both when further apart than this."""

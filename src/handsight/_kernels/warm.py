@@ -17,6 +17,7 @@ from handsight._kernels import (
     nearest_triangle,
     random_walk,
     records,
+    search,
     sensing,
     spreading,
     winding,
@@ -44,16 +45,17 @@ def _starts() -> None:
     prior, descents = problems["prior"].copy(), np.zeros(2, dtype=records.DESCENT)
     descents["pose"] = prior["pose"]
     given = (model, nodes, contacts[None], prior, outside)
-    for kernel in (batch.coarse_solve, batch.mode_weights, batch.cost_all):
+    for kernel in (batch.weigh, batch.cost_all):
         kernel(*given, descents)
-    batch.fine_solve(*given, descents[:, None])
+    search.search(*given, descents[None, :, None])
+    search.draw(prior, np.zeros((2, 6)), descents)
+    search.spin(model, prior["pose"], np.zeros((1, 1, records.SAMPLES), dtype=records.DESCENT))
+    search.score(model, nodes, contacts, np.ones(2), descents, np.empty((2, len(contacts))))
     answers = np.zeros(1, dtype=records.ANSWER)
     answers["pose"] = prior["pose"]
     batch.summarize_all(*given, answers)
     batch.width(model, prior)
-    batch.start_costs(model, nodes, contacts, 1.0, 1.0, descents)
     batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))
-    batch.nearest_all(model, descents, prior)
     batch.distinct(model, descents, np.arange(2), np.ones(2), np.empty(1, dtype=np.int64))
 
 

@@ -67,6 +67,7 @@ class ProblemFields(_Strict):
     vision: VisionFields | None = None
     outside: Any = None
     samples: Any = 0
+    budget: Any = None
     method: str = "handsight"
 
 
@@ -78,6 +79,7 @@ class Problem(msgspec.Struct, frozen=True):
     vision: PosePrior | None
     outside: Array | None
     samples: int
+    budget: float | None
     method: str
 
 
@@ -96,12 +98,13 @@ class Reader:
         if fields.method not in METHODS:
             raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
         samples = checks.whole(fields.samples, "samples", MOST_SAMPLES)
+        budget = None if fields.budget is None else checks.positive(fields.budget, "budget")
         outside = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
-        vision = _vision(fields.vision)
-        return Problem(self.model(fields.object), contacts, vision, outside, samples, fields.method)
+        model, vision = self.model(fields.object), _vision(fields.vision)
+        return Problem(model, contacts, vision, outside, samples, budget, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
@@ -143,6 +146,7 @@ def answer(problem: Problem) -> dict[str, Any]:
         vision=problem.vision,
         outside=problem.outside,
         samples=problem.samples,
+        budget=problem.budget,
         method=problem.method,
     )
     seconds = time.perf_counter() - began

@@ -100,6 +100,8 @@ def correct(
     * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
     * **samples**: above 0, answer with the posterior's mean (say 4000; at most 1000000).
+    * **budget**: seconds after which no search for a better pose or a wrong contact goes on; "converged" is false
+      where it cut one short.
     * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.
 
     Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves

@@ -13,14 +13,14 @@ from handsight.objects import ObjectModel
 
 AT_ONCE = 4096
 """Problems solved in one call of the kernels."""
-KEYS = ("contacts", "vision", "outside", "samples", "method")
+KEYS = ("contacts", "vision", "outside", "samples", "budget", "method")
 
 
 def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstimate]:
     """The estimates of many problems of one object, in their order: `correct_pose` of each, on all cores.
 
     A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `samples`,
-    `method`), a pair `(contacts, vision)`, or contacts alone, which is blind. Raises InvalidInput naming the
+    `budget`, `method`), a pair `(contacts, vision)`, or contacts alone, which is blind. Raises InvalidInput naming the
     problem, `problems[3].vision: ...`, before any is solved.
     """
     if not isinstance(model, ObjectModel):

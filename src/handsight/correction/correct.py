@@ -7,6 +7,7 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
+from handsight.correction.budget import Budget
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.outside import Outside, outside_records
 from handsight.correction.paper import PaperMethod
@@ -35,6 +36,7 @@ def correct_pose(
     vision: PosePrior | None = None,
     outside: ArrayLike | Outside | None = None,
     samples: int = 0,
+    budget: float | None = None,
     method: str | TwoPhase | PaperMethod = "handsight",
 ) -> PoseEstimate:
     """The object's pose in the palm that best explains the contacts and vision, with its uncertainty.
@@ -43,9 +45,10 @@ def correct_pose(
     outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
     `Outside` of such points and of planes that the object cannot cross.
     samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, up to
-    `MOST_SAMPLES`, which is the better answer where contacts bound a slide but do not fix it. method: a name of
-    `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge
-    says so in `converged`.
+    `MOST_SAMPLES`, which is the better answer where contacts bound a slide but do not fix it. budget: seconds after
+    which no search for a better mode or a wrong contact goes on; `converged` is False where one was cut short.
+    method: a name of `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that
+    does not converge says so in `converged`.
     """
     options = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
@@ -55,7 +58,7 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    samples = checks.whole(samples, "samples", MOST_SAMPLES)
+    samples, limit = checks.whole(samples, "samples", MOST_SAMPLES), Budget.of(budget)
     problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
     if options is USUAL and not samples:
         estimate = solve_single_start(problem)
@@ -63,8 +66,10 @@ def correct_pose(
             return estimate
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
-    found = outliers.solve_robustly(problem, options)
-    estimate = summarize(problem, found.minima, found.used)
+    found = outliers.solve_robustly(problem, options, limit)
+    estimate = summarize(problem, found)
+    if limit.cut_short:
+        estimate.answer["converged"] = False
     return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 

@@ -1,19 +1,21 @@
 """Corrections by the compiled solver: from one start, from many, and what is said of the minima."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from handsight._kernels import batch, records
+from handsight._kernels import batch, records, search
 from handsight._kernels.settings import CANDIDATE_APART, WIDEST_OF_ONE
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
+from handsight.correction.budget import Budget
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, Records, descents_at, poses_of
+from handsight.correction.problem import Problem, Records, descents_at, plain, poses_of, taken
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
@@ -21,8 +23,10 @@ FEW = 128
 """Descents that are not worth another thread."""
 ENDED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
 """What of an answer says whether it can stand."""
+BLOCK = 64
+"""Starts among which repeats are told before they are finished: no more, so that all of a block may be worth it."""
 KEPT, KEPT_BLIND = 32, 64
-"""Candidates that go on from the coarse field to the fine one."""
+"""Minima that go on to be weighed, where starts were more than a block."""
 
 
 def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
@@ -84,33 +88,116 @@ def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstim
     return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom))
 
 
-def solve(problem: Problem, Ts_start: Array, used: Mask) -> tuple[Records, Mask]:
-    """Minima (K,) DESCENT, cheapest first, and which contacts (K, n) count for each.
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Minima that use one and the same set of contacts."""
 
-    Starts (K, 4, 4) → phase 1 (nearest samples) and the coarse field → the fine field. `used` is (1, n) for all starts
-    alike or (K, n) for each its own.
+    minima: Records
+    """(K,) DESCENT, weighed, cheapest first."""
+    used: Mask
+    """(1, n) bool."""
+    freedom: int
+    """Degrees of freedom of the χ² at a minimum."""
+
+    @property
+    def cost(self) -> float:
+        """The least."""
+        return float(self.minima["cost"][0])
+
+    @property
+    def converged(self) -> bool:
+        """Whether the cheapest is a minimum."""
+        return bool(self.minima["converged"][0])
+
+    def fits(self, alarm: float = modes.ALARM) -> bool:
+        """Whether the cheapest has squares below their 1 - alarm quantile."""
+        return modes.fits(self.cost, self.freedom, alarm)
+
+    def with_more(self, other: "Candidates") -> "Candidates":
+        """The minima of both, which use the same contacts."""
+        minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
+        minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
+        return Candidates(minima, self.used, self.freedom)
+
+
+def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
+    """The minima of the set of contacts, of those in `used` (S, n), whose cheapest is the cheapest of all.
+
+    Starts (S, M) of each set → phase 1 (nearest samples) and the coarse field → the fine field. When the budget is
+    spent, the starts that are left are not looked at; the first always are.
     """
-    descents = descents_at(Ts_start)
-    masks, descents["set"] = np.unique(used, axis=0, return_inverse=True) if len(used) > 1 else (used, 0)
-    given = (*problem.model.record[:2], problem.sets(masks), problem.prior, problem.outside)
-    in_parts(partial(batch.coarse_solve, *given), (descents,), FEW)
-    kept = descents[survivors(problem.model, descents, KEPT_BLIND if problem.blind else KEPT)]
-    # Along a slide any place is a minimum: when blind, beside where each descent ended, the most likely one.
-    ended = np.stack([kept, kept], axis=1) if problem.blind else kept[:, None].copy()
-    in_parts(partial(batch.fine_solve, *given), (ended,), FEW)
-    minima = ended[:, ::-1].T.reshape(-1)  # the most likely first: of equals they win
-    minima = minima[np.argsort(minima["cost"], kind="stable")]
-    return minima, masks[minima["set"]]
+    return _cheapest(problem, *_descended(problem, starts, used, budget), used)
 
 
-def survivors(model: ObjectModel, coarse: Records, most: int) -> Indices:
-    """Indices of the descents worth finishing: cheap and no repeats, apart for each set of contacts."""
-    order = np.argsort(coarse["cost"], kind="stable")
-    if len(order) == 1:
-        return order
-    groups = [order[coarse["set"][order] == k] for k in np.unique(coarse["set"])]
-    each = max(2, most // len(groups))
-    return np.concatenate([distinct(model, coarse, group, each, CANDIDATE_APART) for group in groups])
+def _descended(
+    problem: Problem, starts: Records, used: Mask, budget: Budget | None
+) -> tuple[Records, Indices]:
+    """Descents (K,), and the places among them of those that ended at a minimum of their own."""
+    blocks = _blocks(starts, 2 if problem.blind else 1)
+    given = (*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside)
+    blocks = _searched(partial(search.search, *given), blocks, budget)
+    descents, ends = blocks.reshape(-1), blocks.shape[2]
+    return descents, ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
+
+
+def _cheapest(problem: Problem, descents: Records, ended: Indices, used: Mask) -> Candidates:
+    """The minima of the set of contacts whose cheapest is the cheapest, from where descents of all sets ended."""
+    best = descents["set"][ended[descents["cost"][ended].argmin()]]
+    if len(used) > 1:
+        ended = ended[descents["set"][ended] == best]
+    if len(ended) > BLOCK // 2:
+        ended = _survivors(problem, descents, ended)
+    if problem.blind:
+        # Along a slide any place is a minimum: beside where each ended, the most likely one; of equals that wins.
+        ended = np.concatenate([ended + 1, ended])
+    minima = taken(descents, ended[np.argsort(descents["cost"][ended], kind="stable")])
+    chosen = used[best : best + 1]
+    _weigh(problem, minima, chosen)
+    return Candidates(minima, chosen, problem.freedom(chosen))
+
+
+def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
+    """The blocks that the budget allows to be worked on, and at least the first."""
+    least = -(-FEW // blocks.shape[1])
+    if budget is None or budget.ends == np.inf:
+        in_parts(work, (blocks,), least)
+        return blocks
+    done = 0
+    while done < len(blocks) and not (done and budget.spent()):
+        in_parts(work, (blocks[done : done + 2 * least],), least)
+        done += 2 * least
+    return blocks[:done]
+
+
+def _blocks(starts: Records, ends: int) -> Records:
+    """(B, m, ends) DESCENT: starts (S, M), those of one set dealt out evenly to blocks; of infinite cost: none."""
+    sets, count = starts.shape
+    number = -(-count // BLOCK)
+    each = -(-count // number)
+    dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
+    plain(dealt)[:, :count] = plain(starts)
+    dealt["set"] = np.arange(sets)[:, None]
+    dealt["cost"][:, count:] = np.inf
+    blocks = dealt.reshape(sets, each, number).swapaxes(1, 2).reshape(sets * number, each, 1)
+    return blocks if ends == 1 else np.repeat(blocks, ends, axis=2)
+
+
+def _survivors(problem: Problem, descents: Records, ended: Indices) -> Indices:
+    """Those of some descents that are no repeats of cheaper ones, cheapest first."""
+    order = ended[np.argsort(descents["cost"][ended], kind="stable")]
+    most = KEPT_BLIND if problem.blind else KEPT
+    return distinct(problem.model, descents, order, most, CANDIDATE_APART)
+
+
+def _weigh(problem: Problem, minima: Records, used: Mask) -> None:
+    """Weighs minima (K,) of contacts `used` (1, n), at their equivalents nearest to vision."""
+    model = problem.model
+    minima["set"] = 0
+    if problem.vision is not None and not model.record.symmetry_known:
+        T_vision = problem.vision.T_palm_object
+        Ts = nearest(model.symmetries, poses_of(minima), T_vision, model.radius)
+        minima["pose"] = descents_at(Ts)["pose"]
+    batch.weigh(*model.record[:2], problem.sets(used), problem.prior, problem.outside, minima)
 
 
 def distinct(
@@ -124,9 +211,12 @@ def distinct(
     return rows[: batch.distinct(model.record.model, descents, order, np.array(limits), rows)]
 
 
-def largest_gain(problem: Problem, minimum: Records, used: Mask) -> float:
-    """The most that χ² falls, to first order, when one contact is left out at a minimum (1,)."""
-    return float(_summaries(problem, minimum, used)[0]["gain"])
+def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
+    """(n,) how much χ² falls, to first order, when each contact is left out at a minimum (1,); `used` (1, n)."""
+    contacts, answers = problem.sets(used), np.zeros(1, dtype=records.ANSWER)
+    answers["pose"], answers["first_order"] = minimum["pose"], True
+    batch.summarize_all(*problem.model.record[:2], contacts, problem.prior, problem.outside, answers)
+    return np.where(used[0], contacts[0]["gain"], 0.0)
 
 
 def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
@@ -139,25 +229,16 @@ def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: 
     return answers
 
 
-def summarize(problem: Problem, minima: Records, used: Mask) -> PoseEstimate:
-    """The answer to a problem from its minima (K,), all of which use the contacts `used` (1, n)."""
-    model, minima = problem.model, minima.copy()
-    minima["set"] = 0
-    if problem.vision is not None:
-        if model.record.symmetry_known:
-            batch.nearest_all(model.record.model, minima, problem.prior)
-        else:
-            T_vision = problem.vision.T_palm_object
-            Ts = nearest(model.symmetries, poses_of(minima), T_vision, model.radius)
-            minima["pose"] = descents_at(Ts)["pose"]
-    batch.mode_weights(*model.record[:2], problem.sets(used), problem.prior, problem.outside, minima)
+def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
+    """The answer to a problem from its minima."""
+    minima, used = found.minima, found.used
     order = np.argsort(-minima["log_weight"], kind="stable")
-    chosen = minima[distinct(model, minima, order, modes.MOST_MODES, modes.APART)]
+    chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.APART))
     answers = _summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["posterior_cost"] = share / share.sum(), chosen["posterior_cost"]
     rejected = tuple(int(i) for i in np.flatnonzero(~used[0]))
-    consistent = modes.fits(answers[0]["chi2"], problem.freedom(used))
+    consistent = modes.fits(answers[0]["chi2"], found.freedom)
     return PoseEstimate(answers[0], tuple(answers), residuals(problem, chosen[:1]), consistent, rejected)
 
 

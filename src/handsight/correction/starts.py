@@ -4,53 +4,51 @@ Draws are made along the object's own axes and ordered by lengths alone, so that
 order of the contacts gives the same starts.
 """
 
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
 from handsight import se3
-from handsight._kernels import batch
-from handsight.checks import Array, Mask
+from handsight._kernels import batch, search
+from handsight._kernels.records import DESCENT, POSE, SAMPLES
+from handsight._kernels.threads import in_parts
+from handsight.checks import Array, Indices, Mask
 from handsight.correction.estimate import PosePrior
-from handsight.correction.problem import Problem, Records, descents_at
+from handsight.correction.problem import Problem, Records, taken
 from handsight.objects import ObjectModel
 
 LEAST_STARTS, MOST_STARTS = 16, 32
 FEW = 1024
 """Draws that are kept: the same for every problem, along its own axes."""
-BLIND_SPINS = 18
+BLIND_SPINS, MOST_ANCHORS = 18, 3
 BLIND_KEPT = 384
 MOST_HEARD = 20
 """Contacts by which starts without vision are scored: more of them tell no more of poses that are so far off."""
+FIRST_HEARD, PROMISING = 3, 4
+"""The farthest contacts score every start, and the best of so many go on to be scored by the others as well."""
+AT_LEAST = 512
+"""Starts whose scores are worth another thread."""
 
 
-def count(model: ObjectModel, vision: PosePrior) -> int:
-    """How many starts a prior of that width needs, where one does not do."""
-    w = batch.width(model.record.model, vision.record)
-    return int(np.clip(round(80 * w), LEAST_STARTS, MOST_STARTS))
+def usual(problem: Problem) -> int:
+    """How many starts a problem needs, where one does not do: as the prior is wide, or those of a blind one."""
+    if problem.vision is None:
+        return BLIND_KEPT
+    w = batch.width(problem.model.record.model, problem.vision.record)
+    return int(min(max(round(80 * w), LEAST_STARTS), MOST_STARTS))
 
 
-def from_prior(vision: PosePrior, number: int) -> Array:
-    """`number` poses (number, 4, 4): the prior's own, then draws from it."""
-    T = vision.T_palm_object
-    if number == 1:
-        return T[None]
-    R = T[:3, :3]
-    covariance = se3.rotate_covariance(R.T, vision.covariance)
-    scale = np.sqrt(np.diagonal(covariance)) + 1e-12
-    correlation = covariance / np.outer(scale, scale)
-    root = scale[:, None] * np.linalg.cholesky(correlation + 1e-9 * np.eye(6))
-    draws = _standard(number) @ root.T
-    both = np.hstack([draws[:, :3] @ R.T, draws[:, 3:] @ R.T])
-    return se3.moved(np.broadcast_to(T, (number, 4, 4)), both)
-
-
-def _standard(number: int) -> Array:
-    """(number, 6) standard normal, the first at zero."""
-    return _few()[:number] if number <= FEW else _drawn(number)
+def from_prior(vision: PosePrior, number: int) -> Records:
+    """(number,) DESCENT: the prior's own pose, then draws from it."""
+    descents = np.zeros(number, dtype=DESCENT)
+    draws = _few()[:number] if number <= FEW else _drawn(number)
+    in_parts(partial(search.draw, vision.record), (draws, descents), FEW)
+    return descents
 
 
 def _drawn(number: int) -> Array:
+    """(number, 6) standard normal, the first at zero."""
     draws = np.random.default_rng(0).normal(size=(number, 6))
     draws[0] = 0.0
     return draws
@@ -61,50 +59,76 @@ def _few() -> Array:
     return _drawn(FEW)
 
 
-def blind(problem: Problem, used: Mask) -> Array:
-    """Poses (K, 4, 4) in which a sample of the surface meets a contact, the best by all contacts kept.
+@dataclass(frozen=True)
+class Scored:
+    """Starts without vision, and what each contact says of each: once, for every set of contacts."""
 
-    Each contact of the set `used` (1, n) serves as anchor in turn; where it has a normal the sample's is laid on it and
-    the object spun about it, else it is turned at random.
+    descents: Records
+    """(K,) DESCENT."""
+    costs: Array
+    """(K, m)"""
+    contacts: Indices
+    """(m,) which contacts they are of."""
+
+    def best(self, used: Mask, number: int) -> Records:
+        """(number,) those that the contacts in use (n,) fit best, best first."""
+        total = self.costs[:, used[self.contacts]].sum(axis=1)
+        return taken(self.descents, np.argsort(total, kind="stable")[:number])
+
+
+def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
+    """Poses in which a sample of the surface meets one of the contacts in use (n,).
+
+    Each of three contacts serves as anchor in turn; where it has a normal the sample's is laid on it and the object
+    spun about it, else it is turned at random. `prune`: only those that a few contacts find promising.
     """
-    model, contacts = problem.model, problem.contacts
-    chosen = np.flatnonzero(used[0])
-    points, normals = contacts.points_palm[chosen], contacts.normals_palm[chosen]
-    center = points.mean(axis=0)
-    order = np.argsort(np.linalg.norm(points - center, axis=1), kind="stable")[::-1]
+    contacts, chosen = problem.contacts, np.flatnonzero(used)
+    points = contacts.points_palm[chosen]
+    order = np.argsort(np.linalg.norm(points - points.mean(axis=0), axis=1), kind="stable")[::-1]
     normalled = [i for i in order if contacts.has_normal[chosen[i]]]
-    anchors = (normalled or list(order))[:3]
-    poses = np.concatenate([_anchored(model, points[a], normals[a], points, a) for a in anchors])
-    heard = problem.sets(used)[0]
+    anchors = np.array((normalled or list(order))[:MOST_ANCHORS])
+    descents = (_spun if normalled else _turned)(
+        problem.model, points, contacts.normals_palm[chosen], anchors
+    )
     if len(order) > MOST_HEARD:
         # Near the middle and far from it.
-        heard = heard[chosen[order[np.linspace(0, len(order) - 1, MOST_HEARD).astype(int)]]]
-    return poses[np.argsort(_start_costs(model, heard, poses), kind="stable")[:BLIND_KEPT]]
+        order = order[np.linspace(0, len(order) - 1, MOST_HEARD).astype(int)]
+    heard, sigmas = chosen[order], _sigmas(points, descents)
+    if prune and len(heard) > FIRST_HEARD:
+        first = _scores(problem, heard[:FIRST_HEARD], sigmas, descents).sum(axis=1)
+        descents = taken(descents, np.argsort(first, kind="stable")[: len(first) // PROMISING])
+    return Scored(descents, _scores(problem, heard, sigmas, descents), heard)
 
 
-def _anchored(model: ObjectModel, point: Array, normal: Array, points: Array, anchor: int) -> Array:
-    """Every surface sample on the contact, spun about its normal in even steps from the other contacts."""
-    s = len(model.points_object)
-    if normal.any():
-        palm = _basis(normal, points.mean(axis=0) - point + 1e-6 * (points[anchor - 1] - point))
-        sample = np.stack(
-            [
-                _basis(n, p - model.center_object)
-                for n, p in zip(model.normals_object, model.points_object, strict=True)
-            ]
-        )
-        angle = 2 * np.pi * np.arange(BLIND_SPINS) / BLIND_SPINS
-        about_z = np.zeros((BLIND_SPINS, 3))
-        about_z[:, 2] = angle
-        R = palm @ se3.rotation_exp(about_z)[:, None] @ sample.swapaxes(-1, -2)
-    else:
-        turns = se3.random(np.random.default_rng(0), BLIND_SPINS * s)[:, :3, :3]
-        R = turns.reshape(BLIND_SPINS, s, 3, 3)
-    p = point - (R @ model.points_object[:, :, None])[..., 0]
-    return se3.compose(R, p).reshape(-1, 4, 4)
+def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -> Records:
+    """(K,) DESCENT: every surface sample on the anchors, spun about their normals in even steps from other contacts."""
+    frames, center = np.zeros(len(anchors), dtype=POSE), points.mean(axis=0)
+    for row, a in zip(frames, anchors, strict=True):
+        hint = center - points[a] + 1e-6 * (points[a] - points[a - 1])
+        row["rotation"], row["position"] = _frame(normals[a], hint), points[a]
+    descents = np.zeros((len(anchors), BLIND_SPINS, SAMPLES), dtype=DESCENT)
+    search.spin(model.record.model, frames, descents)
+    return descents.reshape(-1)
 
 
-def _basis(z: Array, hint: Array) -> Array:
+def _turned(model: ObjectModel, points: Array, _: Array, anchors: Indices) -> Records:
+    """(K,) DESCENT: every surface sample on the anchors, turned at random."""
+    turns = _turns()
+    arms = (turns.reshape(BLIND_SPINS, SAMPLES, 3, 3) @ model.points_object[:, :, None])[..., 0].reshape(
+        -1, 3
+    )
+    descents = np.zeros((len(anchors), len(turns)), dtype=DESCENT)
+    descents["pose"]["rotation"] = turns
+    descents["pose"]["position"] = points[anchors][:, None] - arms
+    return descents.reshape(-1)
+
+
+@cache
+def _turns() -> Array:
+    return se3.random(np.random.default_rng(0), BLIND_SPINS * SAMPLES)[:, :3, :3]
+
+
+def _frame(z: Array, hint: Array) -> Array:
     """A rotation whose third column is `z` and whose first points as far along `hint` as it can."""
     x = hint - (hint @ z) * z
     if np.linalg.norm(x) < 1e-9 * (np.linalg.norm(hint) + 1e-300) or not x.any():
@@ -114,10 +138,17 @@ def _basis(z: Array, hint: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _start_costs(model: ObjectModel, contacts: Records, poses: Array) -> Array:
-    """(K,) what contacts (n,) say of each pose, with standard deviations as coarse as the starts are."""
+def _sigmas(points: Array, descents: Records) -> Array:
+    """Of distance [m] and normal [rad]: half a step of the spin, seen from the object's origin."""
     step = 2 * np.pi / BLIND_SPINS
-    reach = np.linalg.norm(contacts["point"] - poses[:, None, :3, 3], axis=-1).mean() * step / 2
-    descents = descents_at(poses)
-    batch.start_costs(*model.record[:2], contacts, reach, step, descents)
-    return np.asarray(descents["cost"])
+    origins = descents["pose"]["position"][::16]  # their mean distance from the contacts, of some of them
+    reach = np.linalg.norm(points - origins[:, None], axis=-1).mean() * step / 2
+    return np.array([reach, step])
+
+
+def _scores(problem: Problem, chosen: Indices, sigmas: Array, descents: Records) -> Array:
+    """(K, m) what contacts (m,) say of each start."""
+    costs, contacts = np.empty((len(descents), len(chosen))), problem.contacts.record[chosen]
+    given = (*problem.model.record[:2], contacts, sigmas)
+    in_parts(partial(search.score, *given), (descents, costs), AT_LEAST)
+    return costs
