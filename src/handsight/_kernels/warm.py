@@ -13,6 +13,7 @@ from handsight._kernels import (
     contacts_to_palm,
     field,
     linking,
+    mean,
     nearest_triangle,
     records,
     sensing,
@@ -48,6 +49,7 @@ def _starts() -> None:
     answers = np.zeros(1, dtype=records.ANSWER)
     answers["pose"] = prior["pose"]
     batch.summarize_all(*given, answers)
+    mean.integrate(*given, answers)
     batch.width(model, prior)
     batch.start_costs(model, nodes, contacts, 1.0, 1.0, descents)
     batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))

@@ -17,7 +17,7 @@ from handsight import checks, se3
 from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import METHODS, MOST_SAMPLES, PosePrior, correct_pose
+from handsight.correction import ANSWERS, METHODS, MOST_SAMPLES, PosePrior, correct_pose
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.explain import explain, named
@@ -65,6 +65,7 @@ class ProblemFields(_Strict):
     contacts: list[ContactFields]
     vision: VisionFields | None = None
     outside: Any = None
+    answer: str = "best"
     samples: Any = 0
     method: str = "handsight"
 
@@ -76,6 +77,7 @@ class Problem(msgspec.Struct, frozen=True):
     contacts: Contacts
     vision: PosePrior | None
     outside: Array | None
+    answer: str
     samples: int
     method: str
 
@@ -94,12 +96,15 @@ class Reader:
         fields = _fields(line)
         if fields.method not in METHODS:
             raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
+        if fields.answer not in ANSWERS:
+            raise InvalidInput(f"answer: expected one of {', '.join(ANSWERS)}, got {fields.answer!r}")
         samples = checks.whole(fields.samples, "samples", MOST_SAMPLES)
         outside = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
         contacts, vision = _contacts(fields.contacts), _vision(fields.vision)
-        return Problem(self.model(fields.object), contacts, vision, outside, samples, fields.method)
+        model, answer = self.model(fields.object), fields.answer
+        return Problem(model, contacts, vision, outside, answer, samples, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
@@ -140,6 +145,7 @@ def answer(problem: Problem) -> dict[str, Any]:
         problem.contacts,
         vision=problem.vision,
         outside=problem.outside,
+        answer=problem.answer,
         samples=problem.samples,
         method=problem.method,
     )

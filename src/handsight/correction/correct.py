@@ -8,6 +8,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.mean import checked_answer, with_means
 from handsight.correction.outside import Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import Problem, TwoPhase, descents_at
@@ -34,6 +35,7 @@ def correct_pose(
     *,
     vision: PosePrior | None = None,
     outside: ArrayLike | Outside | None = None,
+    answer: str = "best",
     samples: int = 0,
     method: str | TwoPhase | PaperMethod = "handsight",
 ) -> PoseEstimate:
@@ -42,9 +44,10 @@ def correct_pose(
     contacts: fingertip contacts in the palm frame. vision: where the object is thought to be; None: blind.
     outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
     `Outside` of such points and of planes that the object cannot cross.
-    samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, up to
-    `MOST_SAMPLES`, which is the better answer where contacts bound a slide but do not fix it. method: a name of
-    `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge
+    answer: "best" is the mean of a mode that is no Gaussian, such as a slide that contacts bound and do not fix, and
+    else the maximum; or "maximum", or "mean". samples: above 0, the best mode's mean and covariance from that many
+    posterior samples instead, up to `MOST_SAMPLES`: slow, and an independent check. method: a name of `METHODS`, or its
+    options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge
     says so in `converged`.
     """
     options = _method(method)
@@ -55,29 +58,38 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    samples = checks.whole(samples, "samples", MOST_SAMPLES)
+    samples, answer = checks.whole(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
     if options is USUAL and not samples:
         estimate = solve_single_start(problem)
         if estimate is not None:
-            return estimate
+            return with_means(problem, estimate, answer)
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     found = outliers.solve_robustly(problem, options)
     estimate = summarize(problem, found.minima, found.used)
-    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
+    if samples:
+        return mean_by_sampling(problem, estimate, found.used, samples)
+    return with_means(problem, estimate, answer)
 
 
 def refine_pose(
-    model: ObjectModel, contacts: Contacts, vision: PosePrior, T_start: Array, outside: Array | None = None
+    model: ObjectModel,
+    contacts: Contacts,
+    vision: PosePrior,
+    T_start: Array,
+    *,
+    outside: Array | None = None,
+    answer: str = "best",
 ) -> PoseEstimate | None:
     """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
 
-    None where the evidence does not fit there: then search anew. `T_start` (4, 4); `outside` (m, 3) [m] or None.
+    None where the evidence does not fit there: then search anew. `T_start` (4, 4): the maximum of a moment ago, not a
+    mean, which may fit nowhere; `outside` (m, 3) [m] or None.
     """
-    return solve_single_start(
-        Problem(model, contacts, vision, outside_records(model, contacts, outside)), T_start
-    )
+    problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
+    estimate = solve_single_start(problem, T_start)
+    return None if estimate is None else with_means(problem, estimate, checked_answer(answer))
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
