@@ -209,18 +209,19 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
 
 @inner
 def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
-    """Whether the integral over a mode could be had: it was covered by few enough places; fills in its sums."""
+    """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, slide, local(UNCERTAINTY))
-    cell = 0.0
-    for n in range(ROUNDS):
+    for _ in range(ROUNDS):
         cell = lay_lattice(slide)
         others[:, 6] = 0.0
         if not _flood(evidence, mode, slide, others, sums):
             for k in range(slide.count):
                 slide.spacing[k] *= 1.5
-        elif n == ROUNDS - 1 or not sums.total > 0 or fine_enough(slide, sums, evidence.model.radius):
+        elif not sums.total > 0:
+            return False
+        elif fine_enough(slide, sums, evidence.model.radius):
             sums.reference += cell - 0.5 * slide.count * np.log(2 * np.pi)
-            return sums.total > 0
+            return True
     return False
 
 
