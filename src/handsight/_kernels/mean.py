@@ -118,10 +118,16 @@ def _visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u:
 def _add(slide: Any, shift: Vec3, radius: float, log_weight: float, sums: Any, u: Any) -> None:
     """Adds a place with its Gaussian across the slide, both by (δp, δθ)."""
     count = slide.count_across
-    if sums.total == 0.0:
-        sums.reference = log_weight
-    sums.best = max(sums.best, log_weight)
-    weight = np.exp(log_weight - sums.reference)
+    if log_weight > sums.best:
+        before = np.exp(sums.best - log_weight)
+        sums.best = log_weight
+        sums.total *= before
+        for i in range(6):
+            sums.first[i] *= before
+            for j in range(6):
+                sums.second[i, j] *= before
+                sums.within[i, j] *= before
+    weight = np.exp(log_weight - sums.best)
     six = shift + scale((u.row[3], u.row[4], u.row[5]), 1 / radius)
     for a in range(count):
         turn = scale((u.wider[3, a], u.wider[4, a], u.wider[5, a]), 1 / radius)
@@ -220,7 +226,7 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: A
         elif not sums.total > 0:
             return False
         elif fine_enough(slide, sums, evidence.model.radius):
-            sums.reference += cell - 0.5 * slide.count * np.log(2 * np.pi)
+            sums.best += cell - 0.5 * slide.count * np.log(2 * np.pi)
             return True
     return False
 
@@ -288,7 +294,7 @@ def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, a
         if _integrated(evidence, mode, others[k + 1 :], slide, sums):
             _store_mean(model[0], mode, slide, sums, row)
             spins = 6 - slide.count - slide.count_across
-            row.log_weight = np.log(sums.total) + sums.reference - 0.5 * spins * np.log(floor)
+            row.log_weight = np.log(sums.total) + sums.best - 0.5 * spins * np.log(floor)
             for n in range(k + 1, len(answers)):
                 if others[n, 6] == 1.0:
                     answers[n].weight = -1.0

@@ -176,9 +176,8 @@ SLIDE = _record(
     ("stretch", "f8", (6,)),  # how much wider these are than the slope at the mode says
     ("proper", "i8"),  # whether all is known: blind, a direction may not be
 )
-# Sums over places: of weights, relative to the first one's, times deviations (δp, δθ) and their squares.
+# Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
 SUMS = _record(
-    ("reference", "f8"),  # log weight of the first
     ("best", "f8"),  # largest log weight yet
     ("least", "f8"),  # predicted cost yet
     ("total", "f8"),

@@ -13,7 +13,7 @@ from handsight._kernels.dense6 import eigen, in_metres
 from handsight._kernels.levenberg import Evidence
 from handsight._kernels.posterior import information
 from handsight._kernels.records import WEAK_PRIOR
-from handsight._kernels.settings import DEPARTS, FAR, MOST_OPEN, OPEN, PLACES, STRIDE
+from handsight._kernels.settings import DEPARTS, FAR, MOST_OPEN, NARROW, OPEN, PLACES, STRIDE
 from handsight._kernels.uncertainty import calibrated_information
 from handsight._kernels.vec3 import cross, mul, norm, scale, vector
 
@@ -88,7 +88,8 @@ def _departures(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, de
             u.values[k] = 0.0 if slopes[k] > limit else slopes[k]
         calibrated_information(evidence, pose, FAR if far else STRIDE, u.values, u.vectors, u.row)
         for k in range(6):
-            departs[k] = max(departs[k], np.inf if u.values[k] == 0.0 else u.row[k])
+            if slopes[k] * (NARROW * model.radius) ** 2 < 1:
+                departs[k] = max(departs[k], np.inf if u.values[k] == 0.0 else u.row[k])
             calibrated[k] = calibrated[k] if far else u.values[k]
     for k in range(6):
         if slopes[k] > limit:

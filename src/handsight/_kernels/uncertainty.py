@@ -14,7 +14,7 @@ from handsight._kernels.levenberg import Evidence
 from handsight._kernels.posterior import information, largest_gain, posterior_cost
 from handsight._kernels.prior_term import IDENTITY
 from handsight._kernels.records import UNCERTAINTY, VISION_PRIOR
-from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
+from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, SLIDE, STRIDE
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import (
     Vec3,
@@ -94,10 +94,11 @@ def calibrated_information(
 
 @inner
 def _departure(model: Any, values: Any, rises: Any) -> float:
-    """The largest of the rises; infinite where more is unknown than turns about declared axes."""
+    """The largest of the rises along slides; infinite where more is unknown than turns about declared axes."""
     most, unknown = 0.0, 0
     for k in range(6):
-        most = max(most, rises[k])
+        if values[k] * (SLIDE * model.radius) ** 2 < 1:
+            most = max(most, rises[k])
         unknown += values[k] == 0.0
     return np.inf if unknown > model.symmetry.axes else most
 

@@ -28,7 +28,8 @@ def checked_answer(answer: object, name: str = "answer") -> str:
 def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
     """The estimate whose likeliest modes are means, each where it is no Gaussian, or its first one all the same.
 
-    A mode that the same slide leads to is part of its mean, and no hypothesis any more.
+    A mode that the same slide leads to is part of its mean, and no hypothesis any more, nor is one of two means that
+    are not apart.
     """
     departs = [row["departure"] > DEPARTS for row in estimate.modes[:MOST_MEANS]]
     if answer == "maximum" or not (answer == "mean" or any(departs)):
@@ -40,7 +41,8 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     used[0, list(estimate.outliers)] = False
     mean.integrate(*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside, rows)
     rows = rows[rows["weight"] >= 0]
-    rows = rows[np.argsort(-rows["log_weight"], kind="stable")]
+    order = np.argsort(-rows["log_weight"], kind="stable")
+    rows = rows[modes.distinct(problem.model, rows["T_palm_object"], order, modes.MOST_MODES)]
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
