@@ -40,9 +40,11 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(estimate.outliers)] = False
     mean.integrate(*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside, rows)
-    rows = rows[rows["weight"] >= 0]
-    order = np.argsort(-rows["log_weight"], kind="stable")
-    rows = rows[modes.distinct(problem.model, rows["T_palm_object"], order, modes.MOST_MODES)]
+    if len(rows) > 1:
+        rows = rows[rows["weight"] >= 0]
+        order = np.argsort(-rows["log_weight"], kind="stable")
+        means = descents_at(rows["T_palm_object"])
+        rows = rows[solve.distinct(problem.model, means, order, modes.MOST_MODES, modes.APART)]
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
