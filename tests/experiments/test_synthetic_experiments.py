@@ -18,6 +18,13 @@ def test_the_gripped_box_is_not_turned_and_its_mean_slides_less(tmp_path):
 
 
 @pytest.mark.slow
+def test_means_are_those_of_samples(tmp_path):
+    rows = run("means", tmp_path, "--quick")["means"]
+    assert {r["kind"] for r in rows} >= {"box", "box, table", "can"}
+    assert np.median(column(rows, "mean")) < 0.2 < np.median(column(rows, "maximum"))
+
+
+@pytest.mark.slow
 def test_outside_evidence_takes_the_hand_out_of_the_box(tmp_path):
     rows = run("penetration", tmp_path, "--trials", 10)["penetration"]
     bare = column(rows, "depth_mm", object="box", evidence="contacts")
