@@ -6,7 +6,7 @@ Problems whose answer is the maximum (a Gaussian mode), or that has more than on
 
   mean       how far the mean is off that of the samples, along its worst direction, in deviations; maximum: as far
   deviations the default's, as a share of the samples', over all directions: from the 5th to the 95th percentile
-  ms         of a correction with the default less one with the maximum, taken in turn; samples: with samples instead
+  ms         of a correction with the default less one with the maximum, least of ten; samples: with samples instead
 """
 
 from functools import partial
@@ -22,6 +22,8 @@ from shared.grips import IN_SPACE, ON_TABLE, gripped
 from shared.report import Array, Row
 
 SAMPLES, QUICK_SAMPLES = 100_000, 20_000
+REPEATS = 10
+"""Of what is timed, in turn; the least counts."""
 KINDS = ("box", "box, table", "box, plane", "box, beside", "can", "can, table")
 SPIN = 1e-6
 """Information this much below the largest is that of a spin about a can's axis: none."""
@@ -65,6 +67,9 @@ def trial(kind: str, rng: np.random.Generator, samples: int) -> Row | None:
     ask = partial(hs.correct_pose, model, contacts, **known)
     maximum, before = report.timed(partial(ask, answer="maximum"))
     best, seconds = report.timed(ask)
+    for _ in range(REPEATS):
+        before = min(before, report.timed(partial(ask, answer="maximum"))[1])
+        seconds = min(seconds, report.timed(ask)[1])
     if np.array_equal(best.T_palm_object, maximum.T_palm_object) or best.hypotheses[0].weight < 0.99:
         return None
     sampled, slow = report.timed(partial(ask, samples=samples))

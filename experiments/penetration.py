@@ -60,8 +60,8 @@ def trial(model: hs.ObjectModel, half: float, flat: bool, rng: np.random.Generat
     hand = se3.apply(scene.T_palm_object, cloud) + NOISE[0] * rng.normal(size=cloud.shape)
     rows = []
     for evidence, outside in zip(EVIDENCE, (None, hand), strict=True):
-        known = {"vision": scene.vision, "outside": outside}
-        correct = partial(hs.correct_pose, model, scene.contacts, answer="maximum", **known)
+        ask = partial(hs.correct_pose, model, scene.contacts, vision=scene.vision, answer="maximum")
+        correct = partial(ask, outside=outside)
         estimate, seconds = report.timed(correct)
         inside = se3.apply(se3.inverse(estimate.T_palm_object), hand)
         depth = max(0.0, -float(model.fine.evaluate(inside).distance.min()))
