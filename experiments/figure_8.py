@@ -1,9 +1,8 @@
 """Fig. 8 of the paper: x and y of the centre of the object's base while it is manipulated, by vision and corrected.
 
 One can and one box, simulated (MuJoCo) with all usual nuisances: moved over the table, lifted, turned by 75 degrees
-and back. Rings: where vision sees the object; line: the tracker's pose, of the can the maximum, of the box the
-posterior mean with outside evidence (with --quick the maximum, which takes a second instead of 20); dots: the truth,
-as often as the paper could read it. x and y are the table's.
+and back. Rings: where vision sees the object; line: the tracker's pose, of the box with outside evidence; dots:
+the truth, as often as the paper could read it. x and y are the table's.
 """
 
 from collections.abc import Callable
@@ -19,11 +18,10 @@ from handsight.simulation import Sample
 from shared import figures, report, scenes
 from shared.grasp_errors import pose_errors
 from shared.grasp_trials import OBJECTS, exact_model, seen_in_palm
-from shared.manipulations import WITH_MEAN, recorded, tracked
+from shared.manipulations import TRACKED, recorded, tracked
 from shared.report import Array, Row
 
-WAYS = {"can": "maximum, table", "box": "mean, outside, table"}
-QUICK = "maximum, outside, table"
+WAYS = {"can": "best, table", "box": "best, outside, table"}
 COLOURS = {"x": "#2b5fd0", "y": "#2e9e4f"}
 TRUTH = "#d02b2b"
 RINGS_APART, DOTS_APART = 0.3, 1.5
@@ -43,7 +41,7 @@ def curves(name: str, seed: int, way: str) -> tuple[Curves, Row]:
     """What is drawn, and a row of mean errors."""
     model, samples = exact_model(name), recorded(name, seed)
     by_stamp = {sample.observation.stamp: sample for sample in samples}
-    steps = tracked(name, samples, WITH_MEAN[way])
+    steps = tracked(name, samples, TRACKED[way])
     by = {
         "vision": [(s, seen_in_palm(s.observation)) for s in samples if s.observation.vision],
         "corrected": [(by_stamp[step.stamp], step.estimate.T_palm_object) for step in steps],
@@ -99,8 +97,7 @@ def draw_curves(plot: Callable[..., Any], lines: Curves) -> None:
 def main() -> None:
     """Runs both manipulations and draws them."""
     options = report.options(__doc__, trials=2, quick_trials=2)
-    ways = dict.fromkeys(OBJECTS, QUICK) if options.quick else WAYS
-    found = {name: curves(name, options.seed, ways[name]) for name in OBJECTS}
+    found = {name: curves(name, options.seed, WAYS[name]) for name in OBJECTS}
     rows = [row for _, row in found.values()]
     report.print_table(
         "Mean error over one manipulation, mm (synthetic)",

@@ -1,8 +1,8 @@
 """What spoils the correction, one nuisance at a time: the same simulated grasps, each with one reading made worse.
 
-The can's answer is the maximum by contacts and vision; the box' is the posterior mean with outside evidence and the
-table. All other nuisances keep their usual size, and the rig keeps saying what is usual: it does not know of the one
-that is changed. Measure: x, y of the base's centre as the paper has it. Synthetic (MuJoCo).
+The can's answer is by contacts and vision; the box' with outside evidence and the table as well. All other nuisances
+keep their usual size, and the rig keeps saying what is usual: it does not know of the one that is changed. Measure: x,
+y of the base's centre as the paper has it. Synthetic (MuJoCo).
 """
 
 from collections import Counter
@@ -18,7 +18,7 @@ from shared.grasp_methods import rows_of
 from shared.grasp_trials import OBJECTS, Trial, grasps, last_instant, trial_of
 from shared.report import Rows
 
-METHODS = {"can": "maximum", "box": "mean, outside, table"}
+METHODS = {"can": "best", "box": "best, outside, table"}
 ARM = 5e-3
 """Torque errors belong to force errors this far off [m]: 0.05 mN m to 10 mN."""
 HEIGHT = 0.8

@@ -28,18 +28,22 @@ PAPER_TRACKED = "paper-lm, w_n 5 cm"
 class Tracked:
     """How a tracker is set up."""
 
+    answer: str = "best"
     outside: bool = False
     samples: int = 0
     table: bool = True
 
 
 TRACKED = {
-    "maximum": Tracked(table=False),
-    "maximum, table": Tracked(),
-    "maximum, outside, table": Tracked(outside=True),
+    "maximum": Tracked("maximum", table=False),
+    "maximum, table": Tracked("maximum"),
+    "maximum, outside, table": Tracked("maximum", outside=True),
+    "best": Tracked(table=False),
+    "best, table": Tracked(),
+    "best, outside, table": Tracked(outside=True),
 }
-WITH_MEAN = TRACKED | {"mean, outside, table": Tracked(outside=True, samples=SAMPLES)}
-"""The mean takes 20 s a run."""
+WITH_SAMPLES = TRACKED | {"samples, outside, table": Tracked(outside=True, samples=SAMPLES)}
+"""Samples take 20 s a run."""
 
 
 @lru_cache(maxsize=2)  # figure 8 shows the first of those that section III's repetition judges
@@ -51,7 +55,8 @@ def recorded(name: str, seed: int) -> list[Sample]:
 def tracked(name: str, samples: Sequence[Sample], how: Tracked) -> list[Step]:
     """The tracker's answers to a run."""
     robot = rig() if how.table else replace(rig(), table=None)
-    settings = TrackerSettings(outside=OUTSIDE if how.outside else 0, samples=how.samples)
+    outside = OUTSIDE if how.outside else 0
+    settings = TrackerSettings(answer=how.answer, outside=outside, samples=how.samples)
     tracker = hs.Tracker(robot, exact_model(name), settings=settings)
     return list(replay((sample.observation for sample in samples), tracker, Tally()))
 

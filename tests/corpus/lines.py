@@ -31,6 +31,7 @@ PROBLEM = {
         "sigma_rotation_deg": 15.0,
     },
     "outside": [[0.05, 0.1, 0.1], [0.2, 0.0, 0.0]],
+    "answer": "best",
     "samples": 0,
     "budget": 10.0,
     "method": "handsight",

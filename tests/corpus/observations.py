@@ -156,7 +156,7 @@ def begin_spoilt(rng):
     """A tracker with a start and settings that are spoilt."""
     start = {"T": T_PALM_BOX.tolist(), "covariance": np.diag([1e-4] * 3 + [1e-2] * 3).tolist()}
     settings = {"rate": 10.0, "memory": 2.0, "process_noise_position": 0.001, "regrasp_rotation": 0.05}
-    settings |= {"lost_after": 3.0, "moved": 0.001, "samples": 0, "outside": 0}
+    settings |= {"lost_after": 3.0, "moved": 0.001, "answer": "best", "samples": 0, "outside": 0}
     spoilt = rng.choice([start, settings])
     key = rng.choice(sorted(spoilt))
     spoilt[key] = spoilt_value(spoilt[key], rng)

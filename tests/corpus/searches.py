@@ -8,7 +8,16 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.correction import METHODS, Outside, PaperMethod, Plane, PoseEstimate, TwoPhase, refine_pose
+from handsight.correction import (
+    ANSWERS,
+    METHODS,
+    Outside,
+    PaperMethod,
+    Plane,
+    PoseEstimate,
+    TwoPhase,
+    refine_pose,
+)
 from handsight.correction.problem import MOST_CONTACTS
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
 
@@ -64,7 +73,8 @@ def _solved(
     else:
         method = rng.choice([*METHODS, "handsight", "handsight", "handsight"])
         samples = rng.choice([0, 0, 0, 20]) if method == "handsight" else 0
-        given = {"vision": vision, "outside": outside, "samples": samples, "method": method}
+        answer = rng.choice(ANSWERS)
+        given = {"vision": vision, "outside": outside, "answer": answer, "samples": samples, "method": method}
         check_estimate(hs.correct_pose(model, contacts, **given), n)
 
 
@@ -128,6 +138,7 @@ def options(rng: random.Random) -> None:
         problem = {
             "contacts": contacts,
             "vision": vision,
+            "answer": strange("best"),
             "samples": strange(0),
             "budget": strange(1.0),
             "method": strange("handsight"),

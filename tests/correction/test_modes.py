@@ -9,7 +9,7 @@ from handsight import se3
 from handsight._kernels import levenberg, prior_term, records, uncertainty
 from handsight._kernels.compiled import FAST
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
-from handsight._kernels.settings import LEAST_FACTOR
+from handsight._kernels.settings import LEAST_FACTOR, STRIDE
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight.correction import modes
@@ -39,7 +39,8 @@ def _calibrated(model, nodes, vision, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
     prior_term.vision_prior(model[0], vision[0], prior, local(UNCERTAINTY))
     evidence = levenberg.Evidence(model[0], nodes, np.empty(0, TERM), outside, prior, (0.0, 0.0, 0.0))
-    uncertainty.calibrated_information(evidence, pose_of(descents[0].pose), values, vectors)
+    pose, rises = pose_of(descents[0].pose), np.empty(6)
+    uncertainty.calibrated_information(evidence, pose, STRIDE, values, vectors, rises)
 
 
 def along_palm_axes(information):

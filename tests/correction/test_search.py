@@ -41,8 +41,8 @@ def scene_on(model, seed):
 def better_near_the_truth(seed):
     """How much cheaper a descent on the fine field from the truth ends than the answer, and how far off it [m, rad]."""
     scene = scene_on(bracket(), seed)
-    answer = hs.correct_pose(bracket(), scene.contacts, vision=scene.vision)
-    near = refine_pose(bracket(), scene.contacts, scene.vision, scene.T_palm_object)
+    answer = hs.correct_pose(bracket(), scene.contacts, vision=scene.vision, answer="maximum")
+    near = refine_pose(bracket(), scene.contacts, scene.vision, scene.T_palm_object, answer="maximum")
     if near is None or answer.outliers or not answer.consistent:
         return 0.0, 0.0, 0.0
     gain = answer.hypotheses[0].cost - near.hypotheses[0].cost

@@ -136,6 +136,8 @@ ANSWER = _record(
     ("chi2", "f8"),
     ("posterior_cost", "f8"),
     ("weight", "f8"),  # of the mode among those reported
+    ("log_weight", "f8"),  # the same before it is one of several
+    ("departure", "f8"),  # from a Gaussian: how much more its cost rises beside it, as a ratio
     ("gain", "f8"),  # the most that χ² falls when one contact is left out
     ("width", "f8"),  # how far the prior lets a point of the surface be [diameters]
     ("rows", "i8"),  # of contact evidence
@@ -168,6 +170,29 @@ UNCERTAINTY = _record(
     ("column", "f8", (6,)),
     ("arc", "f8", (3, 3)),
 )
+
+# Along what a mode is integrated: columns of (s, radius θ), straight along the object.
+SLIDE = _record(
+    ("count", "i8"),  # of directions along, of those across
+    ("count_across", "i8"),
+    ("along", "f8", (6, 3)),
+    ("spacing", "f8", (3,)),  # of the places [m]
+    ("lattice", "f8", (6, 3)),  # from a place to the next
+    ("across", "f8", (6, 6)),
+    ("stretch", "f8", (6,)),  # how much wider these are than the slope at the mode says
+    ("proper", "i8"),  # whether all is known: blind, a direction may not be
+)
+# Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
+SUMS = _record(
+    ("best", "f8"),  # largest log weight yet
+    ("least", "f8"),  # predicted cost yet
+    ("total", "f8"),
+    ("first", "f8", (6,)),
+    ("second", "f8", (6, 6)),
+    ("within", "f8", (6, 6)),
+)
+# One of them: where on the lattice, and the coordinates across.
+PLACE = _record(("index", "i8", (3,)), ("aside", "f8", (6,)))
 
 # A joint on the way from a base to a body: its axis and a point on it, in the base, when all joints are at their zero.
 CHAIN_JOINT = _record(

@@ -24,3 +24,21 @@ CANDIDATE_APART = (0.002, float(np.deg2rad(2.0)))
 """Two descents are worth finishing both when further apart than this [m] or turned by more than this [rad]."""
 MATCHED_APART = (0.001, float(np.deg2rad(1.0)))
 """After phase 1 two are worth going on with both when further apart than this."""
+DEPARTS, FAR = 1.5, 2.3
+"""A mode is no Gaussian when the cost beside it rises by this much more than a Gaussian's; where one is none, walls are
+looked for so many deviations away, too."""
+SLIDE, NARROW = 0.05, 0.02
+"""Such a direction is worth an integral when its deviation is above this part of the radius; it is done with one above
+the other, if anything is."""
+MOST_OPEN, MOST_MEANS = 3, 3
+"""Directions along which a mode is integrated, the widest; modes whose means are taken, the likeliest."""
+PLACES = (4.0, 1.8, 1.1)
+"""Places in a deviation along one, two or three directions."""
+DEPTH = 6.0
+"""A place that costs this much more than the best leads no further; predicted to cost twice that, it is passed by."""
+ROUNDS, MOST_PLACES = 5, 600
+"""Lattices that are laid until one is fine enough, and places of each at most."""
+REACH = (200, 40, 15)
+"""Places to either side of the mode, along one, two or three directions."""
+NEAR2 = 16.0
+"""A mode so near to a place, in squared deviations across the slide, belongs to it."""

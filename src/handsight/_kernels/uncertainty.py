@@ -14,7 +14,7 @@ from handsight._kernels.levenberg import Evidence
 from handsight._kernels.posterior import information, largest_gain, posterior_cost
 from handsight._kernels.prior_term import IDENTITY
 from handsight._kernels.records import UNCERTAINTY, VISION_PRIOR
-from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
+from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, SLIDE, STRIDE
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import (
     Vec3,
@@ -52,23 +52,27 @@ def _column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, V
 
 
 @inner
-def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors: Any) -> None:
+def calibrated_information(
+    evidence: Evidence, pose: Pose, stride: float, values: Any, vectors: Any, rises: Any
+) -> None:
     """Lowers the eigenvalues of an information [1/m²] to what the posterior's own cost does a stride away.
 
     At an edge, on a bumpy scan or along a bounded slide the slope of the residuals at the mode tells little about a
-    standard deviation away. Along each eigenvector the cost is read on both sides at STRIDE deviations, where a
-    Gaussian's has risen by STRIDE²; the eigenvalue is scaled by what it did, again where that was more than halving it.
+    standard deviation away. Along each eigenvector the cost is read on both sides at `stride` deviations, where a
+    Gaussian's has risen by its square; the eigenvalue is scaled by what it did, again where that was more than halving
+    it. `rises` (6): how much more than a Gaussian's the cost rose to the steeper side, as a ratio; infinite where a
+    deviation is an open direction's, and 0 where nothing is known.
     """
     radius, largest, here = evidence.model.radius, 0.0, 0.0
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(-1, 6):
         if k >= 0 and not values[k] > KNOWN * largest:
-            values[k] = 0.0
+            values[k] = rises[k] = 0.0
             continue
-        for _ in range(SECANT_PASSES):
-            length = STRIDE * min(1 / np.sqrt(values[max(k, 0)]), radius / 2)
-            change = 0.0
+        for again in range(SECANT_PASSES):
+            length = stride * min(1 / np.sqrt(values[max(k, 0)]), radius / 2)
+            change = steeper = 0.0
             for side in range(2):
                 # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
                 slide = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
@@ -78,11 +82,25 @@ def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors:
                     break
                 rise = (there - here) / (length * length * values[k])
                 change += 0.5 * min(max(rise, LEAST_FACTOR), 1.0)
+                steeper = max(steeper, rise)
             if k < 0:
                 break
+            if again == 0:
+                rises[k] = steeper if values[k] * (OPEN * radius) ** 2 > 1 else np.inf
             values[k] *= change
             if change > 0.5:
                 break
+
+
+@inner
+def _departure(model: Any, values: Any, rises: Any) -> float:
+    """The largest of the rises along slides; infinite where more is unknown than turns about declared axes."""
+    most, unknown = 0.0, 0
+    for k in range(6):
+        if values[k] * (SLIDE * model.radius) ** 2 < 1:
+            most = max(most, rises[k])
+        unknown += values[k] == 0.0
+    return np.inf if unknown > model.symmetry.axes else most
 
 
 @inner
@@ -243,7 +261,8 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
     in_metres(row.information, model.radius, u.matrix)
     eigen(u.matrix, u.values, u.vectors)
     if not row.first_order:
-        calibrated_information(evidence, pose, u.values, u.vectors)
+        calibrated_information(evidence, pose, STRIDE, u.values, u.vectors, u.row)
+    row.departure = 0.0 if row.first_order else _departure(model, u.values, u.row)
     least = 0.0 if evidence.prior.kind == VISION_PRIOR else 1 / (OPEN * model.radius) ** 2
     row.complete = second_order_information(model, least, row, u)
     row.rows = 0

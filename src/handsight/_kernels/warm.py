@@ -14,6 +14,7 @@ from handsight._kernels import (
     contacts_to_palm,
     field,
     linking,
+    mean,
     nearest_triangle,
     random_walk,
     records,
@@ -54,6 +55,7 @@ def _starts() -> None:
     answers = np.zeros(1, dtype=records.ANSWER)
     answers["pose"] = prior["pose"]
     batch.summarize_all(*given, answers)
+    mean.integrate(*given, answers)
     batch.width(model, prior)
     batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))
     batch.distinct(model, descents, np.arange(2), np.ones(2), np.empty(1, dtype=np.int64))

@@ -17,7 +17,7 @@ from handsight import checks, se3
 from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import METHODS, MOST_SAMPLES, PosePrior, correct_pose
+from handsight.correction import ANSWERS, METHODS, MOST_SAMPLES, PosePrior, correct_pose
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.explain import explain, named
@@ -66,6 +66,7 @@ class ProblemFields(_Strict):
     contacts_of_residual: bool = False
     vision: VisionFields | None = None
     outside: Any = None
+    answer: str = "best"
     samples: Any = 0
     budget: Any = None
     method: str = "handsight"
@@ -78,6 +79,7 @@ class Problem(msgspec.Struct, frozen=True):
     contacts: Contacts
     vision: PosePrior | None
     outside: Array | None
+    answer: str
     samples: int
     budget: float | None
     method: str
@@ -97,14 +99,16 @@ class Reader:
         fields = _fields(line)
         if fields.method not in METHODS:
             raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
+        if fields.answer not in ANSWERS:
+            raise InvalidInput(f"answer: expected one of {', '.join(ANSWERS)}, got {fields.answer!r}")
         samples = checks.whole(fields.samples, "samples", MOST_SAMPLES)
         budget = None if fields.budget is None else checks.positive(fields.budget, "budget")
         outside = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
-        model, vision = self.model(fields.object), _vision(fields.vision)
-        return Problem(model, contacts, vision, outside, samples, budget, fields.method)
+        model, vision, answer = self.model(fields.object), _vision(fields.vision), fields.answer
+        return Problem(model, contacts, vision, outside, answer, samples, budget, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
@@ -145,6 +149,7 @@ def answer(problem: Problem) -> dict[str, Any]:
         problem.contacts,
         vision=problem.vision,
         outside=problem.outside,
+        answer=problem.answer,
         samples=problem.samples,
         budget=problem.budget,
         method=problem.method,

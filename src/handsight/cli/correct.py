@@ -99,7 +99,9 @@ def correct(
       poses; by default they are of the finger, and what the model adds is added.
     * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
-    * **samples**: above 0, answer with the posterior's mean (say 4000; at most 1000000).
+    * **answer**: `best` (default) is the mean where contacts bound a slide and do not fix it, else the maximum; or
+      `maximum`, or `mean`.
+    * **samples**: above 0, answer with the mean of so many posterior samples instead (at most 1000000): a slow check.
     * **budget**: seconds after which no search for a better pose or a wrong contact goes on; "converged" is false
       where it cut one short.
     * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.

@@ -40,8 +40,12 @@ def track(
     rate: Annotated[
         float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
     ] = None,
+    answer: Annotated[
+        str, typer.Option(help="best (the mean where the maximum is at a slide's end), maximum, or mean.")
+    ] = "best",
     samples: Annotated[
-        int, typer.Option(min=0, help="Answer with the posterior's mean of so many samples; 0: its maximum.")
+        int,
+        typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check."),
     ] = 0,
     outside: Annotated[
         int,
@@ -71,7 +75,7 @@ def track(
     from handsight.tracking import TrackerSettings
 
     announce_compiling()
-    settings = TrackerSettings(rate=rate, samples=samples, outside=outside)
+    settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside)
     found, model = rig_and_object(recording, rig, object)
     folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:

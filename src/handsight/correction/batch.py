@@ -6,20 +6,22 @@ from typing import Any
 from handsight.contact import Contacts
 from handsight.correction.correct import correct_pose
 from handsight.correction.estimate import PoseEstimate, PosePrior
-from handsight.correction.problem import MOST_CONTACTS, check_number
+from handsight.correction.mean import with_means
+from handsight.correction.outside import NO_OUTSIDE
+from handsight.correction.problem import MOST_CONTACTS, Problem, check_number
 from handsight.correction.solve import solve_batch
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 AT_ONCE = 4096
 """Problems solved in one call of the kernels."""
-KEYS = ("contacts", "vision", "outside", "samples", "budget", "method")
+KEYS = ("contacts", "vision", "outside", "answer", "samples", "budget", "method")
 
 
 def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstimate]:
     """The estimates of many problems of one object, in their order: `correct_pose` of each, on all cores.
 
-    A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `samples`,
+    A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `answer`, `samples`,
     `budget`, `method`), a pair `(contacts, vision)`, or contacts alone, which is blind. Raises InvalidInput naming the
     problem, `problems[3].vision: ...`, before any is solved.
     """
@@ -33,8 +35,9 @@ def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstim
     for begin in range(0, len(usual), AT_ONCE):
         rows = usual[begin : begin + AT_ONCE]
         pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
-        for i, estimate in zip(rows, solve_batch(model, pairs), strict=True):
-            found[i] = estimate
+        for i, pair, estimate in zip(rows, pairs, solve_batch(model, pairs), strict=True):
+            if estimate is not None:
+                found[i] = with_means(Problem(model, *pair, NO_OUTSIDE), estimate, "best")
     return [
         _solved(model, problem, f"problems[{i}]") if estimate is None else estimate
         for i, (problem, estimate) in enumerate(zip(each, found, strict=True))

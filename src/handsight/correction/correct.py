@@ -9,6 +9,7 @@ from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.budget import Budget
 from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.mean import checked_answer, with_means
 from handsight.correction.outside import Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import Problem, TwoPhase, descents_at
@@ -35,6 +36,7 @@ def correct_pose(
     *,
     vision: PosePrior | None = None,
     outside: ArrayLike | Outside | None = None,
+    answer: str = "best",
     samples: int = 0,
     budget: float | None = None,
     method: str | TwoPhase | PaperMethod = "handsight",
@@ -44,11 +46,12 @@ def correct_pose(
     contacts: fingertip contacts in the palm frame. vision: where the object is thought to be; None: blind.
     outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
     `Outside` of such points and of planes that the object cannot cross.
-    samples: above 0, the answer is the best mode's mean and covariance from that many posterior samples, up to
-    `MOST_SAMPLES`, which is the better answer where contacts bound a slide but do not fix it. budget: seconds after
-    which no search for a better mode or a wrong contact goes on; `converged` is False where one was cut short.
-    method: a name of `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that
-    does not converge says so in `converged`.
+    answer: "best" is the mean of a mode that is no Gaussian, such as a slide that contacts bound and do not fix, and
+    else the maximum; or "maximum", or "mean". samples: above 0, the best mode's mean and covariance from that many
+    posterior samples instead, up to `MOST_SAMPLES`: slow, and an independent check. budget: seconds after which no
+    search for a better mode or a wrong contact goes on; `converged` is False where one was cut short. method: a name of
+    `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge
+    says so in `converged`.
     """
     options = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
@@ -58,31 +61,41 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    samples, limit = checks.whole(samples, "samples", MOST_SAMPLES), Budget.of(budget)
+    samples, answer = checks.whole(samples, "samples", MOST_SAMPLES), checked_answer(answer)
+    limit = Budget.of(budget)
     problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
     if options is USUAL and not samples:
         estimate = solve_single_start(problem)
         if estimate is not None:
-            return estimate
+            return with_means(problem, estimate, answer)
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     found = outliers.solve_robustly(problem, options, limit)
     estimate = summarize(problem, found)
     if limit.cut_short:
         estimate.answer["converged"] = False
-    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
+    if samples:
+        return mean_by_sampling(problem, estimate, found.used, samples)
+    return with_means(problem, estimate, answer)
 
 
 def refine_pose(
-    model: ObjectModel, contacts: Contacts, vision: PosePrior, T_start: Array, outside: Array | None = None
+    model: ObjectModel,
+    contacts: Contacts,
+    vision: PosePrior,
+    T_start: Array,
+    *,
+    outside: Array | None = None,
+    answer: str = "best",
 ) -> PoseEstimate | None:
     """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
 
-    None where the evidence does not fit there: then search anew. `T_start` (4, 4); `outside` (m, 3) [m] or None.
+    None where the evidence does not fit there: then search anew. `T_start` (4, 4): the maximum of a moment ago, not a
+    mean, which may fit nowhere; `outside` (m, 3) [m] or None.
     """
-    return solve_single_start(
-        Problem(model, contacts, vision, outside_records(model, contacts, outside)), T_start
-    )
+    problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
+    estimate = solve_single_start(problem, T_start)
+    return None if estimate is None else with_means(problem, estimate, checked_answer(answer))
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:

@@ -110,6 +110,7 @@ class PoseEstimate:
         answer = np.zeros(1, dtype=ANSWER)[0]
         answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
         answer["T_palm_object"], answer["covariance"], answer["complete"] = T_palm_object, covariance, 1
+        answer["pose"]["rotation"], answer["pose"]["position"] = T_palm_object[:3, :3], T_palm_object[:3, 3]
         answer["open_count"] = len(unobservable)
         answer["unobservable"][: len(unobservable)] = unobservable
         return cls(answer, (answer,), np.empty((0, 2)), True)
@@ -121,20 +122,26 @@ class PoseEstimate:
         information: Array,
         residuals: Array | None = None,
     ) -> "PoseEstimate":
-        """The same estimate with another pose, covariance and information; the modes stay. `residuals` (n, 2)."""
+        """The same estimate with another pose, covariance and information; other modes stay. `residuals` (n, 2)."""
         answer = self.answer.copy()
         answer["T_palm_object"], answer["information"] = T_palm_object, information
         answer["complete"] = covariance is not None
         if covariance is not None:
             answer["covariance"] = covariance
         rows = self.residual_rows if residuals is None else residuals
-        return PoseEstimate(answer, self.modes, rows, self.consistent, self.outliers)
+        return PoseEstimate(answer, (answer, *self.modes[1:]), rows, self.consistent, self.outliers)
 
     @property
     def T_palm_object(self) -> Array:
-        """(4, 4): the best mode; its mean where `samples` were asked for."""
+        """(4, 4): the best mode; its mean where that is no Gaussian, or where a mean was asked for."""
         T: Array = self.answer["T_palm_object"]
         return T
+
+    @property
+    def T_palm_object_maximum(self) -> Array:
+        """(4, 4): where the density of the best mode is largest, from which its neighbours can be followed."""
+        pose = self.answer["pose"]
+        return se3.compose(pose["rotation"], pose["position"])
 
     @property
     def covariance(self) -> Array | None:

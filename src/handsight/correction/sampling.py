@@ -38,10 +38,9 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
     T = se3.moved(T_mode, draws.mean(axis=0))
     spread = np.cov(draws.T)
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
-    # Along an axis that was not walked the spread is zero; there nothing is known, not everything.
-    values, vectors = np.linalg.eigh(spread / scale[:, None] / scale)
-    known = values > 1e-9 * values[-1] if len(axes) else values > 0
-    inverse = (vectors / np.where(known, values, np.inf)) @ vectors.T
+    # Along an axis that was not walked the spread is next to none; there nothing is known, not everything.
+    known = _across(tangents(problem.model.symmetries, T), radius)
+    inverse = known.T @ np.linalg.inv(known @ (spread / scale[:, None] / scale) @ known.T) @ known
     return estimate.with_gaussian(
         T,
         None if len(axes) else spread,
@@ -52,16 +51,19 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
 
 def _directions(information: Array, axes: Array, radius: float) -> Array:
     """(k, 6) steps (δp, δθ) of one standard deviation along each eigenvector, without the symmetry axes."""
-    metres = modes.in_metres(information, radius)
-    if len(axes):
-        scaled = axes * np.array([1.0] * 3 + [radius] * 3)
-        _, _, rows = np.linalg.svd(scaled)
-        basis = rows[np.linalg.matrix_rank(scaled) :]
-    else:
-        basis = np.eye(6)
+    metres, basis = modes.in_metres(information, radius), _across(axes, radius)
     values, vectors = np.linalg.eigh(basis @ metres @ basis.T)
     length = 1 / np.sqrt(np.maximum(values, 1 / radius**2))
     return np.asarray((vectors.T @ basis) * length[:, None] * np.array([1.0] * 3 + [1 / radius] * 3))
+
+
+def _across(axes: Array, radius: float) -> Array:
+    """(k, 6) orthonormal directions (δp, radius δθ) across the symmetry axes (n, 6)."""
+    if not len(axes):
+        return np.eye(6)
+    scaled = axes * np.array([1.0] * 3 + [radius] * 3)
+    _, _, rows = np.linalg.svd(scaled)
+    return np.asarray(rows[np.linalg.matrix_rank(scaled) :])
 
 
 def _walk(log_density: Callable[[Array], Array], T_mode: Array, directions: Array, samples: int) -> Array:

@@ -236,7 +236,8 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.APART))
     answers = _summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
-    answers["weight"], answers["posterior_cost"] = share / share.sum(), chosen["posterior_cost"]
+    answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]
+    answers["posterior_cost"] = chosen["posterior_cost"]
     rejected = tuple(int(i) for i in np.flatnonzero(~used[0]))
     consistent = modes.fits(answers[0]["chi2"], found.freedom)
     return PoseEstimate(answers[0], tuple(answers), residuals(problem, chosen[:1]), consistent, rejected)

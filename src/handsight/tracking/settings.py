@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight import checks
 from handsight.correction import MOST_SAMPLES
+from handsight.correction.mean import checked_answer
 from handsight.correction.outside import MOST_POINTS
 from handsight.errors import InvalidInput
 
@@ -34,8 +35,10 @@ class TrackerSettings:
     """[rad]"""
     memory: float = 5.0
     """How long a contact that was lifted is still believed [s]; 0: not at all."""
+    answer: str = "best"
+    """As `correct_pose` takes it: the mean where contacts bound a slide and do not fix it, else the maximum."""
     samples: int = 0
-    """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
+    """Above 0: the mean from so many samples instead, an independent check; 4000 take some 50 ms."""
     outside: int = 0
     """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
 
@@ -53,6 +56,7 @@ class TrackerSettings:
         for names, most in ((LIMITS, np.inf), (STEPS, checks.FARTHEST)):
             for name in names:
                 _check_size(getattr(self, name), f"settings.{name}", most)
+        checked_answer(self.answer, "settings.answer")
         checks.whole(self.samples, "settings.samples", MOST_SAMPLES)
         checks.whole(self.outside, "settings.outside", MOST_POINTS)
 

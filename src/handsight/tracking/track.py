@@ -231,13 +231,14 @@ class Track:
         outside, joints = None, observation.joint_positions
         if self._surface is not None and joints is not None and joints.keys() >= set(self._surface.joints):
             outside = self._surface.points_palm(joints)
-        samples, prior = self.settings.samples, PosePrior.trusted(T, covariance)
-        correct = partial(correct_pose, self.model, contacts, outside=outside, samples=samples)
+        samples, answer, prior = self.settings.samples, self.settings.answer, PosePrior.trusted(T, covariance)
+        correct = partial(correct_pose, self.model, contacts, outside=outside, answer=answer, samples=samples)
         near = None if vision or last is None or fingers != last.fingers else last.estimate
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
-            estimate = refine_pose(self.model, contacts, prior, near.T_palm_object, outside)
+            T_near = near.T_palm_object_maximum
+            estimate = refine_pose(self.model, contacts, prior, T_near, outside=outside, answer=answer)
         if estimate is None:
             estimate = correct(vision=prior)
         if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:

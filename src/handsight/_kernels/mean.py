@@ -1,0 +1,300 @@
+"""A mode's mean and covariance where it is no Gaussian: a slide that contacts bound and do not fix, or an edge.
+
+Coordinates are (s, radius θ) [m], straight along the object (`retract_body`). Along the few directions in which the
+posterior departs from a Gaussian a lattice is flooded from the mode on, as far as there is density. At each of its
+places a Gauss-Newton step leads to the best of the other directions, which count as Gaussian there (Laplace):
+
+    weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the slide, walls in it
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.batch import _fill_prior, _load_terms
+from handsight._kernels.compiled import entry, inner
+from handsight._kernels.contact_term import Pose
+from handsight._kernels.dense6 import eigen, factor, solve
+from handsight._kernels.levenberg import Evidence, evaluate
+from handsight._kernels.posterior import posterior_cost
+from handsight._kernels.prior_term import rotation_log
+from handsight._kernels.records import (
+    PLACE,
+    PRIOR_TERM,
+    SLIDE,
+    SUMS,
+    TERM,
+    UNCERTAINTY,
+    WEAK_PRIOR,
+)
+from handsight._kernels.settings import DEPARTS, DEPTH, MOST_MEANS, MOST_PLACES, NEAR2, REACH, ROUNDS
+from handsight._kernels.simd import local
+from handsight._kernels.slide import choose, coordinates_at, fine_enough, lay_lattice, mark_spins
+from handsight._kernels.symmetry import nearest, pose_of
+from handsight._kernels.uncertainty import retract_body
+from handsight._kernels.vec3 import (
+    Mat33,
+    Vec3,
+    add,
+    cross,
+    matmul,
+    mul,
+    scale,
+    sub,
+    tmul,
+    transpose,
+)
+
+
+@inner
+def _relax(slide: Any, E: Mat33, u: Any) -> bool:
+    """Whether a step across the slide is determined; `u.column`: the step, of `u.values` the gradient, `u.matrix` the
+    Hessian by it, `u.wider` its directions (τ, radius ω) after the turn E that led to the place."""
+    count = slide.count_across
+    for a in range(count):
+        shift = mul(E, (slide.across[0, a], slide.across[1, a], slide.across[2, a]))
+        turn = mul(E, (slide.across[3, a], slide.across[4, a], slide.across[5, a]))
+        six = shift + turn
+        for i in range(6):
+            u.wider[i, a] = six[i]
+    for a in range(count):
+        slope = 0.0
+        for i in range(6):
+            row = 0.0
+            for j in range(6):
+                row += u.equations[max(i, j), min(i, j)] * u.wider[j, a]
+            u.column[i] = row
+            slope += u.equations[6, i] * u.wider[i, a]
+        u.values[a] = slope
+        for b in range(count):
+            value = 0.0
+            for i in range(6):
+                value += u.wider[i, b] * u.column[i]
+            u.matrix[b, a] = value
+    trace = 0.0
+    for a in range(count):
+        trace += u.matrix[a, a]
+    if not factor(u.matrix, count, 1e-12 * trace, u.factor):
+        return False
+    solve(u.factor, count, u.values, u.column)
+    return True
+
+
+@inner
+def _visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: Any) -> float:
+    """Log weight of a place, its other coordinates made the best there; adds it to the sums."""
+    model, count = evidence.model, slide.count_across
+    pose, cost = mode, 0.0
+    for relaxed in range(2):
+        coordinates_at(slide, place, u.row)
+        shift, turn = (u.row[0], u.row[1], u.row[2]), (u.row[3], u.row[4], u.row[5])
+        pose = retract_body(mode, (shift, scale(turn, 1 / model.radius)))
+        if relaxed:
+            cost = posterior_cost(evidence, pose)
+            break
+        evaluate(evidence, model.fine, pose, True, u.equations)
+        if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
+            return -np.inf
+        least = u.equations[6, 6]
+        for a in range(count):
+            least -= u.values[a] * u.column[a]
+            place.aside[a] -= u.column[a]
+        if least > sums.least + 2 * DEPTH:
+            return -np.inf
+        sums.least = min(sums.least, least)
+    half = 0.5 * np.sqrt(u.row[3] ** 2 + u.row[4] ** 2 + u.row[5] ** 2) / model.radius
+    if half > 0.5 * np.pi:
+        return -np.inf  # a place met before, from the other side
+    log_weight = -0.5 * cost
+    if half > 1e-6:
+        log_weight += 2 * np.log(np.sin(half) / half)  # of rotations there are fewer, the larger the turn
+    for a in range(count):
+        log_weight += np.log(u.factor[a, a])
+    _add(slide, sub(pose[1], mode[1]), model.radius, log_weight, sums, u)
+    return log_weight
+
+
+@inner
+def _add(slide: Any, shift: Vec3, radius: float, log_weight: float, sums: Any, u: Any) -> None:
+    """Adds a place with its Gaussian across the slide, both by (δp, δθ)."""
+    count = slide.count_across
+    if log_weight > sums.best:
+        before = np.exp(sums.best - log_weight)
+        sums.best = log_weight
+        sums.total *= before
+        for i in range(6):
+            sums.first[i] *= before
+            for j in range(6):
+                sums.second[i, j] *= before
+                sums.within[i, j] *= before
+    weight = np.exp(log_weight - sums.best)
+    six = shift + scale((u.row[3], u.row[4], u.row[5]), 1 / radius)
+    for a in range(count):
+        turn = scale((u.wider[3, a], u.wider[4, a], u.wider[5, a]), 1 / radius)
+        moved = scale(
+            add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), slide.stretch[a]
+        )
+        column = moved + scale(turn, slide.stretch[a])
+        # The columns of L⁻¹ Gᵀ, of which the product with itself is G H⁻¹ Gᵀ.
+        for i in range(6):
+            value = column[i]
+            for b in range(a):
+                value -= u.factor[a, b] * u.by_touch[i, b]
+            u.by_touch[i, a] = value * u.factor[a, a]
+    sums.total += weight
+    for i in range(6):
+        sums.first[i] += weight * six[i]
+        for j in range(6):
+            value = 0.0
+            for a in range(count):
+                value += u.by_touch[i, a] * u.by_touch[j, a]
+            sums.second[i, j] += weight * (six[i] * six[j])
+            sums.within[i, j] += weight * value
+
+
+@inner
+def _cover(slide: Any, others: Any, u: Any) -> None:
+    """Marks other modes (n, 7), coordinates and a mark, that lie beside the place that was visited last."""
+    for n in range(len(others)):
+        beside = True
+        for k in range(slide.count):
+            along = 0.0
+            for i in range(6):
+                along += slide.along[i, k] * (others[n, i] - u.row[i])
+            beside = beside and abs(along) <= slide.spacing[k]
+        square = 0.0
+        for a in range(slide.count_across):
+            u.column[a] = 0.0
+            for i in range(6):
+                u.column[a] += slide.across[i, a] * (others[n, i] - u.row[i])
+        for a in range(slide.count_across):
+            for b in range(slide.count_across):
+                square += u.column[a] * u.matrix[a, b] * u.column[b]
+        if beside and square < NEAR2:
+            others[n, 6] = 1.0
+
+
+@inner
+def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -> bool:
+    """Whether all that has density was visited, from the mode on."""
+    u, places, reach = local(UNCERTAINTY), np.zeros(MOST_PLACES, PLACE), REACH[slide.count - 1]
+    side = 2 * reach + 1
+    seen = np.zeros(side**slide.count, np.bool_)
+    sums.total = 0.0
+    sums.least, sums.best = np.inf, -np.inf
+    sums.first[:], sums.second[:], sums.within[:] = 0.0, 0.0, 0.0
+    count, done, middle = 1, 0, len(seen) // 2
+    seen[middle] = True
+    while done < count:
+        place = places[done]
+        done += 1
+        log_weight = _visit(evidence, mode, slide, place, sums, u)
+        if not log_weight > sums.best - 0.5 * DEPTH:
+            continue
+        _cover(slide, others, u)
+        where = middle
+        for k in range(slide.count):
+            where += place.index[k] * side**k
+        for k in range(slide.count):
+            for direction in range(2):
+                step = 2 * direction - 1
+                next_to = where + step * side**k
+                if abs(place.index[k] + step) > reach or seen[next_to]:
+                    continue
+                if count == MOST_PLACES:
+                    return False
+                seen[next_to] = True
+                added = places[count]
+                for n in range(3):
+                    added.index[n] = place.index[n] + (step if n == k else 0)
+                for n in range(6):
+                    added.aside[n] = place.aside[n]
+                count += 1
+    return True
+
+
+@inner
+def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
+    """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
+    choose(evidence, mode, slide, local(UNCERTAINTY))
+    for _ in range(ROUNDS):
+        cell = lay_lattice(slide)
+        others[:, 6] = 0.0
+        if not _flood(evidence, mode, slide, others, sums):
+            for k in range(slide.count):
+                slide.spacing[k] *= 1.5
+        elif not sums.total > 0:
+            return False
+        elif fine_enough(slide, sums, evidence.model.radius):
+            sums.best += cell - 0.5 * slide.count * np.log(2 * np.pi)
+            return True
+    return False
+
+
+@inner
+def _store_mean(model: Any, mode: Pose, slide: Any, sums: Any, row: Any) -> None:
+    """The answer's pose, covariance and information; those of a direction that is not known, blind, stay the mode's."""
+    u, radius = local(UNCERTAINTY), model.radius
+    for i in range(6):
+        u.row[i] = sums.first[i] / sums.total
+    mean = u.row
+    R, _ = retract_body(mode, ((0.0, 0.0, 0.0), (mean[3], mean[4], mean[5])))
+    for i in range(3):
+        for j in range(3):
+            row.T_palm_object[i, j] = R[i][j]
+        row.T_palm_object[i, 3] = mode[1][i] + mean[i]
+    if not slide.proper:
+        return
+    for i in range(6):
+        for j in range(6):
+            value = (sums.second[i, j] + sums.within[i, j]) / sums.total - mean[i] * mean[j]
+            row.covariance[i, j] = value
+            u.matrix[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+    limit = mark_spins(model, (R, (0.0, 0.0, 0.0)), u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    for i in range(6):
+        for j in range(6):
+            value = 0.0
+            for k in range(6):
+                if u.values[k] < limit:
+                    value += u.vectors[i, k] * u.vectors[j, k] / u.values[k]
+            row.information[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+
+
+@inner
+def _coordinates(model: Any, pose: Pose, mode: Pose, out: Any) -> None:
+    """(s, radius θ) of a pose, or its nearest equivalent, from a mode."""
+    R, p = nearest(model, pose, mode)
+    E = matmul(R, transpose(mode[0]))
+    six = tmul(E, sub(p, mode[1])) + scale(rotation_log(E), model.radius)
+    for i in range(6):
+        out[i] = six[i]
+
+
+@entry
+def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+    """Makes means of the first of the answers (K,) that depart from a Gaussian; the first set of contacts counts.
+
+    Another mode that is reached along a slide is part of that mean: its weight becomes -1. `log_weight` becomes the
+    integral's logarithm, as `mode_weights` has it. An answer's `pose` remains the mode.
+    """
+    term, slide, sums = local(PRIOR_TERM), local(SLIDE), local(SUMS)
+    terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
+    center = _load_terms(contacts[0], terms)
+    _fill_prior(model[0], prior, center, term)
+    floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
+    for k in range(min(len(answers), MOST_MEANS)):
+        row = answers[k]
+        if row.weight < 0 or not row.departure > DEPARTS:
+            continue
+        mode = pose_of(row.pose)
+        for n in range(k + 1, len(answers)):
+            _coordinates(model[0], pose_of(answers[n].pose), mode, others[n])
+        evidence = Evidence(model[0], nodes, terms, outside, term, mode[1])
+        if _integrated(evidence, mode, others[k + 1 :], slide, sums):
+            _store_mean(model[0], mode, slide, sums, row)
+            spins = 6 - slide.count - slide.count_across
+            row.log_weight = np.log(sums.total) + sums.best - 0.5 * spins * np.log(floor)
+            for n in range(k + 1, len(answers)):
+                if others[n, 6] == 1.0:
+                    answers[n].weight = -1.0

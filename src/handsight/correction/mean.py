@@ -1,0 +1,52 @@
+"""The best answer: the mean of a mode that is no Gaussian, else its maximum.
+
+Two fingers and a thumb on opposite faces leave a slide that edges bound and do not fix: the maximum of the density is
+at the interval's end, its mean in the middle. How it is integrated: `_kernels/mean.py`.
+"""
+
+import numpy as np
+
+from handsight import checks
+from handsight._kernels import mean
+from handsight._kernels.settings import DEPARTS, MOST_MEANS
+from handsight.correction import modes, solve
+from handsight.correction.estimate import PoseEstimate
+from handsight.correction.problem import Problem, descents_at
+from handsight.errors import InvalidInput
+
+ANSWERS = ("best", "maximum", "mean")
+"""The mean where a mode is no Gaussian, else the maximum; or always one of them."""
+
+
+def checked_answer(answer: object, name: str = "answer") -> str:
+    """One of `ANSWERS`; raises InvalidInput."""
+    if not isinstance(answer, str) or answer not in ANSWERS:
+        raise InvalidInput(f"{name}: expected one of {', '.join(ANSWERS)}, got {checks.brief(answer)!r}")
+    return answer
+
+
+def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
+    """The estimate whose likeliest modes are means, each where it is no Gaussian, or its first one all the same.
+
+    A mode that the same slide leads to is part of its mean, and no hypothesis any more, nor is one of two means that
+    are not apart.
+    """
+    departs = [row["departure"] > DEPARTS for row in estimate.modes[:MOST_MEANS]]
+    if answer == "maximum" or not (answer == "mean" or any(departs)):
+        return estimate
+    rows = np.array(estimate.modes)
+    if answer == "mean":
+        rows["departure"][0] = np.inf
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    used[0, list(estimate.outliers)] = False
+    mean.integrate(*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside, rows)
+    if len(rows) > 1:
+        rows = rows[rows["weight"] >= 0]
+        order = np.argsort(-rows["log_weight"], kind="stable")
+        means = descents_at(rows["T_palm_object"])
+        rows = rows[solve.distinct(problem.model, means, order, modes.MOST_MODES, modes.APART)]
+    share = np.exp(rows["log_weight"] - rows["log_weight"][0])
+    rows["weight"] = share / share.sum()
+    residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
+    consistent = modes.fits(rows[0]["chi2"], problem.freedom(used))
+    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, estimate.outliers)

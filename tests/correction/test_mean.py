@@ -1,0 +1,219 @@
+"""The answer where a mode is no Gaussian: the mean of what contacts allow, against many posterior samples."""
+
+import json
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight._kernels import mean
+from handsight.batch.problems import Reader, answer_text
+from handsight.correction import ANSWERS, Outside, Plane, refine_pose
+from handsight.correction.modes import in_metres
+from handsight.objects.symmetry import tangents
+from handsight.tracking import TrackerSettings
+from scenes import (
+    ERROR,
+    across_box,
+    box,
+    can,
+    can_contacts,
+    grasp,
+    on_box_edges,
+    opposed,
+    random_scene,
+    touched,
+)
+
+NOISE = (1.6e-3, float(np.deg2rad(4)))
+"""Of a contact in a hand whose joints are off by a degree."""
+VISION = np.repeat([0.064, np.deg2rad(10) / np.sqrt(3)], 3)
+OBSERVED = 1e-9
+
+
+def gripped(seed, kind):
+    """A model, contacts, vision and what is outside, of a grip that is bounded and not fixed; another size each time."""
+    rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
+    half = np.array([0.03, 0.045, 0.07]) if seed % 2 else rng.uniform(0.015, 0.075, 3)
+    model, surface = hs.ObjectModel.box(2 * half), opposed(rng, half[1], flat=True)
+    if kind == "can":
+        model, surface = hs.ObjectModel.cylinder(half[1], 2 * half[2]), opposed(rng, half[1], flat=False)
+    inside = np.abs(surface[0]) <= half
+    surface = np.where(inside, surface[0], 0.9 * np.sign(surface[0]) * half), surface[1]
+    if kind == "edges":
+        scene = random_scene(on_box_edges(rng, near=True), rng)
+        return box(), scene.contacts, scene.vision, None
+    T, sigma = se3.random(rng, spread=0.1), VISION.copy()
+    R = T[:3, :3]
+    sigma[2] = 0.003 if kind == "narrow" else sigma[2]
+    wrong = sigma * rng.normal(size=6)
+    T_vision = se3.moved(T, np.concatenate([R @ wrong[:3], R @ wrong[3:]]))
+    vision = hs.PosePrior(T_vision, se3.rotate_covariance(R, np.diag(sigma**2)))
+    planes = [Plane(se3.apply(T, np.array([[0, 0, -half[2]]]))[0], R[:, 2], 0.003)] if kind == "table" else []
+    aside = np.column_stack([np.full(40, -half[0] - 0.004), *rng.uniform(-0.05, 0.05, (2, 40))])
+    points = se3.apply(T, aside) if kind == "beside" else ()
+    return model, touched(T, surface, NOISE, rng), vision, Outside(points, planes)
+
+
+KINDS = ("free", "narrow", "table", "beside", "can", "edges")
+
+
+def off_by(model, estimate, sampled):
+    """How far a mean is from another [its deviations], and the deviations as shares of its, along its own axes."""
+    radius = model.radius
+    scale = np.repeat([1.0, radius], 3)
+    values, vectors = np.linalg.eigh(in_metres(sampled.information, radius))
+    known = values > OBSERVED * values[-1]
+    values, vectors = values[known], vectors[:, known]
+    shift = (
+        vectors.T @ (se3.difference(estimate.T_palm_object, sampled.T_palm_object) * scale) * np.sqrt(values)
+    )
+    own = np.linalg.pinv(in_metres(estimate.information, radius), rcond=OBSERVED, hermitian=True)
+    return np.abs(shift).max(), np.sqrt(np.einsum("ia,ij,ja,a->a", vectors, own, vectors, values))
+
+
+def compared(seeds, samples):
+    """`off_by` of the default's answer and of the maximum from that many samples, over grips of all kinds."""
+    rows = []
+    for kind in KINDS:
+        for seed in seeds:
+            model, contacts, vision, outside = gripped(seed, kind)
+            given = {"vision": vision, "outside": outside}
+            best = hs.correct_pose(model, contacts, **given)
+            maximum = hs.correct_pose(model, contacts, answer="maximum", **given)
+            sampled = hs.correct_pose(model, contacts, samples=samples, **given)
+            if np.any(best.T_palm_object != maximum.T_palm_object) and best.hypotheses[0].weight > 0.99:
+                rows.append((*off_by(model, best, sampled), off_by(model, maximum, sampled)[0]))
+    return rows
+
+
+def test_a_mean_is_near_that_of_samples():
+    rows = compared(range(2), 20_000)
+    assert len(rows) >= 8
+    assert np.median([shift for shift, *_ in rows]) < 0.15
+    assert np.median([shift for *_, shift in rows]) > 0.5  # the maximum's
+
+
+@pytest.mark.slow
+def test_a_mean_and_its_covariance_are_those_of_many_samples():
+    rows = compared(range(8), 100_000)
+    shifts = np.array([shift for shift, *_ in rows])
+    ratios = np.concatenate([ratio for _, ratio, _ in rows])
+    print(
+        f"{len(rows)} grips: mean off by {np.median(shifts):.3f} deviations (median), {np.quantile(shifts, 0.9):.2f} "
+        f"(90 %); deviations {np.quantile(ratios, 0.05):.2f} to {np.quantile(ratios, 0.95):.2f} of the samples' (90 %)"
+    )
+    assert np.median(shifts) < 0.1
+    assert np.mean(np.abs(ratios - 1) < 0.1) > 0.9
+
+
+def test_where_the_mode_is_a_gaussian_nothing_is_integrated(monkeypatch):
+    calls = []
+    monkeypatch.setattr(mean, "integrate", lambda *_: calls.append(1))
+    points = np.array([[0.03, 0, 0.01], [0, 0.045, 0], [0, 0, 0.07], [0, -0.045, 0.02], [-0.03, 0.01, 0]])
+    normals = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [-1, 0, 0]])
+    for seed in range(20):
+        contacts, vision, _ = grasp(points, normals, seed)
+        best = hs.correct_pose(box(), contacts, vision=vision)
+        maximum = hs.correct_pose(box(), contacts, vision=vision, answer="maximum")
+        np.testing.assert_array_equal(best.T_palm_object, maximum.T_palm_object)
+    assert not calls
+
+
+def test_a_gaussians_mean_is_its_maximum():
+    points = np.array([[0.03, 0, 0.01], [0, 0.045, 0], [0, 0, 0.07], [0, -0.045, 0.02], [-0.03, 0.01, 0]])
+    normals = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [-1, 0, 0]])
+    for seed in range(6):
+        contacts, vision, _ = grasp(points, normals, seed)
+        integrated = hs.correct_pose(box(), contacts, vision=vision, answer="mean")
+        maximum = hs.correct_pose(box(), contacts, vision=vision, answer="maximum")
+        shift, ratios = off_by(box(), integrated, maximum)
+        assert shift < 0.1
+        np.testing.assert_allclose(ratios, 1, atol=0.1)
+
+
+def test_the_first_hypothesis_is_the_answer_and_weights_sum_to_one():
+    for kind in KINDS:
+        for seed in range(3):
+            model, contacts, vision, outside = gripped(seed, kind)
+            estimate = hs.correct_pose(model, contacts, vision=vision, outside=outside)
+            first = estimate.hypotheses[0]
+            np.testing.assert_array_equal(first.T_palm_object, estimate.T_palm_object)
+            np.testing.assert_array_equal(first.information, estimate.information)
+            assert sum(h.weight for h in estimate.hypotheses) == pytest.approx(1)
+            assert first.weight == max(h.weight for h in estimate.hypotheses)
+            se3.check(estimate.T_palm_object, "T_palm_object")
+
+
+def test_covariance_and_information_are_each_others_inverse():
+    for seed in range(4):
+        model, contacts, vision, _ = gripped(seed, "free")
+        estimate = hs.correct_pose(model, contacts, vision=vision)
+        scale = np.repeat([1.0, 1 / model.radius], 3)
+        product = (estimate.covariance / np.outer(scale, scale)) @ in_metres(
+            estimate.information, model.radius
+        )
+        np.testing.assert_allclose(product, np.eye(6), atol=1e-6)
+
+
+def test_a_spin_about_a_declared_axis_is_not_integrated_over():
+    for seed in range(4):
+        model, contacts, vision, _ = gripped(seed, "can")
+        estimate = hs.correct_pose(model, contacts, vision=vision)
+        spin = tangents(model.symmetries, estimate.T_palm_object)[0]
+        assert estimate.covariance is None
+        assert np.abs(estimate.information @ spin).max() < 1e-4 * np.abs(estimate.information).max()
+        spun = se3.compose(se3.rotation_exp(np.array([0, 0, 1.0])), np.zeros(3))
+        turned = hs.PosePrior(vision.T_palm_object @ spun, vision.covariance)
+        other = hs.correct_pose(model, contacts, vision=turned)
+        np.testing.assert_allclose(other.T_palm_object[:3, 3], estimate.T_palm_object[:3, 3], atol=1e-3)
+
+
+def test_a_slide_is_followed_from_its_maximum_to_the_same_mean():
+    for seed in range(4):
+        model, contacts, vision, _ = gripped(seed, "free")
+        estimate = hs.correct_pose(model, contacts, vision=vision)
+        again = refine_pose(model, contacts, vision, estimate.T_palm_object_maximum)
+        assert again is not None
+        delta = se3.difference(again.T_palm_object, estimate.T_palm_object)
+        assert delta @ estimate.information @ delta < 0.3**2
+
+
+def test_two_maxima_of_one_slide_are_one_hypothesis():
+    fewer = 0
+    for seed in range(24):
+        model, contacts, vision, _ = gripped(seed, "free")
+        maxima = hs.correct_pose(model, contacts, vision=vision, answer="maximum")
+        best = hs.correct_pose(model, contacts, vision=vision)
+        assert len(best.hypotheses) <= len(maxima.hypotheses)
+        fewer += len(best.hypotheses) < len(maxima.hypotheses)
+    assert fewer
+
+
+def test_blind_a_slide_that_is_not_known_has_no_covariance():
+    contacts, _, _ = grasp(*can_contacts(), seed=3)
+    for answer in ANSWERS:
+        estimate = hs.correct_pose(can(), contacts, answer=answer)
+        assert estimate.covariance is None
+        assert np.abs(estimate.residuals.distance).max() < 0.004
+    rng = np.random.default_rng(5)
+    scene = random_scene(across_box(rng), rng, error=ERROR)
+    best = hs.correct_pose(box(), scene.contacts)
+    assert best.covariance is None
+    assert len(best.unobservable)
+
+
+def test_an_answer_that_is_none_is_named():
+    scene = grasp(*can_contacts(), seed=0)
+    with pytest.raises(
+        hs.HandsightError, match=r"^answer: expected one of best, maximum, mean, got 'median'"
+    ):
+        hs.correct_pose(can(), scene[0], vision=scene[1], answer="median")
+    with pytest.raises(
+        hs.HandsightError, match=r"^settings.answer: expected one of best, maximum, mean, got"
+    ):
+        TrackerSettings(answer="median")
+    problem = {"object": {"box": [0.1, 0.1, 0.1]}, "contacts": [{"point": [0.05, 0, 0]}], "answer": "median"}
+    said = json.loads(answer_text(Reader("."), json.dumps(problem).encode()))
+    assert said == {"error": "answer: expected one of best, maximum, mean, got 'median'"}
