@@ -22,3 +22,6 @@ LEAST_FACTOR = 0.05
 """The most that one pass lowers an information."""
 CANDIDATE_APART = (0.002, float(np.deg2rad(2.0)))
 """Two descents are worth finishing both when further apart than this [m] or turned by more than this [rad]."""
+LOOK_REACH, LOOK_SLOPE = 0.2, 1.25
+"""Points of the hand farther than this [radii] are looked at again when the object has moved by as much; a grid's
+distance rises by at most so many metres a metre."""

@@ -11,9 +11,10 @@ from handsight._kernels.compiled import inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.levenberg import Evidence
+from handsight._kernels.outside_term import NOT_LOOKED, nearby
 from handsight._kernels.posterior import information, largest_gain, posterior_cost
 from handsight._kernels.prior_term import IDENTITY
-from handsight._kernels.records import UNCERTAINTY, VISION_PRIOR
+from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, STRIDE
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import (
@@ -59,7 +60,9 @@ def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors:
     standard deviation away. Along each eigenvector the cost is read on both sides at STRIDE deviations, where a
     Gaussian's has risen by STRIDE²; the eigenvalue is scaled by what it did, again where that was more than halving it.
     """
-    radius, largest, here = evidence.model.radius, 0.0, 0.0
+    model, largest, here = evidence.model, 0.0, 0.0
+    radius = model.radius
+    near, look, rows = evidence, NOT_LOOKED, np.empty(len(evidence.outside), OUTSIDE)
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(-1, 6):
@@ -72,7 +75,12 @@ def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors:
             for side in range(2):
                 # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
                 slide = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
-                there = posterior_cost(evidence, retract_body(pose, slide))
+                beside = retract_body(pose, slide)
+                if len(rows):
+                    look = nearby(evidence, model.fine, beside, look, rows)
+                    left = rows[: look[1]]
+                    near = Evidence(model, evidence.nodes, evidence.terms, left, evidence.prior, evidence.center)
+                there = posterior_cost(near, beside)
                 if k < 0:
                     here = there
                     break
