@@ -46,10 +46,9 @@ def track(
     outside: Annotated[
         int,
         typer.Option(
-            min=0,
-            help="Use so many points of the hand's links, none of which can be inside the object; 500 serve well.",
+            min=0, help="How many points of the hand's links, none of which can be inside the object; 0: none."
         ),
-    ] = 0,
+    ] = 300,
 ) -> None:
     """Track an object in the hand through a recording.
 

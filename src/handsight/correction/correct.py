@@ -69,11 +69,11 @@ def correct_pose(
 
 
 def refine_pose(
-    model: ObjectModel, contacts: Contacts, vision: PosePrior, T_start: Array, outside: Array | None = None
+    model: ObjectModel, contacts: Contacts, vision: PosePrior, T_start: Array, outside: Outside | None = None
 ) -> PoseEstimate | None:
     """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
 
-    None where the evidence does not fit there: then search anew. `T_start` (4, 4); `outside` (m, 3) [m] or None.
+    None where the evidence does not fit there: then search anew. `T_start` (4, 4).
     """
     return solve_single_start(
         Problem(model, contacts, vision, outside_records(model, contacts, outside)), T_start

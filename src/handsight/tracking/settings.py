@@ -36,11 +36,10 @@ class TrackerSettings:
     """How long a contact that was lifted is still believed [s]; 0: not at all."""
     samples: int = 0
     """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
-    outside: int = 0
-    """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
+    outside: int = 300
+    """How many points of the hand's other links, none of which can be inside the object, are used; 0: none.
 
-    Off by itself because shapes in a hand's file are often larger than the hand. The points need the joints of all
-    links; where an observation lacks some, there are none."""
+    There are none where the hand's file has no shapes, nor where an observation lacks the joints of some link."""
     uncertain_position: float = 0.015
     """Largest standard deviation of the position [m] that counts as tracking."""
     lost_after: float = 10.0
