@@ -102,7 +102,9 @@ def test_the_cost_is_that_of_each_links_points_by_hand(name):
 def test_many_points_of_a_link_count_as_one_and_points_by_themselves_as_many():
     thing, scene = model("box"), grasp("box")
     place = se3.apply(scene.T_palm_object, np.array([[0.025, 0.0, 0.0]]))  # 5 mm deep
-    free = solve.cost(Problem(thing, scene.contacts, scene.vision, NO_OUTSIDE), scene.T_palm_object[None], EVERYONE)
+    free = solve.cost(
+        Problem(thing, scene.contacts, scene.vision, NO_OUTSIDE), scene.T_palm_object[None], EVERYONE
+    )
 
     def cost(**given):
         rows = outside_records(thing, scene.contacts, Outside(place.repeat(50, axis=0), sigmas=1e-3, **given))

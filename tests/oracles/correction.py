@@ -98,7 +98,9 @@ def of_outside(problem: Problem, T: Array, power: int = POWER) -> Array:
     places = se3.apply(se3.inverse(T), rows["point"])
     distance = fields.evaluate(problem.model.fine, places).distance if len(rows) else np.empty(0)
     deep = np.maximum(-(distance + rows["slack"]), 0.0) / rows["sigma"]
-    return np.array([(deep[rows["link"] == k] ** power).sum() ** (1 / power) for k in np.unique(rows["link"])])
+    return np.array(
+        [(deep[rows["link"] == k] ** power).sum() ** (1 / power) for k in np.unique(rows["link"])]
+    )
 
 
 def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:

@@ -1,9 +1,9 @@
 """The hand that cannot be inside the object: one-sided evidence, a row for each link.
 
-All points of one link are wrong together, by the link's own error e: it is out of the object if d(x_i + e) ≥ 0 for all
-of its points, and the least Mahalanobis length of such an e is what the link costs. Where its points are pushed out the
-same way that is the deepest point's residual alone. It is taken smoothly, as the POWER-norm of its points' residuals, so
-that two points in turn the deepest make no kink; a link of one point costs that point's square.
+All points of one link are wrong together, by the link's own error e: it is out of the object if d(x_i + e) ≥ 0 for
+all of its points, and the least Mahalanobis length of such an e is what the link costs. Where its points are pushed out
+the same way that is the deepest point's residual alone. It is taken smoothly, as the POWER-norm of its points'
+residuals, so that two points in turn the deepest make no kink; a link of one point costs that point's square.
 """
 
 from typing import Any
@@ -51,7 +51,7 @@ def _largest_move(model: Any, pose: Pose, other: Pose) -> float:
 
 @inner
 def nearby(evidence: Any, field: Any, pose: Pose, last: tuple[Pose, int], near: Any) -> tuple[Pose, int]:
-    """Where the points were looked at, and how many rows of `near` have what can matter at a pose: what is no more `far`.
+    """Where the points were looked at, and how many rows of `near` there are: what can matter at a pose is not `far`.
 
     A point that was farther from the object than any part of the object has moved since is outside. So each point's
     `clearance` is taken once and again only when the object has moved by LOOK_REACH; those beyond it are left out of

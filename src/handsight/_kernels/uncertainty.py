@@ -79,7 +79,9 @@ def calibrated_information(evidence: Evidence, pose: Pose, values: Any, vectors:
                 if len(rows):
                     look = nearby(evidence, model.fine, beside, look, rows)
                     left = rows[: look[1]]
-                    near = Evidence(model, evidence.nodes, evidence.terms, left, evidence.prior, evidence.center)
+                    near = Evidence(
+                        model, evidence.nodes, evidence.terms, left, evidence.prior, evidence.center
+                    )
                 there = posterior_cost(near, beside)
                 if k < 0:
                     here = there

@@ -61,7 +61,7 @@ class Outside:
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
-        points = _points(self.points_palm)
+        points = np.array(_points(self.points_palm))  # the caller may change its own
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
         if self.sigmas is not None:
@@ -109,13 +109,18 @@ def outside_records(
     """(m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
     if outside is None:
         return NO_OUTSIDE
-    given: Any = outside if isinstance(outside, Outside) else None
-    places = _points(outside) if given is None else given.points_palm
+    given: Any = None
+    if isinstance(outside, Outside):
+        given, places = outside, outside.points_palm
+    else:
+        places = _points(outside)
     n = len(places) if model.closed else 0
     rows = np.zeros(n + (0 if given is None else len(given.planes)), dtype=OUTSIDE)
     if n:
         points = rows[:n] if len(rows) > n else rows
-        points["point"], points["link"], points["sigma"] = places, _EACH[:n], _usual_sigma(model, contacts)
+        points["point"], points["link"] = places, _EACH[:n]
+        if given is None or given.sigmas is None:
+            points["sigma"] = _usual_sigma(model, contacts)
         if given is not None:
             _fill(points, given)
     if given is not None:

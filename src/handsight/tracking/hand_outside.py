@@ -1,4 +1,4 @@
-"""The hand's own links, which cannot be inside the object: where, how far wrong, and which are smaller than their shapes.
+"""The hand's own links, which cannot be inside the object: where, how far wrong, which are smaller than their shapes.
 
 A hand's file often has shapes larger than the hand: capsules and boxes that bulge over its skin. Such a link would be
 inside an object that the fingertips hold, and walls where there is nothing bend the answer or make contacts look wrong.
@@ -11,7 +11,6 @@ from statistics import median
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
 from handsight.correction import Outside, PoseEstimate
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
@@ -54,7 +53,7 @@ class LinkMargins:
         new = {
             link: (*earlier[1 - MOST_NOTES :], (stamp, depth))
             for link, depth in depths.items()
-            if not (earlier := self.notes.get(link, ())) or abs(stamp - earlier[-1][0]) >= NOTE_EVERY
+            if not (earlier := self.notes.get(link, ())) or abs(stamp - earlier[-1][0]) >= NOTE_EVERY - 1e-9
         }
         return replace(self, notes={**self.notes, **new}) if new else self
 
@@ -68,16 +67,18 @@ class HandOutside:
         self._surface = rig.hand.surface(count if model.closed else 0, without=frames)
         self._model = model
         self._variance_joint = rig.sigma_joint_offset**2 + rig.sigma_joint**2
-        self._first = np.searchsorted(self._surface.body_of, np.arange(len(self._surface.bodies)))
+        self.links = self._surface.bodies
+        """Those that have points."""
+        self._first = np.searchsorted(self._surface.body_of, np.arange(len(self.links)))
 
     def at(self, joint_positions: Mapping[str, float] | None, margins: LinkMargins) -> Outside | None:
         """The links as they lie; None where a joint is missing, or there are no points."""
         surface = self._surface
-        if not surface.bodies or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
+        if not self.links or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
             return None
         points, levers = surface.placed(joint_positions)
         sigmas, known = np.sqrt(self._variance_joint * levers**2 + SKIN**2), margins.known
-        slacks = np.array([known.get(link, 0.0) for link in surface.bodies]) if known else None
+        slacks = np.array([known.get(link, 0.0) for link in self.links]) if known else None
         return Outside(
             points,
             sigmas=sigmas[surface.body_of],
@@ -109,4 +110,4 @@ class HandOutside:
         beyond = np.maximum.reduceat((depth - slacks) / np.asarray(outside.sigmas), self._first)
         deepest = np.maximum.reduceat(depth, self._first)
         inside = np.flatnonzero((beyond > CONFLICT) & (deepest < LARGEST_MARGIN))
-        return {self._surface.bodies[i]: float(deepest[i]) for i in inside}
+        return {self.links[i]: float(deepest[i]) for i in inside}

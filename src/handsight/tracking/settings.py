@@ -36,7 +36,7 @@ class TrackerSettings:
     """How long a contact that was lifted is still believed [s]; 0: not at all."""
     samples: int = 0
     """Above 0: the posterior's mean from so many samples instead of its maximum; 4000 take some 50 ms."""
-    outside: int = 300
+    outside: int = 200
     """How many points of the hand's other links, none of which can be inside the object, are used; 0: none.
 
     There are none where the hand's file has no shapes, nor where an observation lacks the joints of some link."""

@@ -135,8 +135,13 @@ class Track:
         return state.vision_bias, state.covariance[6:, 6:]
 
     @property
+    def links(self) -> tuple[str, ...]:
+        """Links of the hand whose shapes keep the object out."""
+        return self._hand.links
+
+    @property
     def link_margins(self) -> dict[str, float]:
-        """By link of the hand that is smaller than its shape: by how much [m], as far as contacts have told."""
+        """By link that would be inside the object though contacts fit: how much smaller it is than its shape [m]."""
         return self._margins.known
 
     @property
