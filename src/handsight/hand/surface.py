@@ -14,8 +14,8 @@ from handsight.hand.chains import Chains
 
 SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
-FINER = 8
-"""Points drawn for each that is kept."""
+FINER, MANY = 8, 1000
+"""Points drawn for each that is kept; and points that are even enough without choosing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,28 +63,36 @@ class HandSurface:
 
 
 def spread(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
-    """As `sample`, each link's points as far from each other as can be: of FINER times as many, the farthest next."""
+    """As `sample`, each link's points as evenly on it as can be, chosen of FINER times as many; up to MANY of all."""
+    if count > MANY:
+        return sample(triangles, count, seed)
     link, _, _ = sample(triangles, count, seed)
     finer, points, normals = sample(triangles, FINER * count, seed)
-    chosen = [
-        mine[farthest(points[mine], int((link == k).sum()))]
-        for k in np.unique(link)
-        if len(mine := np.flatnonzero(finer == k))
-    ]
-    rows = np.concatenate(chosen) if chosen else np.zeros(0, dtype=np.int64)
+    chosen = [np.zeros(0, dtype=np.int64)]
+    for k in np.unique(link):
+        mine = np.flatnonzero(finer == k)
+        chosen.append(mine[evenly(points[mine], int((link == k).sum()))])
+    rows = np.concatenate(chosen)
     return finer[rows], points[rows], normals[rows]
 
 
-def farthest(points: Array, count: int) -> Indices:
-    """(count,) of points (n, 3), each next one the farthest from those before; the first is the farthest out."""
-    from_middle = points - points.mean(axis=0)
-    nearest, chosen = np.full(len(points), np.inf), list[int]()
-    place = int(np.einsum("ni,ni->n", from_middle, from_middle).argmax())
-    for _ in range(min(count, len(points))):
-        chosen.append(place)
+def evenly(points: Array, count: int) -> Indices:
+    """(count,) of points (n, 3), count ≤ n: each the middle of those that are nearer to it than to the others.
+
+    First each next one is the farthest from those before, which is on edges; the middle of its share is not.
+    """
+    place, nearest, owner = 0, np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+    for k in range(count):
         away = points - points[place]
-        nearest = np.minimum(nearest, np.einsum("ni,ni->n", away, away))
+        square = np.einsum("ni,ni->n", away, away)
+        owner[square < nearest] = k
+        nearest = np.minimum(nearest, square)
         place = int(nearest.argmax())
+    chosen = []
+    for k in range(count):
+        mine = np.flatnonzero(owner == k)
+        away = points[mine] - points[mine].mean(axis=0)
+        chosen.append(mine[np.einsum("ni,ni->n", away, away).argmin()])
     return np.array(chosen, dtype=np.int64)
 
 
