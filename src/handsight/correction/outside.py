@@ -109,11 +109,8 @@ def outside_records(
     """(m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
     if outside is None:
         return NO_OUTSIDE
-    given: Any = None
-    if isinstance(outside, Outside):
-        given, places = outside, outside.points_palm
-    else:
-        places = _points(outside)
+    given: Any = outside if isinstance(outside, Outside) else None
+    places: Any = outside.points_palm if isinstance(outside, Outside) else _points(outside)
     n = len(places) if model.closed else 0
     rows = np.zeros(n + (0 if given is None else len(given.planes)), dtype=OUTSIDE)
     if n:
