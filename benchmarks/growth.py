@@ -110,25 +110,31 @@ def hypotheses(seconds: float) -> list[Row]:
 
 
 def batch(seconds: float) -> tuple[list[Row], dict[str, Any]]:
-    """One correction against one hypothesis of a batch of 4 096: rows, and the ratio batch per hypothesis / single.
+    """One correction against one hypothesis of a batch of 4 096, and against one with a hand: rows and ratios.
 
     On one core, so that the ratio says nothing of who else is busy.
     """
     problem, count = workload.draw("box", workload.NEAR, 1), 4096
     model, scene = problem.model, problem.scene
+    given, hand = (model, scene.contacts), scenes.behind_contacts(scene, HAND)
     calls = [
-        ("one correction", lambda: hs.correct_pose(model, scene.contacts, vision=scene.vision)),
+        ("one correction", lambda: hs.correct_pose(*given, vision=scene.vision)),
+        ("with a hand", lambda: hs.correct_pose(*given, vision=scene.vision, outside=hand)),
         (f"a batch of {count}", with_starts(problem, count)),
     ]
     with alone():
         times = timing.in_turn(calls, seconds)
-    single, each = (times[name] for name, _ in calls)
+    single, held, each = (times[name] for name, _ in calls)
     rows = [
         {"name": "one correction, the public call", **timing.summary(single)},
+        {"name": f"the same with {HAND} points of the hand", **timing.summary(held)},
         {"name": f"a batch of {count}, per hypothesis", "per_second": count / float(np.median(each))}
         | timing.summary(each / count),
     ]
-    return rows, {"batch per hypothesis / single": timing.ratio(each / count, single)}
+    return rows, {
+        "batch per hypothesis / single": timing.ratio(each / count, single),
+        f"{HAND} points of the hand / none": timing.ratio(held, single),
+    }
 
 
 def meshes(seconds: float) -> list[Row]:

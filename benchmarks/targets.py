@@ -65,6 +65,11 @@ def times_faster(ratio: str) -> Read:
     return lambda results: 1 / results["ratios"][ratio]["ratio"]
 
 
+def ratio(name: str) -> Read:
+    """As it is."""
+    return lambda results: results["ratios"][name]["ratio"]
+
+
 def of(section: str, name: str, key: str = "median_s") -> Read:
     """One number of the row whose name begins so."""
     return lambda results: next(r[key] for r in results["sections"][section] if r["name"].startswith(name))
@@ -108,6 +113,7 @@ TARGETS = [
     Target("correct_pose, 85 mm start, median", worst("ours", "median_s", FAR), 1, scale=1e3, unit="ms"),
     Target("blind, five contacts with normals", slowest("blind", "handsight, blind"), 30, scale=1e3, unit="ms"),
     Target("blind, sixty without", slowest("blind", "handsight, 60"), 0.5, unit="s"),
+    Target("correct_pose, 100 points of the hand over none", ratio("100 points of the hand / none"), 1.5, unit="x"),
     Target("hypotheses", best_rate(0), 250, at_most=False, scale=1e-3, unit="k/s"),
     Target("hypotheses with 100 outside points", best_rate(100), 70, at_most=False, scale=1e-3, unit="k/s"),
     Target("contact sensing in batch, a core", of("sensing", "closed form", "per_second"), 40, False, 1e-6, "M/s"),

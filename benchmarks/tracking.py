@@ -28,7 +28,7 @@ STEP, SEEN_EVERY = 1e-3, 0.1
 KINDS = {
     "held": TrackerSettings(),
     "corrected": TrackerSettings(rate=100),
-    "corrected, 500 points of the hand": TrackerSettings(rate=100, outside=500),
+    "corrected, no points of the hand": TrackerSettings(rate=100, outside=0),
 }
 
 

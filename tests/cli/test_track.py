@@ -42,7 +42,11 @@ def test_rig_check_prints_the_rig_and_what_the_recording_lacks(simulated, asked)
     assert out.startswith("can.rig.yaml: 5 fingers on robot0:palm, 24 joints\n")
     assert max(map(len, out.splitlines())) <= 80
     assert "th         robot0:thdistal  10.5 x 10.5 x 16" in out
-    assert out.endswith("can.mcap has everything that this rig listens to.\n")
+    said, links = out.split("can.mcap has everything that this rig listens to.\n")
+    assert "larger than it is by [mm]" in links
+    rows = dict(line.split() for line in links.splitlines() if line.startswith("robot0:"))
+    assert rows["robot0:palm"] == rows["robot0:thmiddle"] == "-"
+    assert not {finger.split()[1] for finger in said.splitlines() if "distal" in finger} & set(rows)
 
 
 def test_what_a_recording_lacks_for_a_rig_is_listed(simulated, monkeypatch, capsys):

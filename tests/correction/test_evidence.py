@@ -66,7 +66,7 @@ def test_a_hand_point_outside_costs_nothing_and_one_inside_costs_its_depth():
         problem = Problem(box(), contacts, vision, hand)
         cost = solve.cost(problem, T[None], EVERYONE)[0] - free
         assert cost == pytest.approx((depth / 0.002) ** 2, abs=1e-9)
-        assert oracle.of_outside(problem, T)[0] == pytest.approx(-depth / 0.002, abs=1e-9)
+        assert oracle.of_outside(problem, T)[0] == pytest.approx(depth / 0.002, abs=1e-9)
 
 
 def test_a_wall_costs_and_says_nothing_of_the_way_back():

@@ -76,6 +76,8 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
         hand = np.zeros(outside, dtype=OUTSIDE)
         hand["point"] = palm[rng.integers(n, size=outside)] + rng.normal(0, 0.01, (outside, 3))
         hand["sigma"] = rng.uniform(1e-3, 3e-3, outside)
+        hand["link"] = np.sort(rng.integers(7, size=outside))
+        hand["slack"] = 1e-3 * (hand["link"] % 3)
     return Problem(model(name), contacts, None if blind else vision, hand)
 
 

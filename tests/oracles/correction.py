@@ -3,6 +3,7 @@
 import numpy as np
 
 from handsight import se3
+from handsight._kernels.outside_term import POWER
 from handsight.checks import Array
 from handsight.correction.problem import Problem
 from oracles import fields
@@ -97,13 +98,15 @@ def of_prior(problem: Problem, T: Array) -> Array:
     return root @ np.concatenate([shift, turn])
 
 
-def of_outside(problem: Problem, T: Array) -> Array:
-    """Residuals (m,) of the hand's points: how deep each is, in its deviations."""
-    if not len(problem.outside):
-        return np.empty(0)
-    places = se3.apply(se3.inverse(T), problem.outside["point"])
-    depth = fields.evaluate(problem.model.fine, places).distance
-    return np.minimum(depth, 0.0) / problem.outside["sigma"]
+def of_outside(problem: Problem, T: Array, power: int = POWER) -> Array:
+    """Residuals (links,) of the hand: the norm of how deep a link's points are, in their deviations."""
+    rows = problem.outside
+    places = se3.apply(se3.inverse(T), rows["point"])
+    distance = fields.evaluate(problem.model.fine, places).distance if len(rows) else np.empty(0)
+    deep = np.maximum(-(distance + rows["slack"]), 0.0) / rows["sigma"]
+    return np.array(
+        [(deep[rows["link"] == k] ** power).sum() ** (1 / power) for k in np.unique(rows["link"])]
+    )
 
 
 def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:

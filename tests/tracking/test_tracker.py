@@ -53,10 +53,12 @@ def test_a_box_between_two_faces_is_said_to_be_uncertain(box):
 
 
 def test_points_of_the_hand_bound_a_slide_and_are_left_out_where_their_joints_are(box):
-    tracker = tracked(box, outside=500)
+    tracker = tracked(box)
     inside = se3.apply(
         se3.inverse(tracker.estimate.T_palm_object),
-        tracker._surface.points_palm(box.held[-1].joint_positions),
+        box.rig.hand.surface(200, without=[f.frame for f in box.rig.fingers.values()]).points_palm(
+            box.held[-1].joint_positions
+        ),
     )
     assert box.model.fine.evaluate(inside).distance.min() > -0.004
     # The ring finger holds nothing here: without one of its joints there is no surface, and all else goes on.
@@ -64,7 +66,7 @@ def test_points_of_the_hand_bound_a_slide_and_are_left_out_where_their_joints_ar
     tips = {finger: f.frame for finger, f in three.items()}
     hand = Hand.from_file(box.rig.hand.file, palm=box.rig.hand.palm, tips=tips)
     rig = replace(box.rig, hand=hand, fingers=three)
-    lacking = Tracker(rig, box.model, settings=TrackerSettings(outside=500))
+    lacking = Tracker(rig, box.model)
     for seen in box.observations:
         joints = {name: q for name, q in seen.joint_positions.items() if name != "robot0:RFJ2"}
         lacking.update(replace(seen, joint_positions=joints))

@@ -14,10 +14,10 @@ from handsight._kernels.contact_term import (
     surface_at,
 )
 from handsight._kernels.dense6 import factor, solve
-from handsight._kernels.outside_term import add_outside
+from handsight._kernels.outside_term import NOT_LOOKED, add_outside, nearby
 from handsight._kernels.plane_term import add_planes
 from handsight._kernels.prior_term import add_prior
-from handsight._kernels.records import NO_PRIOR, WORKSPACE
+from handsight._kernels.records import NO_PRIOR, OUTSIDE, WORKSPACE
 from handsight._kernels.settings import MAX_TURN, SHORT_STEP
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import Vec3, add, matmul, mul, norm, scale, sub, vector
@@ -116,14 +116,20 @@ def descend(
     cost; only a step that was taken can end a descent as converged. `rewhiten`: weigh the contacts as they are at the
     pose, else as they were last.
     """
-    workspace, radius = local(WORKSPACE), evidence.model.radius
+    workspace, model, center = local(WORKSPACE), evidence.model, evidence.center
+    radius = model.radius
     now, new = workspace.now, workspace.next
     most, small = limits
     step = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     candidate, damping, tried, converged = pose, 1e-6, -1, False
+    near, look, rows = evidence, NOT_LOOKED, np.empty(len(evidence.outside), OUTSIDE)
     while True:
+        if len(rows):
+            look = nearby(evidence, field, candidate, look, rows)
+            # No function can answer with it: it holds a record.
+            near = Evidence(model, evidence.nodes, evidence.terms, rows[: look[1]], evidence.prior, center)
         # One place evaluates, the first pose as well as every candidate: it is most of what there is to compile.
-        evaluate(evidence, field, candidate, rewhiten and tried < 0, new)
+        evaluate(near, field, candidate, rewhiten and tried < 0, new)
         tried += 1
         # At rounding level the cost cannot tell better from worse; such a step counts as taken.
         if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):
@@ -141,4 +147,4 @@ def descend(
         if converged or tried == most:
             return pose, now[6, 6], tried, converged
         step = damped_step(now, radius, damping, workspace)
-        candidate = retract(pose, step, evidence.center, radius)
+        candidate = retract(pose, step, center, radius)

@@ -83,8 +83,18 @@ CONTACT = _record(
     ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
 )
 PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
-# What cannot be inside the object: a point of the hand; or a plane and all behind it, `point` any of its points.
-OUTSIDE = _record(("point", "f8", (3,)), ("sigma", "f8"), ("is_plane", "i8"), ("normal", "f8", (3,)))
+# What cannot be inside the object: a point of the hand, those of one link in a row; or a plane and all behind it,
+# `point` any of its points.
+OUTSIDE = _record(
+    ("point", "f8", (3,)),
+    ("sigma", "f8"),
+    ("is_plane", "i8"),
+    ("normal", "f8", (3,)),
+    ("link", "i8"),  # whose points are wrong together
+    ("slack", "f8"),  # how deep inside it may be [m]: the link is that much smaller than its shape
+    ("clearance", "f8"),  # from the object, where it was last looked at [m]
+    ("far", "i8"),  # outside for certain
+)
 
 # What a correction works out of a contact.
 TERM = _record(

@@ -42,3 +42,6 @@ REACH = (200, 40, 15)
 """Places to either side of the mode, along one, two or three directions."""
 NEAR2 = 16.0
 """A mode so near to a place, in squared deviations across the slide, belongs to it."""
+LOOK_REACH, LOOK_SLOPE = 0.2, 1.25
+"""Points of the hand farther than this [radii] are looked at again when the object has moved by as much; a grid's
+distance rises by at most so many metres a metre."""

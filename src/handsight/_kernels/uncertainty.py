@@ -11,9 +11,10 @@ from handsight._kernels.compiled import inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.levenberg import Evidence
+from handsight._kernels.outside_term import NOT_LOOKED, nearby
 from handsight._kernels.posterior import information, largest_gain, posterior_cost
 from handsight._kernels.prior_term import IDENTITY
-from handsight._kernels.records import UNCERTAINTY, VISION_PRIOR
+from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, SLIDE, STRIDE
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import (
@@ -63,7 +64,9 @@ def calibrated_information(
     it. `rises` (6): how much more than a Gaussian's the cost rose to the steeper side, as a ratio; infinite where a
     deviation is an open direction's, and 0 where nothing is known.
     """
-    radius, largest, here = evidence.model.radius, 0.0, 0.0
+    model, largest, here = evidence.model, 0.0, 0.0
+    radius = model.radius
+    near, look, rows = evidence, NOT_LOOKED, np.empty(len(evidence.outside), OUTSIDE)
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(-1, 6):
@@ -76,7 +79,14 @@ def calibrated_information(
             for side in range(2):
                 # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
                 slide = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
-                there = posterior_cost(evidence, retract_body(pose, slide))
+                beside = retract_body(pose, slide)
+                if len(rows):
+                    look = nearby(evidence, model.fine, beside, look, rows)
+                    left = rows[: look[1]]
+                    near = Evidence(
+                        model, evidence.nodes, evidence.terms, left, evidence.prior, evidence.center
+                    )
+                there = posterior_cost(near, beside)
                 if k < 0:
                     here = there
                     break

@@ -27,9 +27,11 @@ calibrate_app = typer.Typer(help="What is constantly wrong, from a recording.", 
 def check(
     rig: Annotated[Path, typer.Argument(help="A rig.yaml.")],
     recording: Annotated[Path | None, typer.Argument(help="A recording to check it against.")] = None,
+    object: ObjectName = None,
 ) -> None:
-    """Print the rig as a table, and what a recording lacks for it.
+    """Print the rig as a table, what a recording lacks for it, and links whose shapes are larger than they are.
 
+    Such a link would be inside the object in the recording while the fingertips' contacts fit.
     The exit code is 1 where the recording lacks something that tracking needs, touch of any finger among it.
     """
     from handsight.rig import Rig
@@ -48,6 +50,37 @@ def check(
     if lacking or len(untouched) == len(found.fingers):
         raise typer.Exit(1)
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
+    _print_links(recording, rig, object)
+
+
+def _print_links(recording: Path, rig: Path, name: str | None) -> None:
+    """Tracks a recording, and prints by how much each link's shape is larger than the link."""
+    from rich.console import Console
+
+    from handsight.recording import open_recording
+    from handsight.tracking import Tracker
+    from handsight.tracking.replay import Tally, replay
+
+    try:
+        found, model = rig_and_object(recording, rig, name)
+    except InvalidInput as error:
+        typer.echo(printable(f"Shapes of the links were not looked at: {error}"))
+        return
+    announce_compiling()
+    tracker = Tracker(found, model)
+    if not tracker.links:
+        lacks = "the hand's file has no shapes" if model.closed else "the object has no inside"
+        typer.echo(printable(f"No link keeps the object out: {lacks}."))
+        return
+    with open_recording(recording, found) as opened:
+        for _ in replay(opened.observations(), tracker, Tally()):
+            pass
+    margins = tracker.link_margins
+    rows = [
+        [printable(link), f"{1e3 * margins[link]:.1f}" if link in margins else "-"] for link in tracker.links
+    ]
+    out = Console(markup=False, highlight=False)
+    out.print("", table(("link", "larger than it is by [mm]"), rows, texts=1, box=None, pad_edge=False))
 
 
 def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:

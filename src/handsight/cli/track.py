@@ -51,9 +51,9 @@ def track(
         int,
         typer.Option(
             min=0,
-            help="Use so many points of the hand's links, none of which can be inside the object; 500 serve well.",
+            help="How many points of the hand's links, none of which can be inside the object; 0: none.",
         ),
-    ] = 0,
+    ] = 200,
 ) -> None:
     """Track an object in the hand through a recording.
 
@@ -103,6 +103,8 @@ class Run:
     """Of "vision" and "tracked" against the truth, where the recording has one."""
     untouched: dict[str, dict[str, int]] = field(default_factory=dict)
     """By finger that never touched anything: its observations, by why there was no contact."""
+    margins: dict[str, float] = field(default_factory=dict)
+    """By link of the hand that is smaller than its shape: by how much [m]."""
     ends: list[End] = field(default_factory=list)
     """Of what ended early."""
 
@@ -134,6 +136,7 @@ class Run:
             "last_reason": self.reason,
             "refused": dict(tally.refused),
             "fingers_without_contact": self.untouched,
+            "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "recording_says": self.said,
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
@@ -163,6 +166,8 @@ class Run:
         for finger, why in self.untouched.items():
             reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
             lines.append(f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})")
+        if self.margins:
+            lines.append(larger_shapes(self.margins))
         lines += [end.said for end in self.ends if end.said]
         for name, errors in self.errors.items():
             n = errors.summary()
@@ -171,6 +176,12 @@ class Run:
                 f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
             )
         return lines
+
+
+def larger_shapes(margins: dict[str, float]) -> str:
+    """A sentence of the links whose shapes would be inside the object."""
+    by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in margins.items())
+    return f"shapes of the hand's file larger than the hand, inside the object though contacts fit: {by}; taken off"
 
 
 def refusals(tally: "Tally") -> list[str]:
@@ -217,7 +228,7 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
             raise end.error
         ended.said = [*recording.report.sentences(), *recording.lacks()]
         ended.truths = Truths(recording.truth)
-    ended.corrections = tracker.corrections
+    ended.corrections, ended.margins = tracker.corrections, tracker.link_margins
     ended.reason = tracker.reason if ended.steps else without_pose(ended.tally, tracker)
     without, touched = ended.tally.without, ended.tally.touched
     ended.untouched = {name: dict(without.get(name, {})) for name in rig.fingers if name not in touched}

@@ -85,13 +85,13 @@ def refine_pose(
     vision: PosePrior,
     T_start: Array,
     *,
-    outside: Array | None = None,
+    outside: Outside | None = None,
     answer: str = "best",
 ) -> PoseEstimate | None:
     """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
 
     None where the evidence does not fit there: then search anew. `T_start` (4, 4): the maximum of a moment ago, not a
-    mean, which may fit nowhere; `outside` (m, 3) [m] or None.
+    mean, which may fit nowhere.
     """
     problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
     estimate = solve_single_start(problem, T_start)

@@ -1,5 +1,6 @@
 """What cannot be inside the object, checked, as kernels take it: points of the hand, and planes such as a table."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,18 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
 from handsight._kernels.records import OUTSIDE
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.contact import Contacts
 from handsight.correction.problem import check_number
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 POINT_SIGMA = (1.5, 1e-3)
-"""Of a point of the hand: in sigmas of the contacts' points, and at least this [diameters]. It is as uncertain as the
-contacts, through the same kinematics, and the points of one link are wrong together, hence more than that."""
+"""Of a point of the hand that has none of its own: in sigmas of the contacts' points, and at least this [diameters]. It
+is as uncertain as the contacts, through the same kinematics, and others beside it are wrong with it, hence more."""
 MOST_POINTS, MOST_PLANES = 10_000, 100
-"""Of one correction: each costs as much as the one before it."""
+"""Of one correction."""
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
+_EACH = np.arange(MOST_POINTS)
 
 
 @dataclass(frozen=True)
@@ -48,33 +50,97 @@ class Outside:
     """(m, 3) of the hand's surface [m]."""
     planes: Sequence[Plane] = ()
     """With all that is behind them."""
+    sigmas: ArrayLike | None = None
+    """One for all points or (m,): one standard deviation per axis [m]; None: 1.5 times the median contact's."""
+    links: ArrayLike | None = None
+    """(m,) whole numbers: points of one link are wrong together, and count as the deepest of them does; None: each
+    point by itself."""
+    slacks: ArrayLike | None = None
+    """One for all points or (m,): how deep inside a point may be, where a link is smaller than its shape [m]."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
+        points = np.array(_points(self.points_palm))  # the caller may change its own
+        check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
+        object.__setattr__(self, "points_palm", points)
+        if self.sigmas is not None:
+            sigmas = _each(self.sigmas, "outside.sigmas", len(points), (checks.FINEST, checks.FARTHEST))
+            object.__setattr__(self, "sigmas", sigmas)
+        if self.links is not None:
+            object.__setattr__(self, "links", _links(self.links, len(points)))
+        if self.slacks is not None:
+            slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.FARTHEST))
+            object.__setattr__(self, "slacks", slacks)
+
+
+def _points(value: ArrayLike) -> Array:
+    """(m, 3), or none; raises InvalidInput."""
+    if isinstance(value, np.ndarray | list | tuple) and not len(value):
+        return np.empty((0, 3))
+    usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
+    # What is wrong with any of them takes longer to tell; NaN is smaller than nothing.
+    if not (usual and value.min() >= -checks.FARTHEST and value.max() <= checks.FARTHEST):  # type: ignore[union-attr]
+        value = checks.position(value, "outside", (None, 3))
+    check_number(len(value), MOST_POINTS, "outside", "points")  # type: ignore[arg-type]
+    return value  # type: ignore[return-value]
+
+
+def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
+    """() or (n,) between limits; raises InvalidInput."""
+    numbers = checks.finite(value, name, (n,) if checks.axes(value) else ())
+    if numbers.size and not limits[0] <= numbers.min() <= numbers.max() <= limits[1]:
+        low, high = limits
+        raise InvalidInput(f"{name}: expected numbers from {low:g} to {high:g}, got {checks.brief(value)}")
+    return numbers
+
+
+def _links(value: ArrayLike, n: int) -> Indices:
+    """(n,) whole; raises InvalidInput."""
+    numbers = checks.finite(value, "outside.links", (n,))
+    if (numbers != np.rint(numbers)).any() or np.abs(numbers).max(initial=0.0) > 2**31:
+        raise InvalidInput(f"outside.links: expected whole numbers, got {checks.brief(value)}")
+    return numbers.astype(np.int64)
 
 
 def outside_records(
     model: ObjectModel, contacts: Contacts, outside: ArrayLike | Outside | None
 ) -> NDArray[Any]:
-    """(m,) OUTSIDE. Points say nothing of an object that has no inside."""
+    """(m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
     if outside is None:
         return NO_OUTSIDE
-    given = outside if isinstance(outside, Outside) else Outside(outside)
-    points = np.empty((0, 3))
-    if not (isinstance(given.points_palm, np.ndarray | list | tuple) and not len(given.points_palm)):
-        points = checks.position(given.points_palm, "outside", (None, 3))
-    check_number(len(points), MOST_POINTS, "outside", "points")
-    check_number(len(given.planes), MOST_PLANES, "outside.planes", "planes")
-    if not model.closed:
-        points = points[:0]
-    rows = np.zeros(len(points) + len(given.planes), dtype=OUTSIDE)
-    sigmas = np.sort(np.sqrt(np.einsum("nii->n", contacts.covariance[:, :3, :3]) / 3))
-    # np.median takes longer than all the rest.
-    median = (sigmas[(len(sigmas) - 1) // 2] + sigmas[len(sigmas) // 2]) / 2
-    rows["point"][: len(points)] = points
-    rows["sigma"] = POINT_SIGMA[0] * max(median, POINT_SIGMA[1] * model.diameter)
-    for row, plane in zip(rows[len(points) :], given.planes, strict=True):
-        row["is_plane"], row["sigma"] = True, plane.sigma
-        row["point"], row["normal"] = plane.point_palm, plane.normal_palm
+    given: Any = outside if isinstance(outside, Outside) else None
+    places: Any = outside.points_palm if isinstance(outside, Outside) else _points(outside)
+    n = len(places) if model.closed else 0
+    rows = np.zeros(n + (0 if given is None else len(given.planes)), dtype=OUTSIDE)
+    if n:
+        points = rows[:n] if len(rows) > n else rows
+        points["point"], points["link"] = places, _EACH[:n]
+        if given is None or given.sigmas is None:
+            points["sigma"] = _usual_sigma(model, contacts)
+        if given is not None:
+            _fill(points, given)
+    if given is not None:
+        for row, plane in zip(rows[n:], given.planes, strict=True):
+            row["is_plane"], row["sigma"] = True, plane.sigma
+            row["point"], row["normal"] = plane.point_palm, plane.normal_palm
     return rows
+
+
+def _fill(points: NDArray[Any], given: Any) -> None:
+    """Writes what is said of the points beside where they are; those of a link then stand together."""
+    for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
+        if values is not None:
+            points[name] = values
+    if given.links is not None and (given.links[1:] < given.links[:-1]).any():
+        points[:] = points[np.argsort(given.links, kind="stable")]
+
+
+def _usual_sigma(model: ObjectModel, contacts: Contacts) -> float:
+    """Of a point that says none of its own [m]."""
+    covariance = contacts.covariance
+    variances = sorted((covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]).tolist())
+    # np.median takes longer than all the rest.
+    middle = variances[(len(variances) - 1) // 2], variances[len(variances) // 2]
+    median = (math.sqrt(middle[0] / 3) + math.sqrt(middle[1] / 3)) / 2
+    return POINT_SIGMA[0] * max(median, POINT_SIGMA[1] * model.diameter)

@@ -12,7 +12,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
 from handsight.hand.description import read
-from handsight.hand.surface import HandSurface, sample, triangles_of
+from handsight.hand.surface import HandSurface, spread, triangles_of
 
 _WORLD = 0
 
@@ -118,7 +118,7 @@ class Hand:
     def surface(
         self, count: int, *, seed: int = 0, shrink: float = 0.0015, without: Collection[str] = ()
     ) -> HandSurface:
-        """`count` points on the links that move with the palm or hang on it, evenly by area.
+        """`count` points on the links that move with the palm or hang on it, by area, evenly on each.
 
         They lie on the shapes that touch, else on those that are seen, inside by `shrink` [m]; fixed by `seed`.
         `without`: bodies left out, such as tips that have a shape of their own. No points where the file has no
@@ -130,15 +130,16 @@ class Hand:
         left_out = {self._body(name, "without") for name in without}
         bodies = [body for body in self._links() if body not in left_out]
         triangles = [triangles_of(self._model, body) for body in bodies]
-        link, points, normals = sample(triangles, int(count), seed)
+        link, points, normals = spread(triangles, int(count), seed)
         used, body_of = np.unique(link, return_inverse=True)
-        with_points = [bodies[i] for i in used]
+        with_points, inside = [bodies[i] for i in used], points - inward * normals
         return HandSurface(
             bodies=tuple(str(self._model.body(i).name) for i in with_points),
             body_of=body_of.astype(np.int64),
-            points_body=points - inward * normals,
+            points_body=inside,
             normals=normals,
             chains=chains(self._model, self._palm, with_points, self._name),
+            middles=np.array([inside[body_of == i].mean(axis=0) for i in range(len(used))]).reshape(-1, 3),
         )
 
     def _links(self) -> list[int]:

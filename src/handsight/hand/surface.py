@@ -14,6 +14,8 @@ from handsight.hand.chains import Chains
 
 SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
+FINER, MANY = 8, 1000
+"""Points drawn for each that is kept; and points that are even enough without choosing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +32,8 @@ class HandSurface:
     """(m, 3) unit, outward, in the axes of its link."""
     chains: Chains
     """Of `bodies`, from the palm."""
+    middles: Array
+    """(b, 3) of each link's points, in its axes [m]."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -42,9 +46,54 @@ class HandSurface:
         Needs the joints of every link that has points, fingers without a tip among them.
         """
         Ts, _ = self.chains.poses(joint_positions)
-        points = np.empty_like(self.points_body)
-        chain.carried(self.points_body, self.body_of, Ts, points)
-        return points
+        return self._carried(self.points_body, self.body_of, Ts)
+
+    def placed(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
+        """The points (m, 3) as `points_palm`, and (b,) how far each link's middle moves per axis [m] when every joint
+        is off by a radian, each for itself: root mean square."""
+        Ts, axes = self.chains.poses(joint_positions)
+        bodies = np.arange(len(self.bodies))
+        by_joint = self.chains.jacobians(self._carried(self.middles, bodies, Ts), bodies, axes)[:, :3]
+        return self._carried(self.points_body, self.body_of, Ts), np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
+
+    def _carried(self, points: Array, bodies: Indices, Ts: Array) -> Array:
+        out = np.empty_like(points)
+        chain.carried(points, bodies, Ts, out)
+        return out
+
+
+def spread(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
+    """As `sample`, each link's points as evenly on it as can be, chosen of FINER times as many; up to MANY of all."""
+    if count > MANY:
+        return sample(triangles, count, seed)
+    link, _, _ = sample(triangles, count, seed)
+    finer, points, normals = sample(triangles, FINER * count, seed)
+    chosen = [np.zeros(0, dtype=np.int64)]
+    for k in np.unique(link):
+        mine = np.flatnonzero(finer == k)
+        chosen.append(mine[evenly(points[mine], int((link == k).sum()))])
+    rows = np.concatenate(chosen)
+    return finer[rows], points[rows], normals[rows]
+
+
+def evenly(points: Array, count: int) -> Indices:
+    """(count,) of points (n, 3), count ≤ n: each the middle of those that are nearer to it than to the others.
+
+    First each next one is the farthest from those before, which is on edges; the middle of its share is not.
+    """
+    place, nearest, owner = 0, np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+    for k in range(count):
+        away = points - points[place]
+        square = np.einsum("ni,ni->n", away, away)
+        owner[square < nearest] = k
+        nearest = np.minimum(nearest, square)
+        place = int(nearest.argmax())
+    chosen = []
+    for k in range(count):
+        mine = np.flatnonzero(owner == k)
+        away = points[mine] - points[mine].mean(axis=0)
+        chosen.append(mine[np.einsum("ni,ni->n", away, away).argmin()])
+    return np.array(chosen, dtype=np.int64)
 
 
 def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:

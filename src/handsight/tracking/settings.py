@@ -39,11 +39,10 @@ class TrackerSettings:
     """As `correct_pose` takes it: the mean where contacts bound a slide and do not fix it, else the maximum."""
     samples: int = 0
     """Above 0: the mean from so many samples instead, an independent check; 4000 take some 50 ms."""
-    outside: int = 0
-    """How many points of the hand's other links, none of which can be inside the object, are used; 500 serve well.
+    outside: int = 200
+    """How many points of the hand's other links, none of which can be inside the object, are used; 0: none.
 
-    Off by itself because shapes in a hand's file are often larger than the hand. The points need the joints of all
-    links; where an observation lacks some, there are none."""
+    There are none where the hand's file has no shapes, nor where an observation lacks the joints of some link."""
     uncertain_position: float = 0.015
     """Largest standard deviation of the position [m] that counts as tracking."""
     lost_after: float = 10.0

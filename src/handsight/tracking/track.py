@@ -10,12 +10,13 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import PoseEstimate, PosePrior, correct_pose, refine_pose
+from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
+from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargins, Solve
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import propagated, sigma_of_point, walked
@@ -70,13 +71,13 @@ class Track:
         self.rig, self.model, self.settings = rig, model, settings
         self.corrections = 0
         """How often the pose was corrected."""
-        s, frames = settings, [finger.frame for finger in rig.fingers.values()]
+        s = settings
         self._start, self._sensors = start, FingertipSensors(rig)
         self._offsets = joint_offsets
         """By the grips before this one."""
         self._learnt_from: Correction | None = None
         """The last correction of these."""
-        self._surface = rig.hand.surface(s.outside, without=frames) if s.outside else None
+        self._hand, self._margins = HandOutside(rig, model, s.outside), LinkMargins()
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
         self._begin()
@@ -94,7 +95,8 @@ class Track:
         self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
-        self._propagated_to = self._measured_at = self._fits_at = self._recovered_at = -math.inf
+        self._propagated_to = self._measured_at = self._fits_at = -math.inf
+        self._recovered_at = self._hand_checked_at = -math.inf
         self.smoother = self._started()
 
     def _started(self) -> PoseBiasSmoother | None:
@@ -159,6 +161,16 @@ class Track:
         return self._offsets.after(
             self.model, last.contacts, last.by_error, last.estimate.T_palm_object, last.prior
         )
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Links of the hand whose shapes keep the object out."""
+        return self._hand.links
+
+    @property
+    def link_margins(self) -> dict[str, float]:
+        """By link that would be inside the object though contacts fit: how much smaller it is than its shape [m]."""
+        return self._margins.known
 
     @property
     def sigma(self) -> float:
@@ -228,9 +240,8 @@ class Track:
         fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
         contacts, remembered = self._memory.added(fingers, touched, now)
         T, covariance = smoother.solved.T_palm_object, smoother.now.covariance[:6, :6]
-        outside, joints = None, observation.joint_positions
-        if self._surface is not None and joints is not None and joints.keys() >= set(self._surface.joints):
-            outside = self._surface.points_palm(joints)
+        joints = observation.joint_positions
+        outside = self._hand.at(joints and self._offsets.corrected(joints), self._margins)
         samples, answer, prior = self.settings.samples, self.settings.answer, PosePrior.trusted(T, covariance)
         correct = partial(correct_pose, self.model, contacts, outside=outside, answer=answer, samples=samples)
         near = None if vision or last is None or fingers != last.fingers else last.estimate
@@ -241,6 +252,8 @@ class Track:
             estimate = refine_pose(self.model, contacts, prior, T_near, outside=outside, answer=answer)
         if estimate is None:
             estimate = correct(vision=prior)
+        if outside is not None:
+            estimate = self._reconciled(estimate, outside, lambda hand: correct(vision=prior, outside=hand))
         if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
             self._recovered_at = now
             wider = correct(vision=PosePrior.trusted(T, WIDER * covariance))
@@ -257,6 +270,16 @@ class Track:
         )
         self.estimate, self._propagated_to = estimate, now
         self.corrections += 1
+
+    def _reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> PoseEstimate:
+        """The estimate where links of the hand that are larger in their file than they are have been found."""
+        fits = estimate.consistent and not estimate.outliers
+        if fits and self.stamp - self._hand_checked_at < CHECK_EVERY:
+            return estimate
+        self._hand_checked_at = self.stamp
+        estimate, inside = self._hand.reconciled(estimate, outside, solve)
+        self._margins = self._margins.noted(inside, self.stamp)
+        return estimate
 
     def _judged(self, estimate: PoseEstimate) -> tuple[State, str]:
         """How far the estimate is to be trusted, and why no further."""

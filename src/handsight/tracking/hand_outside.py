@@ -1,0 +1,113 @@
+"""The hand's own links, which cannot be inside the object: where, how far wrong, which are smaller than their shapes.
+
+A hand's file often has shapes larger than the hand: capsules and boxes that bulge over its skin. Such a link would be
+inside an object that the fingertips hold, and walls where there is nothing bend the answer or make contacts look wrong.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from statistics import median
+
+import numpy as np
+
+from handsight import se3
+from handsight.correction import Outside, PoseEstimate
+from handsight.objects import ObjectModel
+from handsight.rig import Rig
+
+SKIN = 0.001
+"""What a link's surface is off by beside its joints, per axis [m]: soft skin, facets, screws."""
+CONFLICT = 3.0
+"""Standard deviations inside the object from which on a link is taken to be in conflict with the contacts."""
+WEAKER = 4.0
+"""How much larger the links' deviations are when it is asked how deep they are where the contacts fit: along what
+contacts leave open the links still have their say, against contacts they have none."""
+CHECK_EVERY, NOTE_EVERY = 0.1, 0.2
+"""Seconds between two looks for links inside, and between two notes of one link's depth: not one bad pose in a row."""
+ENOUGH_NOTES, MOST_NOTES = 5, 25
+"""Notes from which on a link counts as smaller than its shape, and how many of the last are kept."""
+LARGEST_MARGIN = 0.02
+"""No shape is larger than its link by more [m]: what is deeper inside is a wrong pose."""
+
+Solve = Callable[[Outside], PoseEstimate]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMargins:
+    """How much smaller links are than their shapes, as far as contacts that fit have told."""
+
+    notes: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    """By link: when [s], and how deep it was inside the object [m]."""
+
+    @property
+    def known(self) -> dict[str, float]:
+        """By link, its margin [m]: the median of its notes, where they are enough."""
+        return {
+            link: median(depth for _, depth in notes)
+            for link, notes in self.notes.items()
+            if len(notes) >= ENOUGH_NOTES
+        }
+
+    def noted(self, depths: Mapping[str, float], stamp: float) -> "LinkMargins":
+        """With depths [m] of links that are inside, those that were noted just before left out."""
+        new = {
+            link: (*earlier[1 - MOST_NOTES :], (stamp, depth))
+            for link, depth in depths.items()
+            if not (earlier := self.notes.get(link, ())) or abs(stamp - earlier[-1][0]) >= NOTE_EVERY - 1e-9
+        }
+        return replace(self, notes={**self.notes, **new}) if new else self
+
+
+class HandOutside:
+    """The links of a rig's hand but its fingertips, which have a shape of their own."""
+
+    def __init__(self, rig: Rig, model: ObjectModel, count: int) -> None:
+        """`count` points of them; none where the hand's file has no shapes, or the object no inside."""
+        frames = [finger.frame for finger in rig.fingers.values()]
+        self._surface = rig.hand.surface(count if model.closed else 0, without=frames)
+        self._model = model
+        self._variance_joint = rig.sigma_joint_offset**2 + rig.sigma_joint**2
+        self.links = self._surface.bodies
+        """Those that have points."""
+        self._first = np.searchsorted(self._surface.body_of, np.arange(len(self.links)))
+
+    def at(self, joint_positions: Mapping[str, float] | None, margins: LinkMargins) -> Outside | None:
+        """The links as they lie; None where a joint is missing, or there are no points."""
+        surface = self._surface
+        if not self.links or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
+            return None
+        points, levers = surface.placed(joint_positions)
+        sigmas, known = np.sqrt(self._variance_joint * levers**2 + SKIN**2), margins.known
+        slacks = np.array([known.get(link, 0.0) for link in self.links]) if known else None
+        return Outside(
+            points,
+            sigmas=sigmas[surface.body_of],
+            links=surface.body_of,
+            slacks=None if slacks is None else slacks[surface.body_of],
+        )
+
+    def reconciled(
+        self, estimate: PoseEstimate, outside: Outside, solve: Solve
+    ) -> tuple[PoseEstimate, dict[str, float]]:
+        """The estimate, and the depth [m] of links that are inside the object though contacts fit.
+
+        Where there are such links, or contacts do not fit with them but without, the answer is that of the contacts
+        with links that give way. `solve`: the estimate with other points.
+        """
+        fits = estimate.consistent and not estimate.outliers
+        if fits and not self._conflicts(estimate, outside):
+            return estimate, {}
+        yielding = solve(replace(outside, sigmas=WEAKER * np.asarray(outside.sigmas)))
+        if not yielding.consistent or yielding.outliers:
+            return estimate, {}
+        return yielding, self._conflicts(yielding, outside)
+
+    def _conflicts(self, estimate: PoseEstimate, outside: Outside) -> dict[str, float]:
+        """By link that is deeper inside than its joints, skin and margin explain: how deep [m], margin included."""
+        places = se3.apply(se3.inverse(estimate.T_palm_object), np.asarray(outside.points_palm))
+        depth = -self._model.fine.evaluate(places).distance
+        slacks = 0.0 if outside.slacks is None else np.asarray(outside.slacks)
+        beyond = np.maximum.reduceat((depth - slacks) / np.asarray(outside.sigmas), self._first)
+        deepest = np.maximum.reduceat(depth, self._first)
+        inside = np.flatnonzero((beyond > CONFLICT) & (deepest < LARGEST_MARGIN))
+        return {self.links[i]: float(deepest[i]) for i in inside}

@@ -1,0 +1,149 @@
+"""Points of the hand that cannot be inside the object: a link counts as its deepest point, and none is left out."""
+
+import functools
+
+import numba
+import numpy as np
+import pytest
+
+import handsight as hs
+import scenes
+from handsight import se3
+from handsight._kernels import levenberg, outside_term
+from handsight._kernels.compiled import FAST
+from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM
+from handsight._kernels.simd import local
+from handsight._kernels.symmetry import pose_of
+from handsight.correction import Outside, solve
+from handsight.correction.outside import NO_OUTSIDE, outside_records
+from handsight.correction.problem import Problem, descents_at
+from handsight.errors import InvalidInput
+from objects.object_shapes import data_file
+from oracles import correction as oracle
+
+EVERYONE = np.ones((1, 5), dtype=bool)
+
+
+@functools.cache
+def model(name):
+    if name == "mustard":
+        return hs.ObjectModel.from_file(data_file("ycb_meshes/006_mustard_bottle.ply"))
+    return {"box": scenes.box, "can": scenes.can}[name]()
+
+
+def hand(thing, rng, count=60, links=6):
+    """A cloud around the object, some of it inside, its links in no order."""
+    spread = 0.8 * np.ptp(thing.bounds_object, axis=0)
+    points = thing.center_object + spread * rng.uniform(-1, 1, (count, 3))
+    return Outside(
+        points, sigmas=rng.uniform(1e-3, 4e-3, count), links=rng.integers(links, size=count) - 2,
+        slacks=rng.uniform(0, 4e-3, count),
+    )  # fmt: skip
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+def _costs(model, nodes, outside, descents, coarse, costs):
+    """Of a walk through poses: what all points cost, and what is left of them by `nearby`."""
+    terms, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.0, 0.0, 0.0)
+    field = model[0].coarse if coarse else model[0].fine
+    evidence = levenberg.Evidence(model[0], nodes, terms, outside, nothing, center)
+    look, rows = outside_term.NOT_LOOKED, np.empty(len(outside), OUTSIDE)
+    for k in range(len(descents)):
+        pose = pose_of(descents[k].pose)
+        look = outside_term.nearby(evidence, field, pose, look, rows)
+        near = levenberg.Evidence(model[0], nodes, terms, rows[: look[1]], nothing, center)
+        costs[k, 0] = outside_term.outside_cost(evidence, field, pose)
+        costs[k, 1] = outside_term.outside_cost(near, field, pose)
+        costs[k, 2] = look[1]
+
+
+@pytest.mark.parametrize("name", ["box", "can", "mustard"])
+@pytest.mark.parametrize("coarse", [False, True])
+def test_what_is_left_out_because_it_is_far_costs_nothing(name, coarse):
+    thing, scene = model(name), grasp(name)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        rows = outside_records(thing, scene.contacts, hand(thing, rng, 300))
+        rows["point"] = se3.apply(scene.T_palm_object, rows["point"])
+        # Steps of a millimetre to a decimetre, and back.
+        sizes = 10 ** rng.uniform(-3.5, -1, (60, 1)) * np.repeat([1.0, 5.0], 3)
+        Ts = se3.moved(scene.T_palm_object[None].repeat(60, axis=0), sizes * rng.normal(size=(60, 6)))
+        costs = np.empty((60, 3))
+        _costs(*thing.record[:2], rows, descents_at(Ts), coarse, costs)
+        np.testing.assert_allclose(costs[:, 1], costs[:, 0], rtol=1e-12)
+        assert costs[:, 0].max() > 1
+        assert costs[:, 2].min() < 200
+
+
+def grasp(name, seed=0):
+    rng = np.random.default_rng(seed)
+    return scenes.random_scene(scenes.anywhere_on(model(name))(rng, 5), rng)
+
+
+@pytest.mark.parametrize("name", ["box", "can", "mustard"])
+def test_the_cost_is_that_of_each_links_points_by_hand(name):
+    thing, scene, rng = model(name), grasp(name), np.random.default_rng(3)
+    outside = hand(thing, rng)
+    rows = outside_records(thing, scene.contacts, outside)
+    problem, free = (Problem(thing, scene.contacts, scene.vision, given) for given in (rows, NO_OUTSIDE))
+    Ts = se3.random(rng, 40, spread=0.02)
+    found = solve.cost(problem, Ts, EVERYONE) - solve.cost(free, Ts, EVERYONE)
+    expected = [(oracle.of_outside(problem, T) ** 2).sum() for T in Ts]
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-4)
+    # Between the deepest point's of each link and all points'.
+    most, least = (
+        np.array([(oracle.of_outside(problem, T, power) ** 2).sum() for T in Ts]) for power in (2, 200)
+    )
+    assert (least - 1e-3 <= found).all()
+    assert (found <= most + 1e-3).all()
+    assert (found < 0.9 * most).any()
+
+
+def test_many_points_of_a_link_count_as_one_and_points_by_themselves_as_many():
+    thing, scene = model("box"), grasp("box")
+    place = se3.apply(scene.T_palm_object, np.array([[0.025, 0.0, 0.0]]))  # 5 mm deep
+    free = solve.cost(
+        Problem(thing, scene.contacts, scene.vision, NO_OUTSIDE), scene.T_palm_object[None], EVERYONE
+    )
+
+    def cost(**given):
+        rows = outside_records(thing, scene.contacts, Outside(place.repeat(50, axis=0), sigmas=1e-3, **given))
+        problem = Problem(thing, scene.contacts, scene.vision, rows)
+        return float((solve.cost(problem, scene.T_palm_object[None], EVERYONE) - free)[0])
+
+    assert cost() == pytest.approx(50 * 25)
+    assert 25 <= cost(links=np.zeros(50, dtype=int)) <= 2.7 * 25
+    assert cost(links=np.arange(50), slacks=0.003) == pytest.approx(50 * 4)
+    assert cost(slacks=0.006) == pytest.approx(0, abs=1e-9)
+
+
+def test_an_answer_is_that_of_all_points_however_many_are_far():
+    thing = model("box")
+    for seed in range(10):
+        scene, rng = grasp("box", seed), np.random.default_rng(seed)
+        near = scenes.behind_contacts(scene, 20, seed)
+        far = scene.T_palm_object[:3, 3] + rng.uniform(0.2, 0.5, (300, 3))
+        alone, among = (
+            hs.correct_pose(thing, scene.contacts, vision=scene.vision, outside=points)
+            for points in (near, np.concatenate([far[:150], near, far[150:]]))
+        )
+        np.testing.assert_array_equal(among.T_palm_object, alone.T_palm_object)
+        np.testing.assert_array_equal(among.information, alone.information)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"points_palm": [[0, 0, np.nan]]}, r"^outside: expected finite numbers of shape"),
+        ({"points_palm": np.full((4, 3), 2e3)}, r"^outside: expected metres within 1000"),
+        ({"points_palm": np.zeros((10_001, 3))}, r"^outside: expected at most 10000 points, got 10001"),
+        ({"sigmas": 0.0}, r"^outside\.sigmas: expected numbers from 1e-09 to 1000, got 0"),
+        ({"sigmas": [1.0, 2.0, 3.0]}, r"^outside\.sigmas: expected 2 finite numbers"),
+        ({"slacks": [-1e-3, 0.0]}, r"^outside\.slacks: expected numbers from 0 to 1000"),
+        ({"links": [0.5, 1]}, r"^outside\.links: expected whole numbers"),
+        ({"links": [1]}, r"^outside\.links: expected 2 finite numbers"),
+    ],
+)
+def test_what_is_no_hand_is_refused(given, said):
+    with pytest.raises(InvalidInput, match=said):
+        Outside(**{"points_palm": np.zeros((2, 3)), **given})
