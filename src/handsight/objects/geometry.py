@@ -81,6 +81,18 @@ class Geometry:
         return float(np.sqrt(self.area / SAMPLES))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Roughness:
+    """How far a surface is off the object that it was scanned from, place by place."""
+
+    points: Array
+    """(m, 3) on the surface [m]."""
+    variances: Array
+    """(m, 4), as of FieldError."""
+    weights: Array
+    """(m,) by which the surface follows each."""
+
+
 def measured(
     surface: Surface,
     coarse: GridField,
@@ -89,12 +101,14 @@ def measured(
     diameter: float,
     closed: bool = True,
     remarks: tuple[str, ...] = (),
+    roughness: Roughness | None = None,
 ) -> Geometry:
-    """What is to be known of a surface whose distance fields these are."""
+    """What is to be known of a surface whose distance fields these are; `roughness`: of one that was scanned."""
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, SAMPLES)
     _, distance, angle = _errors(surface, fine, TYPICAL_SAMPLES, seed=1)
+    rough = np.zeros(2) if roughness is None else np.sqrt(np.median(roughness.variances[:, :2], axis=0))
     return Geometry(
         coarse=coarse,
         fine=fine,
@@ -105,9 +119,9 @@ def measured(
         bounds_object=frozen(bounds),
         closed=closed,
         # Medians: edges, which the field rounds off, do not speak for the faces.
-        sigma_point=float(np.median(distance) / _MEDIAN_1),
-        sigma_normal=float(np.median(angle) / _MEDIAN_2),
-        field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
+        sigma_point=float(np.hypot(np.median(distance) / _MEDIAN_1, rough[0])),
+        sigma_normal=float(np.hypot(np.median(angle) / _MEDIAN_2, rough[1])),
+        field_error=_field_error(surface, fine, coarse.cell, roughness) if isinstance(fine, GridField) else None,
         remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
     )
@@ -134,18 +148,31 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
     return points[index], normals[index]
 
 
-def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
+def _field_error(surface: Surface, fine: Field, cell: float, roughness: Roughness | None) -> FieldError:
     """The error of a fine field, from samples of the surface within about half a cell [m] of each node."""
-    import numba  # an object from the cache needs neither numba nor scipy
-    from scipy.spatial import cKDTree
-
     points, distance, angle = _errors(surface, fine, ERROR_SAMPLES, seed=2)
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
     lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
     grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
+    nodes = grid.nodes()
+    values = np.zeros((len(nodes), 4))
+    values[:, :2] = _mean_of_nearest(points, lengths, nodes) ** 2
+    if roughness is not None:
+        weights = roughness.weights[:, None]
+        weighted = np.hstack([weights * roughness.variances, weights])
+        mean = _mean_of_nearest(roughness.points, weighted, nodes)
+        values += mean[:, :4] / mean[:, 4:]
+    return FieldError(grid.origin, cell, values.reshape(*grid.shape, 4))
+
+
+def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
+    """The mean (n, k) of the values (m, k) at the points (m, 3) nearest to each of the nodes (n, 3)."""
+    import numba  # an object from the cache needs neither numba nor scipy
+    from scipy.spatial import cKDTree
+
     threads = numba.config.NUMBA_NUM_THREADS
-    near = cKDTree(points).query(grid.nodes(), k=NEIGHBOURS, workers=threads)[1]
-    return FieldError(grid.origin, cell, (lengths[near].mean(axis=1) ** 2).reshape(*grid.shape, 2))
+    near = cKDTree(points).query(nodes, k=min(NEIGHBOURS, len(points)), workers=threads)[1]
+    return np.asarray(values[near].mean(axis=1))
 
 
 def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array, Array, Array]:
