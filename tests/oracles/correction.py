@@ -33,7 +33,7 @@ def covariance(problem: Problem, T: Array) -> Array:
     S = by_error @ contacts.covariance @ by_error.transpose(0, 2, 1)
     own = np.tile([(LEAST_ERROR[0] * model.diameter) ** 2, LEAST_ERROR[1] ** 2], (n, 1))
     if model.field_error is not None:
-        own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))
+        own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[:, :2]
     S[:, 0, 0] += own[:, 0]
     S[:, 1:, 1:] += own[:, 1, None, None] * np.eye(3)
     # Along the normal, where a unit vector has no noise of first order, the mean variance of the tangents.

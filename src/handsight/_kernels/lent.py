@@ -15,7 +15,7 @@ from handsight._kernels.vec3 import cross, outer, sub, sub33, vector
 
 CURVATURE_SHARE = 1.5 / 2.5
 """Each way of a slide meets one own and one mixed term of the curvature's error, the latter half as uncertain: 1.5
-variances. A normal's weight has 2.5 tangential ones in its trace: `residual_covariance` lets it have one along itself."""
+variances. A normal's weight has 2.5 tangential ones in its trace: one more, along itself, of half the size."""
 UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 

@@ -62,7 +62,7 @@ def information(
 ) -> tuple[float, float]:
     """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
 
-    Both are without what the model's bumps lend; the equations of the terms and, in `equations`, of the prior are whole.
+    Both are without what the model's bumps lend; the terms' equations, and the prior's in `equations`, are whole.
     """
     equations[:] = 0.0
     chi2, log_spread = contact_information(evidence, pose, equations)

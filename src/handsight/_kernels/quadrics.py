@@ -1,8 +1,4 @@
-"""Quadrics fitted to noisy points, each in a window that widens as long as what it tells stays the same.
-
-A patch is the surface F = 0 in a frame of its own, F = z + H z²/2 + (a u² + 2 b uv + c v²)/2 with (a, b, c) the bends of
-its distance, outward positive, and H that which makes a plane, a cylinder and a ball exact however far away.
-"""
+"""Quadrics fitted to noisy points, each in a window that widens as long as what it tells stays the same."""
 
 from typing import Any
 
@@ -10,6 +6,7 @@ import numpy as np
 
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.dense6 import factor, solve
+from handsight._kernels.patches import PATCH, gradient, level_set
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import Vec3, add, cross, dot, norm, scale, store, sub, vector
 
@@ -47,22 +44,6 @@ LEVEL = np.dtype(
     ],
     align=True,
 )
-PATCH = np.dtype(
-    [
-        ("point", "f8", (3,)),
-        ("normal", "f8", (3,)),
-        ("along", "f8", (2, 3)),
-        ("bends", "f8", (3,)),
-        ("bend", "f8"),  # H
-        ("covariance", "f8", (6, 6)),  # of height, slopes and bends
-        ("spread", "f8"),  # mean squared residual, freed of what the fit took away [m²]
-        ("window", "f8"),
-        ("fits", "i8"),  # windows so far
-        ("ended", "i8"),
-        ("trust", "f8"),  # its weight among others, beside its distance
-    ],
-    align=True,
-)
 ROOM = np.dtype(
     [
         ("trial", PATCH),
@@ -77,10 +58,8 @@ ROOM = np.dtype(
     ],
     align=True,
 )
-WIDE = 2.5
-"""Of the square that patches are averaged over: half the distance to the nearest, and the spacing."""
 SEEN = 16
-"""Numbers kept of each window: point, normal, the bends' tensor along the object's axes, three variances, the spread."""
+"""Numbers kept of each window: point, normal, the bends' tensor along the object's axes, variances, the spread."""
 
 
 @inner
@@ -102,22 +81,6 @@ def _gathered(cloud: Any, keys: Any, level: Any, place: Vec3, index: Any) -> int
 
 
 @inner
-def _gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
-    """Of F at a point of the patch's frame, along the object's axes."""
-    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
-    by_u = patch.bends[0] * u + patch.bends[1] * v
-    by_v = patch.bends[1] * u + patch.bends[2] * v
-    return add(scale(n, 1 + patch.bend * z), add(scale(a, by_u), scale(b, by_v)))
-
-
-@inner
-def _level_set(patch: Any, u: float, v: float, z: float) -> float:
-    """F at a point of the patch's frame."""
-    q = patch.bends[0] * u * u + 2 * patch.bends[1] * u * v + patch.bends[2] * v * v
-    return z + 0.5 * (patch.bend * z * z + q)
-
-
-@inner
 def _fill(x: Any, u: float, v: float) -> None:
     x[0], x[1], x[2], x[3], x[4], x[5] = 1.0, u, v, 0.5 * u * u, u * v, 0.5 * v * v
 
@@ -126,13 +89,13 @@ def _fill(x: Any, u: float, v: float) -> None:
 def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> int:
     """Whether a point is none of the patch: 1 beside it, 2 behind it."""
     u, v, z = place
-    ahead = _gradient(patch, u, v, z)
+    ahead = gradient(patch, u, v, z)
     facing = dot(ahead, normal) / max(norm(ahead), 1e-9)
     if facing < FACING:
         return 2 if facing < BEHIND else 1
     if patch.fits == 0:
         return 0
-    off, predicted = _level_set(patch, u, v, z), 0.0
+    off, predicted = level_set(patch, u, v, z), 0.0
     _fill(x, u, v)
     for i in range(6):
         for j in range(6):
@@ -144,7 +107,12 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
 def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
     """Sums of weights, of their squares, of those left out, and of squared heights; fills matrix and right side."""
     patch, h = room.trial, level.window
-    n, a, b, origin = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1]), vector(patch.point)
+    n, a, b, origin = (
+        vector(patch.normal),
+        vector(patch.along[0]),
+        vector(patch.along[1]),
+        vector(patch.point),
+    )
     room.matrix[:], room.right[:] = 0.0, 0.0
     total, squares, rejected, heights = 0.0, 0.0, 0.0, 0.0
     for i in index:
@@ -294,8 +262,14 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, seen: Any) -> None:
             continue
         _tensor(trial, room.tensor)
         if patch.fits > 0 and not level.free:
-            expected = level.variance * (1 + CHANCE * np.sqrt(2 * level.together / room.many)) + level.tolerance
-            if left_out > REJECTED or trial.spread > expected or _has_drifted(trial, seen[k], level.place, room.tensor):
+            expected = (
+                level.variance * (1 + CHANCE * np.sqrt(2 * level.together / room.many)) + level.tolerance
+            )
+            if (
+                left_out > REJECTED
+                or trial.spread > expected
+                or _has_drifted(trial, seen[k], level.place, room.tensor)
+            ):
                 patch.ended = 1
                 continue
         _copy(trial, patch)
@@ -304,52 +278,8 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, seen: Any) -> None:
         patch.fits += 1
 
 
-@entry
-def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any, out: Any) -> None:
-    """`out` (n, 4): signed distances [m] of nodes (n, 3), and ways outwards, to the average of the patches `around` (m, k) the `nearest` (n,).
-
-    2 F / (1 + √(1 + 2 H F)) is the distance to a plane, a cylinder and a ball. Of the nearest first: the far side of a
-    thin wall and the other face of an edge have no say.
-    """
-    for j in range(len(nodes)):
-        place, near2, total, weights, way = vector(nodes[j]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
-        ahead = vector(patches[nearest[j]].normal)
-        for k in range(around.shape[1]):
-            patch = patches[around[nearest[j], k]]
-            offset = sub(place, vector(patch.point))
-            away2 = dot(offset, offset)
-            if k == 0:
-                near2 = away2
-            reach = 0.5 * np.sqrt(near2) + spacing
-            facing = max(dot(vector(patch.normal), ahead), 0.0)
-            w = np.exp((near2 - away2) / (WIDE * reach * reach)) * facing**4 * patch.trust
-            u, v = dot(vector(patch.along[0]), offset), dot(vector(patch.along[1]), offset)
-            z = dot(vector(patch.normal), offset)
-            off = _level_set(patch, u, v, z)
-            way = add(way, scale(_gradient(patch, u, v, z), w))
-            total += w * 2 * off / (1 + np.sqrt(max(1 + 2 * patch.bend * off, 0.0)))
-            weights += w
-        out[j, 0] = total / weights
-        out[j, 1], out[j, 2], out[j, 3] = way
-
-
-@entry
-def neighbours(points: Any, pairs: Any, patches: Any, window: float, sums: Any) -> None:
-    """Adds to `sums` (4,) over pairs (k, 2) of points (n, 3) in one window of a patch: products and mean squares of their
-    residuals [m²], distances [m], how many."""
-    residuals = np.empty(len(points))
-    for k in range(len(patches)):
-        patch = patches[k]
-        for i in range(len(points)):
-            offset = sub(vector(points[i]), vector(patch.point))
-            residuals[i] = np.nan
-            if dot(offset, offset) < window * window:
-                u, v = dot(vector(patch.along[0]), offset), dot(vector(patch.along[1]), offset)
-                residuals[i] = _level_set(patch, u, v, dot(vector(patch.normal), offset))
-        for i, j in pairs:
-            product = residuals[i] * residuals[j]
-            if product == product:
-                sums[0] += product
-                sums[1] += 0.5 * (residuals[i] ** 2 + residuals[j] ** 2)
-                sums[2] += norm(sub(vector(points[i]), vector(points[j])))
-                sums[3] += 1
+def warm() -> None:
+    """Compiles every kernel, or loads it."""
+    patches, levels = np.zeros(1, dtype=PATCH), np.zeros(1, dtype=LEVEL)
+    patches["normal"], levels["window"], levels["shape"] = [0.0, 0.0, 1.0], 1.0, 3
+    widen(np.zeros((1, 6)), np.zeros(1, dtype=np.int64), levels, patches, np.zeros((1, 1, SEEN)))

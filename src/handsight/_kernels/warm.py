@@ -14,6 +14,8 @@ from handsight._kernels import (
     field,
     linking,
     nearest_triangle,
+    patches,
+    quadrics,
     records,
     sensing,
     spreading,
@@ -66,7 +68,7 @@ def _fields() -> None:
 
 
 def _objects() -> None:
-    for kernels in (nearest_triangle, winding, linking, spreading):
+    for kernels in (nearest_triangle, winding, linking, spreading, quadrics, patches):
         kernels.warm()
 
 

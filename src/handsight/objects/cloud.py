@@ -2,7 +2,7 @@
 
 Near the points the distance is the smooth average of the planes through them (implicit moving least squares,
 Kolluri 2008), or, where they are noisy, of the quadrics fitted to them (`handsight.objects.scans`); far away it is that
-to the nearest point, negative where the cloud winds around. Outliers are not removed: each point given is taken for surface.
+to the nearest point, negative where the cloud winds around. Outliers are not removed.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.fields import Grid, grids, sharpened
-from handsight.objects.geometry import Geometry, measured
+from handsight.objects.geometry import Geometry, measured, roughened
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.normals import estimated_normals
 from handsight.objects.scans.scan import scanned
@@ -55,8 +55,8 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     values = distances.at(nodes)
     sharp = sharpened(coarse, values, fine, lambda index, _: (index, distances.at(fine.nodes_at(index))))
     fields, remarks = (coarse.field(values), fine.field(sharp)), (*remarks, *coarser)
-    rough = None if scan is None else scan.roughness
-    return measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks, roughness=rough)
+    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
+    return geometry if scan is None else roughened(geometry, scan.roughness)
 
 
 def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:

@@ -1,13 +1,13 @@
 """What is measured on an object's surface, whatever the surface came from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array, Indices
-from handsight.objects.fields import Field, FieldError, GridField, centered_grid
+from handsight.objects.fields import Field, FieldError, Grid, GridField, centered_grid
 from handsight.objects.surface import Surface
 
 SAMPLES = 256
@@ -101,14 +101,12 @@ def measured(
     diameter: float,
     closed: bool = True,
     remarks: tuple[str, ...] = (),
-    roughness: Roughness | None = None,
 ) -> Geometry:
-    """What is to be known of a surface whose distance fields these are; `roughness`: of one that was scanned."""
+    """What is to be known of a surface whose distance fields these are."""
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, SAMPLES)
     _, distance, angle = _errors(surface, fine, TYPICAL_SAMPLES, seed=1)
-    rough = np.zeros(2) if roughness is None else np.sqrt(np.median(roughness.variances[:, :2], axis=0))
     return Geometry(
         coarse=coarse,
         fine=fine,
@@ -119,11 +117,29 @@ def measured(
         bounds_object=frozen(bounds),
         closed=closed,
         # Medians: edges, which the field rounds off, do not speak for the faces.
-        sigma_point=float(np.hypot(np.median(distance) / _MEDIAN_1, rough[0])),
-        sigma_normal=float(np.hypot(np.median(angle) / _MEDIAN_2, rough[1])),
-        field_error=_field_error(surface, fine, coarse.cell, roughness) if isinstance(fine, GridField) else None,
+        sigma_point=float(np.median(distance) / _MEDIAN_1),
+        sigma_normal=float(np.median(angle) / _MEDIAN_2),
+        field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
         remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
+    )
+
+
+def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
+    """The same, its errors larger by how far its surface is off the object."""
+    error = geometry.field_error
+    if error is None:
+        return geometry
+    nodes = Grid(error.origin, error.cell, error.values.shape[:3]).nodes()
+    weights = roughness.weights[:, None]
+    mean = _mean_of_nearest(roughness.points, np.hstack([weights * roughness.variances, weights]), nodes)
+    values = error.values + (mean[:, :4] / mean[:, 4:]).reshape(error.values.shape)
+    point, normal = np.sqrt(np.median(roughness.variances[:, :2], axis=0))
+    return replace(
+        geometry,
+        sigma_point=float(np.hypot(geometry.sigma_point, point)),
+        sigma_normal=float(np.hypot(geometry.sigma_normal, normal)),
+        field_error=FieldError(error.origin, error.cell, values),
     )
 
 
@@ -148,7 +164,7 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
     return points[index], normals[index]
 
 
-def _field_error(surface: Surface, fine: Field, cell: float, roughness: Roughness | None) -> FieldError:
+def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
     """The error of a fine field, from samples of the surface within about half a cell [m] of each node."""
     points, distance, angle = _errors(surface, fine, ERROR_SAMPLES, seed=2)
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
@@ -157,11 +173,6 @@ def _field_error(surface: Surface, fine: Field, cell: float, roughness: Roughnes
     nodes = grid.nodes()
     values = np.zeros((len(nodes), 4))
     values[:, :2] = _mean_of_nearest(points, lengths, nodes) ** 2
-    if roughness is not None:
-        weights = roughness.weights[:, None]
-        weighted = np.hstack([weights * roughness.variances, weights])
-        mean = _mean_of_nearest(roughness.points, weighted, nodes)
-        values += mean[:, :4] / mean[:, 4:]
     return FieldError(grid.origin, cell, values.reshape(*grid.shape, 4))
 
 

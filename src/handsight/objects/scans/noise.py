@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight._kernels import quadrics as kernel
+from handsight._kernels.patches import neighbours
 from handsight.checks import Array
 from handsight.objects.scans.normals import enough_neighbours, planes
-from handsight.objects.scans.windows import Noise, Patches, Points, started, spacing_of, widened, widths
+from handsight.objects.scans.windows import Noise, Patches, Points, spacing_of, started, widened, widths
 
 CENTRES = 1000
 FIRST, RATIO, LAST = 3.2, 1.4, 0.32
@@ -36,8 +36,8 @@ ANYTHING: dict[str, Any] = {"variance": 1.0, "together": 1.0, "bend": np.inf, "f
 def measured_noise(points: Points) -> tuple[Points, Noise]:
     """The noise of points, and these with the spacing that they have along the surface.
 
-    Points that are off by more than they are apart seem sparser than they are, and small windows see no surface in them:
-    both are then looked at again, as coarsely as the noise is thick.
+    Points that are off by more than they are apart seem sparser than they are, and small windows see no surface: both
+    are then looked at again, as coarsely as the noise is thick.
     """
     noise = noise_of(points, 0.0)
     if THICK * noise.sigma > points.spacing:
@@ -49,8 +49,8 @@ def measured_noise(points: Points) -> tuple[Points, Noise]:
 def noise_of(points: Points, thickness: float) -> Noise:
     """The noise of points that are off by about `thickness` [m]: residuals of quadrics in windows of several widths.
 
-    White noise leaves the same residual in every window. What grows with the square of the window or faster is shape, and
-    what levels off only in wide ones is noise that neighbours share, as depth images fused into one surface have it.
+    White noise leaves the same residual in every window. What grows with the square of the window or faster is shape;
+    what levels off only in wide ones is noise that neighbours share, as in depth images fused into one surface.
     """
     least = max(FIRST * points.spacing, THICK * thickness)
     windows = widths(least, max(LAST * points.diameter, 1.01 * RATIO * least), RATIO)
@@ -89,7 +89,7 @@ def _together(points: Points, patches: Patches, window: float) -> float:
     """
     pairs = cKDTree(points.places).query_pairs(NEIGHBOURS * points.spacing, output_type="ndarray")
     sums = np.zeros(4)
-    kernel.neighbours(points.places, pairs, patches, window, sums)
+    neighbours(points.places, pairs, patches, window, sums)
     products, squares, distances, count = sums
     correlation = products / max(squares, 1e-300)
     if not correlation > INDEPENDENT:

@@ -21,7 +21,9 @@ def planes(points: Points, places: Array, count: int) -> Array:
 
     Of more than there are reasons to look at, a part as wide.
     """
-    thinned = points.places[: max(len(points.places) * MOST_NEIGHBOURS // max(count, MOST_NEIGHBOURS), NEIGHBOURS)]
+    thinned = points.places[
+        : max(len(points.places) * MOST_NEIGHBOURS // max(count, MOST_NEIGHBOURS), NEIGHBOURS)
+    ]
     nearest = cKDTree(thinned).query(places, k=min(count, MOST_NEIGHBOURS, len(thinned)))[1]
     return _through(thinned[nearest])
 

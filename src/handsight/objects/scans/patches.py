@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight._kernels import quadrics as kernel
+from handsight._kernels.patches import blended
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array, Indices
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
@@ -66,7 +66,7 @@ class ScannedSurface:
     def blended(self, nodes: Array, nearest: Indices) -> Array:
         """(n, 4) signed distances [m] of nodes (n, 3) near the surface, and ways outwards; `nearest` patches (n,)."""
         out = np.empty((len(nodes), 4))
-        in_parts(partial(kernel.blended, self.patches, self.spacing, self.around), (nearest, nodes, out), MANY)
+        in_parts(partial(blended, self.patches, self.spacing, self.around), (nearest, nodes, out), MANY)
         return out
 
     def heights(self, nodes: Array, nearest: Indices) -> Array:
@@ -110,7 +110,9 @@ def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None)
     patches = started(points.places[: len(normals)], normals)
     shared = min(noise.together, MOST_WIDENED)
     least = max(
-        FIRST * points.spacing * np.sqrt(shared), THICK * noise.sigma, STEADY * np.sqrt(noise.sigma * points.spacing)
+        FIRST * points.spacing * np.sqrt(shared),
+        THICK * noise.sigma,
+        STEADY * np.sqrt(noise.sigma * points.spacing),
     )
     level = {
         "variance": noise.sigma**2,

@@ -9,7 +9,10 @@ from handsight.objects.scans.patches import ScannedSurface
 from handsight.objects.scans.windows import Noise, Points
 
 LEND = 3.84
-"""Of a slope's or a bend's variance, 95 % of the χ² of one: few of them are met at once, and their mean is not enough."""
+"""Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
+SHARED = 0.25
+"""The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
+is off by on the average; but a patch that ended early by chance still bends it, where it is."""
 SHARES, LEAST, MOST = 30, 30, 150
 """Each place is compared with this many points for a patch, within these bounds."""
 
@@ -17,14 +20,14 @@ SHARES, LEAST, MOST = 30, 30, 150
 def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Roughness:
     """The variances of distance, normal, slope and curvature at each patch, as a contact meets them.
 
-    What the points scatter tells how far the fits are off by chance; what many points near by are off by on the average,
-    more than chance explains, tells where a window was too wide for the shape.
+    What the points scatter tells how far the fits are off by chance; what many points near by are off by on the
+    average, more than chance explains, tells where a window was too wide for the shape.
     """
     height, normal, bend = surface.variances.T
     by_height, by_slope = _oversmoothed(surface, points, noise)
     slope = normal + by_slope
     variances = np.stack([height + by_height, slope, LEND * slope, LEND * bend], axis=1)
-    return Roughness(surface.patches["point"], variances, surface.patches["trust"])
+    return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** SHARED)
 
 
 def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:

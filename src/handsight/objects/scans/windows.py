@@ -1,6 +1,6 @@
 """Quadrics through noisy points, in windows that widen."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import quadrics as kernel
+from handsight._kernels.patches import PATCH
 from handsight._kernels.threads import in_parts
 from handsight.checks import Array, Indices
 
@@ -49,7 +50,7 @@ class Noise:
 
 def started(places: Array, normals: Array) -> Patches:
     """A patch at each place (m, 3) [m], flat, with the normal (m, 3)."""
-    patches = np.zeros(len(places), dtype=kernel.PATCH)
+    patches = np.zeros(len(places), dtype=PATCH)
     patches["point"], patches["normal"] = places, normals
     least = np.abs(normals).argmin(axis=1)
     a = np.cross(normals, np.eye(3)[least])
