@@ -52,8 +52,8 @@ def level_set(patch: Any, u: float, v: float, z: float) -> float:
 def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any, out: Any) -> None:
     """`out` (n, 4): of nodes (n, 3) the signed distance [m] to the average of patches, and the way outwards.
 
-    Averaged are those `around` (m, k) the `nearest` (n,); 2 F / (1 + √(1 + 2 H F)) is the distance to a plane, a cylinder
-    and a ball. Of the nearest first: the far side of a thin wall and the other face of an edge have no say.
+    Averaged are those `around` (m, k) the `nearest` (n,); 2 F / (1 + √(1 + 2 H F)) is the distance to a plane, cylinder
+    and ball. Of the nearest first: the far side of a thin wall and the other face of an edge have no say.
     """
     for j in range(len(nodes)):
         place, near2, total, weights, way = vector(nodes[j]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
