@@ -36,6 +36,13 @@ def drawn(name, n, seed):
     """Points on a shape and their normals, in a random order."""
     rng = np.random.default_rng([seed, n])
     points, normals = plane(n, rng) if name == "plane" else SHAPES[name].sample(n, seed)
+    if name == "ball":  # not on its facets
+        normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+        points = 0.035 * normals
+    side = np.flatnonzero(np.abs(normals[:, 2]) < 0.5) if name == "can" else []
+    if len(side):
+        normals[side] = points[side] * [1, 1, 0] / np.linalg.norm(points[side, :2], axis=1, keepdims=True)
+        points[side, :2] = 0.033 * normals[side, :2]
     order = rng.permutation(n)
     return points[order], normals[order], rng
 
@@ -70,11 +77,22 @@ def test_points_without_noise_have_next_to_none(name, n):
 
 def test_noise_that_neighbours_share_is_told_from_noise_of_their_own():
     points, normals, rng = drawn("can", 6000, 2)
-    waves, phases = rng.normal(size=(3, 400)) / 6e-3, rng.uniform(0, 2 * np.pi, 400)
+    waves, phases = rng.normal(size=(3, 400)) / 3e-3, rng.uniform(0, 2 * np.pi, 400)
     shared = 8e-4 * np.sqrt(2 / 400) * np.cos(points @ waves + phases).sum(axis=1)
-    _, noise = measured_noise(as_points(points + shared[:, None] * normals))
-    assert noise.together > 5
+    noisy = points + shared[:, None] * normals + 1e-4 * rng.normal(size=points.shape)
+    _, noise = measured_noise(as_points(noisy))
+    assert not noise.is_shape
+    assert noise.together > 2
     assert 4e-4 < noise.sigma < 1.2e-3
+
+
+def fields_of(name, points):
+    """Distance to a plane, a can's side or a ball, and the way outwards."""
+    if name == "plane":
+        return points[:, 2], np.tile([0.0, 0, 1], (len(points), 1))
+    away = points * ([1, 1, 0] if name == "can" else [1, 1, 1])
+    length = np.linalg.norm(away, axis=1)
+    return length - (0.033 if name == "can" else 0.035), away / length[:, None]
 
 
 @pytest.mark.parametrize("name", ["plane", "can", "ball"])
@@ -87,23 +105,23 @@ def test_a_quadric_is_exact_on_a_plane_a_cylinder_and_a_ball(name, window):
     turned = facing + 0.1 * rng.normal(size=facing.shape)
     patches = started(centres, turned / np.linalg.norm(turned, axis=1, keepdims=True))
     given = as_points(points, normals)
-    widened(given, patches, np.array([window] * 4), variance=1e-10, together=1.0, bend=1e6, tolerance=1.0)
+    widened(given, patches, np.array([window] * 9), variance=1e-10, together=1.0, bend=1e6, free=True)
     expected = {"plane": (0.0, 0.0), "can": (1 / 0.033, 0.0), "ball": (1 / 0.035, 1 / 0.035)}[name]
-    off = patches["point"] - centres
-    np.testing.assert_allclose(off, 0, atol=2e-6)
-    np.testing.assert_allclose(patches["normal"], facing, atol=2e-4)
+    off = fields_of(name, patches["point"])
+    np.testing.assert_allclose(off[0], 0, atol=1e-8)
+    np.testing.assert_allclose(patches["normal"], off[1], atol=1e-6)
     a, b, c = patches["bends"].T
     apart = np.hypot((a - c) / 2, b)
-    np.testing.assert_allclose((a + c) / 2 + apart, expected[0], atol=0.05)
-    np.testing.assert_allclose((a + c) / 2 - apart, expected[1], atol=0.05)
+    np.testing.assert_allclose((a + c) / 2 + apart, expected[0], atol=1e-4)
+    np.testing.assert_allclose((a + c) / 2 - apart, expected[1], atol=1e-4)
     # So is the distance, however far off the surface.
     k = 40
     height = rng.uniform(-0.02, 0.05, k)
-    nodes = centres[:k] + height[:, None] * facing[:k]
+    nodes = patches["point"][:k] + height[:, None] * patches["normal"][:k]
     out, index = np.empty((k, 4)), np.arange(k)
     patches["trust"] = 1.0
     blended(patches, given.spacing, index[:, None], index, nodes, out)
-    np.testing.assert_allclose(out[:, 0], height, atol=1e-5)
+    np.testing.assert_allclose(out[:, 0], height, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["can", "box", "ball"])
@@ -114,7 +132,7 @@ def test_missing_normals_of_noisy_points_are_found_and_point_outwards(name, n, s
     places, normals = scan.surface.settled()
     truth = SHAPES[name].evaluate(places).gradient
     along = (normals * truth).sum(axis=1)
-    assert (along > 0).mean() > 0.999
+    assert (along > 0).mean() > 0.99
     assert np.median(np.arccos(np.clip(along, -1, 1))) < np.deg2rad(4)
 
 
@@ -252,7 +270,7 @@ def hostile():
     yield "a grid", np.stack(np.meshgrid(*[np.linspace(0, 0.05, 12)] * 3), axis=-1).reshape(-1, 3)
 
 
-@pytest.mark.parametrize(("name", "points"), hostile(), ids=lambda given: given if isinstance(given, str) else "")
+@pytest.mark.parametrize(("name", "points"), list(hostile()), ids=lambda given: given if isinstance(given, str) else "")
 def test_any_cloud_is_an_object_with_finite_fields(name, points):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", hs.objects.ObjectWarning)
