@@ -3,7 +3,7 @@
 A can (no symmetry declared) touched on its side, a box on three faces, the same box between two fingers and a thumb, a
 ball; and YCB objects touched anywhere. Contacts on the true surface, 0.5 mm and 2 degrees per axis; vision off by 65 mm
 and 20 degrees root mean square. Scans: 4 000 points with white noise of three sizes, with exact normals or none;
-"fused": no normals, 0.8 mm of noise that neighbours share over 6 mm, in steps of half a millimetre, averaged in 3 mm
+"fused": no normals, 0.8 mm of noise that neighbours within 6 mm share, in steps of half a millimetre, averaged in 3 mm
 voxels, the base unseen and one side in every second scan; "points": the clouds that the authors of YCB-Video drew,
 contacts on its meshes. Every scan is another, and holds several grasps. Error: shift and turn (times the radius) in the
 directions that true contacts on the true object can see. Open: directions that these cannot see, and that the answer
@@ -29,7 +29,7 @@ VISION = (0.065, float(np.deg2rad(20)))
 """Root mean square length and angle of vision's error."""
 NAMED = 0.9
 """A direction is named when this much of it lies in what the answer calls unobservable."""
-FUSED_SIGMA, FUSED_LENGTH, FUSED_STEP, VOXEL = 8e-4, 6e-3, 5e-4, 3e-3
+FUSED_SIGMA, FUSED_LENGTH, FUSED_STEP, VOXEL = 8e-4, 3e-3, 5e-4, 3e-3
 WAVES = 400
 YCB = ("006_mustard_bottle", "021_bleach_cleanser", "002_master_chef_can", "004_sugar_box")
 Rng = np.random.Generator

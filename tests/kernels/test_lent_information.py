@@ -26,7 +26,9 @@ def scan(sigma, n=3000):
     """A can as a scanner has it."""
     can = hs.ObjectModel.cylinder(0.033, 0.115)
     points, normals = can.sample(n, 5)
-    return hs.ObjectModel.from_points(points + sigma * np.random.default_rng(2).normal(size=points.shape), normals)
+    return hs.ObjectModel.from_points(
+        points + sigma * np.random.default_rng(2).normal(size=points.shape), normals
+    )
 
 
 def problem(model, seed, *, bare=False):

@@ -138,7 +138,9 @@ def lent(problem: Problem, T: Array) -> Array:
     """(6, 6) information by (δp, δθ) that bumps lend to the contacts on the average."""
     contacts, F = problem.contacts, np.zeros((6, 6))
     _, _, normals, _ = surface(problem, contacts.points_palm, T)
-    bumps = fields.variances(problem.model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[:, 2:]
+    bumps = fields.variances(problem.model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[
+        :, 2:
+    ]
     S = covariance(problem, T)
     for i in range(len(contacts)):
         W, size = np.zeros((4, 4)), 4 if contacts.has_normal[i] else 1
