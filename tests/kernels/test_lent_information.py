@@ -8,7 +8,6 @@ import pytest
 
 import handsight as hs
 import scenes
-from handsight import se3
 from handsight._kernels import batch, levenberg, posterior, records
 from handsight._kernels.compiled import FAST
 from handsight._kernels.simd import local

@@ -282,7 +282,7 @@ def hostile():
     yield "a thick line", np.column_stack([np.linspace(0, 0.2, 1000), *(1e-3 * rng.normal(size=(2, 1000)))])
     yield "a lump", 0.03 * rng.normal(size=(2000, 3))
     yield "twice the same, nearly", np.vstack([ball, ball + 1e-8])
-    yield "two balls of one point each side", np.vstack([ball, ball + [0.5, 0, 0]])
+    yield "two balls", np.vstack([ball, ball + np.array([0.5, 0, 0])])
     yield "far away", ball + 1e-3 * rng.normal(size=ball.shape) + [900.0, -500.0, 100.0]
     yield "one dense spot", np.vstack([ball, 1e-5 * rng.normal(size=(9000, 3)) + [0.035, 0, 0]])
     yield "few", ball[:30] + 1e-3 * rng.normal(size=(30, 3))
