@@ -104,4 +104,5 @@ def test_the_spin_of_a_scanned_can_is_open(sigma):
         spin /= np.linalg.norm(spin)
         named = estimate.unobservable @ spin if len(estimate.unobservable) else np.zeros(1)
         axis_named.append(np.linalg.norm(named) > 0.9)
-    assert np.mean(axis_named) > 0.9
+    # Of twelve; without the subtraction it is none or one.
+    assert np.mean(axis_named) > 0.7
