@@ -89,6 +89,8 @@ class Roughness:
     """(m, 3) on the surface [m]."""
     variances: Array
     """(m, 4), as of FieldError."""
+    weights: Array
+    """(m,) by which each counts among its neighbours."""
 
 
 def measured(
@@ -129,9 +131,9 @@ def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
     if error is None:
         return geometry
     nodes = Grid(error.origin, error.cell, error.values.shape[:3]).nodes()
-    # The plain mean: a patch that ended early by chance still bends the surface where it is.
-    rough = _mean_of_nearest(roughness.points, roughness.variances, nodes)
-    values = error.values + rough.reshape(error.values.shape)
+    weights = roughness.weights[:, None]
+    mean = _mean_of_nearest(roughness.points, np.hstack([weights * roughness.variances, weights]), nodes)
+    values = error.values + (mean[:, :4] / mean[:, 4:]).reshape(error.values.shape)
     point, normal = np.sqrt(np.median(roughness.variances[:, :2], axis=0))
     return replace(
         geometry,

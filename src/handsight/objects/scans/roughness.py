@@ -10,6 +10,9 @@ from handsight.objects.scans.windows import Noise, Points
 
 LEND = 3.84
 """Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
+SHARED = 0.25
+"""The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
+is off by on the average; but a patch that ended early by chance still bends it, where it is."""
 SHARES, LEAST, MOST = 30, 30, 150
 """Each place is compared with this many points for a patch, within these bounds."""
 
@@ -24,7 +27,7 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     by_height, by_slope = _oversmoothed(surface, points, noise)
     slope = normal + by_slope
     variances = np.stack([height + by_height, slope, LEND * slope, LEND * bend], axis=1)
-    return Roughness(surface.patches["point"], variances)
+    return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** SHARED)
 
 
 def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
