@@ -78,3 +78,13 @@ def test_wrong_arguments_of_an_experiment_are_said_in_a_sentence(arguments, mess
     with pytest.raises(SystemExit):
         report.parsed(parser, trials=100, quick_trials=6)
     assert capsys.readouterr().err.splitlines()[-1].endswith(f"error: {message}")
+
+
+@pytest.mark.slow
+def test_a_scanned_can_is_nearly_as_good_as_the_can_and_its_spin_is_open(tmp_path):
+    options = ("--trials", 3, "--grasps", 6, "--only", "can: 1 mm, without")
+    rows = run("scans", tmp_path, *options)["scans"]
+    assert column(rows, "scan mm").mean() < 1.6 * column(rows, "exact mm").mean()
+    assert column(rows, "scan named").sum() > 0.85 * column(rows, "open").sum()
+    # With what bumps lend it was one in twenty.
+    assert np.mean([row["scan in 95%"] == "True" for row in rows]) > 0.6

@@ -39,7 +39,7 @@ def covariance(problem: Problem, T: Array) -> Array:
     S = by_error @ contacts.covariance @ by_error.transpose(0, 2, 1)
     own = np.tile([(LEAST_ERROR[0] * model.diameter) ** 2, LEAST_ERROR[1] ** 2], (n, 1))
     if model.field_error is not None:
-        own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))
+        own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[:, :2]
     own = added * own
     S[:, 0, 0] += own[:, 0]
     S[:, 1:, 1:] += own[:, 1, None, None] * np.eye(3)
@@ -141,3 +141,21 @@ def jacobian(function, T: Array, center: Array) -> Array:
         for step in STEP * np.eye(6)
     ]
     return np.stack(columns, axis=1)
+
+
+def lent(problem: Problem, T: Array) -> Array:
+    """(6, 6) information by (δp, δθ) that bumps lend to the contacts on the average."""
+    contacts, F = problem.contacts, np.zeros((6, 6))
+    _, _, normals, _ = surface(problem, contacts.points_palm, T)
+    bumps = fields.variances(problem.model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[
+        :, 2:
+    ]
+    S = covariance(problem, T)
+    for i in range(len(contacts)):
+        W, size = np.zeros((4, 4)), 4 if contacts.has_normal[i] else 1
+        W[:size, :size] = np.linalg.inv(S[i, :size, :size])
+        f = W[0, 0] * bumps[i, 0] + 1.5 * np.trace(W[1:, 1:]) / 2.5 * bumps[i, 1]
+        x, y, z = contacts.points_palm[i] - T[:3, 3]
+        B = np.hstack([np.eye(3), -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])])
+        F += f * B.T @ (np.eye(3) - np.outer(normals[i], normals[i])) @ B
+    return F

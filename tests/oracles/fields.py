@@ -24,7 +24,7 @@ def evaluate(field: Field, points: Array) -> FieldValues:
 
 
 def variances(error: FieldError, points: Array) -> Array:
-    """(n, 2) variances of a field's distance [m²] and normal [rad²] near points (n, 3) [m]: linear between nodes."""
+    """(n, 4) variances that a field says of itself near points (n, 3) [m]: linear between nodes."""
     axes = [o + error.cell * np.arange(n) for o, n in zip(error.origin, error.values.shape[:3], strict=True)]
     inside = np.clip(points, error.origin, [axis[-1] for axis in axes])
     return RegularGridInterpolator(axes, error.values)(inside)

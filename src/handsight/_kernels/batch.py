@@ -162,7 +162,6 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
             pose = nearest(model[0], pose, pose_of(prior[0].pose))
             store_pose(pose, descent.pose)
         _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)
-        descent.gain = largest_gain(evidence, u.wider, u)
         if term.kind == WEAK_PRIOR:
             cost += prior_cost(term, pose)
         in_metres(u.wider, radius, u.matrix)
@@ -171,6 +170,7 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
         for i in range(6):
             volume -= 0.5 * np.log(max(u.values[i], floor))
         descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
+        descent.gain = largest_gain(evidence, u)
 
 
 @entry

@@ -119,9 +119,16 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
 @inner
 def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
     """How far the fine field is off the surface near an object point: variances of its distance and its normal."""
-    distance, normal = error.least_distance, error.least_normal
     if error.inverse_cell == 0.0:
-        return distance, normal
+        return error.least_distance, error.least_normal
+    distance, normal = model_error(error, nodes, place, 0)
+    return error.least_distance + distance, error.least_normal + normal
+
+
+@inner
+def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float, float]:
+    """Two of the four variances of a model's error near an object point, from the `first` on; linear between nodes."""
+    one, other = 0.0, 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
     u = scale(sub(place, vector(error.origin)), error.inverse_cell)
     x, y, z = _between(u[0], nx - 1.001), _between(u[1], ny - 1.001), _between(u[2], nz - 1.001)
@@ -129,11 +136,11 @@ def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
     x, y, z = x - i, y - j, z - k
     for a in range(2):
         for b in range(2):
-            at = error.nodes + 2 * (((i + a) * ny + j + b) * nz + k)
+            at = error.nodes + first + 4 * (((i + a) * ny + j + b) * nz + k)
             share = (x if a else 1 - x) * (y if b else 1 - y)
-            distance += share * ((1 - z) * nodes[at] + z * nodes[at + 2])
-            normal += share * ((1 - z) * nodes[at + 1] + z * nodes[at + 3])
-    return distance, normal
+            one += share * ((1 - z) * nodes[at] + z * nodes[at + 4])
+            other += share * ((1 - z) * nodes[at + 1] + z * nodes[at + 5])
+    return one, other
 
 
 @inner

@@ -16,6 +16,7 @@ from handsight._kernels.contact_term import (
     surface_at,
 )
 from handsight._kernels.dense6 import factor, solve
+from handsight._kernels.lent import add_lent, subtract_lent
 from handsight._kernels.levenberg import Evidence
 from handsight._kernels.outside_term import outside_cost
 from handsight._kernels.plane_term import plane_cost
@@ -25,8 +26,11 @@ from handsight._kernels.vec3 import vector
 
 
 @inner
-def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
-    """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ)."""
+def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[float, float]:
+    """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
+
+    Adds to `lent` those of what the model's bumps lend.
+    """
     model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
     chi2, log_spread = 0.0, 0.0
     for i in range(len(evidence.terms)):
@@ -38,6 +42,7 @@ def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
             factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
             invert_covariance(factor4, has_normal, term.weight)
             log_spread += log_determinant(factor4, has_normal)
+            add_lent(model, evidence.nodes, term, surface, pose, lent)
             if at_edge(model, term.contact, surface):
                 square = mahalanobis2(term.contact, surface, factor4)
                 add_contact(term, flattened(term.contact, surface), frame, term.equations)
@@ -55,9 +60,20 @@ def contact_information(evidence: Evidence, pose: Pose) -> tuple[float, float]:
 def information(
     evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
 ) -> tuple[float, float]:
-    """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all."""
-    chi2, log_spread = contact_information(evidence, pose)
+    """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
+
+    Both are without what the model's bumps lend; the terms' equations, and the prior's in `equations`, are whole.
+    """
+    equations[:] = 0.0
+    chi2, log_spread = contact_information(evidence, pose, equations)
     model = evidence.model
+    for i in range(6):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(len(evidence.terms)):
+                value += evidence.terms[k].equations[i, j]
+            by_touch[i, j] = by_touch[j, i] = value
+    subtract_lent(by_touch, equations, model.radius)
     # Walls: they cost, but say nothing of the way back.
     chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, model.fine, pose)
     equations[:] = 0.0
@@ -65,11 +81,7 @@ def information(
         add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
     for i in range(6):
         for j in range(i + 1):
-            value = 0.0
-            for k in range(len(evidence.terms)):
-                value += evidence.terms[k].equations[i, j]
-            by_touch[i, j] = by_touch[j, i] = value
-            total[i, j] = total[j, i] = value + equations[i, j]
+            total[i, j] = total[j, i] = by_touch[i, j] + equations[i, j]
     chi2 += equations[6, 6]
     return chi2, chi2 + log_spread
 
@@ -92,12 +104,19 @@ def posterior_cost(evidence: Evidence, pose: Pose) -> float:
 
 
 @inner
-def largest_gain(evidence: Evidence, total: Any, u: Any) -> float:
+def largest_gain(evidence: Evidence, u: Any) -> float:
     """The most that χ² falls, to first order, when one contact is left out and the pose gives way.
 
-    With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g.
+    With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
+    prior's share is in `u.equations`; what bumps lend is part of the cost, and stays.
     """
-    most, ridge = 0.0, 1e-12 * (total[0, 0] + total[1, 1] + total[2, 2])
+    total, most = u.wider, 0.0
+    for r in range(6):
+        for c in range(r + 1):
+            total[r, c] = u.equations[r, c]
+            for i in range(len(evidence.terms)):
+                total[r, c] += evidence.terms[i].equations[r, c]
+    ridge = 1e-12 * (total[0, 0] + total[1, 1] + total[2, 2])
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         if term.contact.used:

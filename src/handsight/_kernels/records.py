@@ -44,7 +44,7 @@ SYMMETRY = _record(
     ("rotation", "f8", (MOST_ROTATIONS, 3, 4)),
 )
 
-# How far the fine field is off the surface, place by place: two variances at each node of a grid.
+# How far the fine field is off the surface, place by place: four variances at each node of a grid.
 FIELD_ERROR = _record(
     ("least_distance", "f8"),
     ("least_normal", "f8"),

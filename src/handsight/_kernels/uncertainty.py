@@ -266,7 +266,7 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
     model, u = evidence.model, local(UNCERTAINTY)
     chi2, cost = information(evidence, pose, u.by_touch, row.information, u.equations)
     row.chi2, row.posterior_cost = chi2, cost
-    row.gain = largest_gain(evidence, row.information, u)
+    row.gain = largest_gain(evidence, u)
     row.open_count = unobservable(model, u.by_touch, pose, row.unobservable, u)
     in_metres(row.information, model.radius, u.matrix)
     eigen(u.matrix, u.values, u.vectors)

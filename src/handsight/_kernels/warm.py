@@ -16,6 +16,8 @@ from handsight._kernels import (
     linking,
     mean,
     nearest_triangle,
+    patches,
+    quadrics,
     random_walk,
     records,
     search,
@@ -72,7 +74,7 @@ def _fields() -> None:
 
 
 def _objects() -> None:
-    for kernels in (nearest_triangle, winding, linking, spreading):
+    for kernels in (nearest_triangle, winding, linking, spreading, quadrics, patches):
         kernels.warm()
 
 

@@ -21,7 +21,7 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import SAMPLES, Geometry, frozen
 from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
 
-VERSION = 7
+VERSION = 8
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
@@ -97,7 +97,7 @@ def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[Any], type, tuple[int 
         yield grid.origin, np.float64, (3,)
     yield coarse.values, np.float32, (None, None, None)
     yield fine.values, np.float32, (None, None, None)
-    yield error.values, np.float64, (None, None, None, 2)
+    yield error.values, np.float64, (None, None, None, 4)
     surface = geometry.surface
     yield surface.vertices, np.float64, (None, 3)
     if isinstance(surface, Cloud):

@@ -1,26 +1,26 @@
 """What is measured on a point cloud: its normals and its distance fields.
 
 Near the points the distance is the smooth average of the planes through them (implicit moving least squares,
-Kolluri 2008); far away it is that to the nearest point, negative where the cloud winds around. Outliers are
-not removed: each point given is taken for surface.
+Kolluri 2008), or, where they are noisy, of the quadrics fitted to them (`handsight.objects.scans`); far away it is that
+to the nearest point, negative where the cloud winds around. Outliers are not removed.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from handsight.checks import Array, Mask
+from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.fields import Grid, grids, sharpened
-from handsight.objects.geometry import Geometry, measured
+from handsight.objects.geometry import Geometry, measured, roughened
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.meshes.repair import agreeing, components
+from handsight.objects.scans.normals import estimated_normals
+from handsight.objects.scans.scan import scanned
 from handsight.objects.surface import LARGEST_HOLE, Cloud, check_extent, diameter, distinct
 
 LEAST_POINTS = 20
-NEIGHBOURS = 12
-"""Points through which a plane is laid where normals are missing."""
 PLANES = 10
 """Points whose planes are averaged."""
 AREA_NEIGHBOURS = 8
@@ -31,28 +31,32 @@ NEAR, FAR = 2.0, 4.0
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     """What is to be known of finite points (n, 3) [m] with unit outward normals or none; raises InvalidObject.
 
-    Equal points are merged. Normals that were not given are estimated and made to point outwards.
+    Equal points are merged. Normals that were not given are estimated and made to point outwards. Of noisy points the
+    object is the surface that was fitted to them.
     """
     points, normals, remarks = _distinct(points, normals)
+    scan = scanned(points, normals, diameter(points))
+    if scan is not None:
+        points, normals = scan.surface.settled()
     tree = cKDTree(points)
     if normals is None:
-        normals = _estimated_normals(points, tree)
+        normals = estimated_normals(points, tree)
     reach = tree.query(points, k=AREA_NEIGHBOURS + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     cloud = Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5))
+    heights = _Planes(cloud, tree).heights if scan is None else scan.surface.heights
     size = diameter(points)
     coarse, fine, coarser = grids(points, size)
     winding = Winding(points, cloud.areas[:, None] * normals)
     nodes = coarse.nodes()
     hole = _largest_hole(coarse, tree.query(nodes)[0], winding.inside(nodes))
     closed = hole < LARGEST_HOLE * size and _winds(cloud, winding)
-    side = winding if closed else None
-    values = _distances(cloud, tree, nodes, side)
-    sharp = sharpened(
-        coarse, values, fine, lambda index, _: (index, _distances(cloud, tree, fine.nodes_at(index), side))
-    )
+    distances = _Distances(cloud, tree, heights, winding if closed else None)
+    values = distances.at(nodes)
+    sharp = sharpened(coarse, values, fine, lambda index, _: (index, distances.at(fine.nodes_at(index))))
     fields, remarks = (coarse.field(values), fine.field(sharp)), (*remarks, *coarser)
-    return measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
+    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
+    return geometry if scan is None else roughened(geometry, scan.roughness)
 
 
 def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
@@ -89,53 +93,55 @@ def _largest_hole(grid: Grid, gap: Array, inside: Mask) -> float:
     return largest
 
 
-def _distances(cloud: Cloud, tree: cKDTree, nodes: Array, winding: Winding | None) -> Array:
-    """Signed distances (n,) [m] of the nodes; without a winding number, by the nearest point's normal."""
-    k = min(PLANES, len(cloud.vertices))
-    gap, index = tree.query(nodes, k=k)
-    near = gap[:, 0]
-    # Wide enough for a few points, wherever they are.
-    width2 = (near + cloud.spacing) ** 2
-    weight = np.exp(-((gap**2 - near[:, None] ** 2) / width2[:, None]))
-    # The far side of a thin wall has no say.
-    agreement = np.einsum("nki,ni->nk", cloud.normals[index], cloud.normals[index[:, 0]])
-    weight *= np.maximum(agreement, 0.0) + 1e-9
-    height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
-    plane = (weight * height).sum(axis=1) / weight.sum(axis=1)
-    share = np.clip((near / cloud.spacing - NEAR) / (FAR - NEAR), 0.0, 1.0)
-    share = share * share * (3 - 2 * share)
-    if winding is None:
-        # From behind the negative distance meets the positive one around the rim without a jump.
-        cosine = height[:, 0] / np.where(near > 0, near, 1.0)
-        far = near * np.clip((cosine + 0.6) / 0.3, -1.0, 1.0)
-    else:
-        far = near.copy()
-        away = np.flatnonzero(share > 0)
-        far[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
-    return np.asarray((1 - share) * plane + share * far)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Planes:
+    """The smooth average of the planes through the points of a cloud."""
+
+    cloud: Cloud
+    tree: cKDTree
+
+    def heights(self, nodes: Array, _: Indices) -> Array:
+        """Signed distances (n,) [m] of nodes (n, 3) near the cloud."""
+        cloud = self.cloud
+        k = min(PLANES, len(cloud.vertices))
+        gap, index = self.tree.query(nodes, k=k)
+        near = gap[:, 0]
+        # Wide enough for a few points, wherever they are.
+        width2 = (near + cloud.spacing) ** 2
+        weight = np.exp(-((gap**2 - near[:, None] ** 2) / width2[:, None]))
+        # The far side of a thin wall has no say.
+        agreement = np.einsum("nki,ni->nk", cloud.normals[index], cloud.normals[index[:, 0]])
+        weight *= np.maximum(agreement, 0.0) + 1e-9
+        height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
+        return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
 
 
-def _estimated_normals(points: Array, tree: cKDTree) -> Array:
-    """Unit outward normals (n, 3) of surface points (n, 3) [m].
+@dataclass(frozen=True, slots=True, eq=False)
+class _Distances:
+    """Distances to a cloud: near it those of its smooth surface, far from it that to the nearest point."""
 
-    Of the plane through each point's neighbours; made to agree along the tree of neighbours whose planes
-    differ least (Hoppe et al. 1992); then turned, each connected part, so that they point away from its
-    middle on the whole.
-    """
-    neighbours = tree.query(points, k=min(NEIGHBOURS, len(points)))[1]
-    patch = points[neighbours]
-    patch = patch - patch.mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))[1][:, :, 0]
-    row = np.repeat(np.arange(len(points)), neighbours.shape[1] - 1)
-    column = neighbours[:, 1:].reshape(-1)
-    cost = 1.0 - np.abs((normals[row] * normals[column]).sum(axis=1)) + 1e-6
-    graph = coo_array((cost, (row, column)), shape=(len(points), len(points)))
-    i, j = minimum_spanning_tree(graph.tocsr()).nonzero()
-    turned, _ = agreeing(i, j, (normals[i] * normals[j]).sum(axis=1) >= 0, len(points))
-    normals[turned] *= -1
-    part = components(row, column, len(points))
-    for k in range(part.max() + 1):
-        own = part == k
-        if ((points[own] - points[own].mean(axis=0)) * normals[own]).sum() < 0:
-            normals[own] *= -1
-    return normals
+    cloud: Cloud
+    tree: cKDTree
+    heights: Callable[[Array, Indices], Array]
+    """Of nodes near the surface and the points nearest to them."""
+    winding: Winding | None
+    """None: the nearest point's normal says which side is inside."""
+
+    def at(self, nodes: Array) -> Array:
+        """Signed distances (n,) [m] of nodes (n, 3)."""
+        near, nearest = self.tree.query(nodes)
+        share = np.clip((near / self.cloud.spacing - NEAR) / (FAR - NEAR), 0.0, 1.0)
+        share = share * share * (3 - 2 * share)
+        if self.winding is None:
+            # From behind the negative distance meets the positive one around the rim without a jump.
+            away = nodes - self.cloud.vertices[nearest]
+            cosine = np.einsum("ni,ni->n", away, self.cloud.normals[nearest]) / np.where(near > 0, near, 1.0)
+            far = near * np.clip((cosine + 0.6) / 0.3, -1.0, 1.0)
+        else:
+            far = near.copy()
+            away = np.flatnonzero(share > 0)
+            far[away] *= np.where(self.winding.inside(nodes[away]), -1.0, 1.0)
+        close = np.flatnonzero(share < 1)
+        smooth = np.zeros(len(nodes))
+        smooth[close] = self.heights(nodes[close], nearest[close])
+        return np.asarray((1 - share) * smooth + share * far)

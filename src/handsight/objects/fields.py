@@ -119,7 +119,8 @@ class FieldError:
     cell: float
     """Spacing of the nodes [m]."""
     values: Array
-    """(nx, ny, nz, 2): variance of the distance [m²] and of the normal per axis [rad²]."""
+    """(nx, ny, nz, 4): variances of the distance [m²] and of the normal per axis [rad²]; of what a scan's bumps lend to
+    a slide, those of the slope [rad²] and of the curvature [1/m²]: zero where a surface is taken for what it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,13 +1,13 @@
 """What is measured on an object's surface, whatever the surface came from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight.checks import Array, Indices
-from handsight.objects.fields import Field, FieldError, GridField, centered_grid
+from handsight.objects.fields import Field, FieldError, Grid, GridField, centered_grid
 from handsight.objects.surface import Surface
 
 SAMPLES = 256
@@ -82,6 +82,18 @@ class Geometry:
         return float(np.sqrt(self.area / SAMPLES))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Roughness:
+    """How far a surface is off the object that it was scanned from, place by place."""
+
+    points: Array
+    """(m, 3) on the surface [m]."""
+    variances: Array
+    """(m, 4), as of FieldError."""
+    weights: Array
+    """(m,) by which each counts among its neighbours."""
+
+
 def measured(
     surface: Surface,
     coarse: GridField,
@@ -114,6 +126,24 @@ def measured(
     )
 
 
+def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
+    """The same, its errors larger by how far its surface is off the object."""
+    error = geometry.field_error
+    if error is None:
+        return geometry
+    nodes = Grid(error.origin, error.cell, error.values.shape[:3]).nodes()
+    weights = roughness.weights[:, None]
+    mean = _mean_of_nearest(roughness.points, np.hstack([weights * roughness.variances, weights]), nodes)
+    values = error.values + (mean[:, :4] / mean[:, 4:]).reshape(error.values.shape)
+    point, normal = np.sqrt(np.median(roughness.variances[:, :2], axis=0))
+    return replace(
+        geometry,
+        sigma_point=float(np.hypot(geometry.sigma_point, point)),
+        sigma_normal=float(np.hypot(geometry.sigma_normal, normal)),
+        field_error=FieldError(error.origin, error.cell, values),
+    )
+
+
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """The array, which can no longer be written to."""
     array.flags.writeable = False
@@ -137,16 +167,24 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
     """The error of a fine field, from samples of the surface within about half a cell [m] of each node."""
-    import numba  # an object from the cache needs neither numba nor scipy
-    from scipy.spatial import cKDTree
-
     points, distance, angle = _errors(surface, fine, ERROR_SAMPLES, seed=2)
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
     lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
     grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
+    nodes = grid.nodes()
+    values = np.zeros((len(nodes), 4))
+    values[:, :2] = _mean_of_nearest(points, lengths, nodes) ** 2
+    return FieldError(grid.origin, cell, values.reshape(*grid.shape, 4))
+
+
+def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
+    """The mean (n, k) of the values (m, k) at the points (m, 3) nearest to each of the nodes (n, 3)."""
+    import numba  # an object from the cache needs neither numba nor scipy
+    from scipy.spatial import cKDTree
+
     threads = numba.config.NUMBA_NUM_THREADS
-    near = cKDTree(points).query(grid.nodes(), k=NEIGHBOURS, workers=threads)[1]
-    return FieldError(grid.origin, cell, (lengths[near].mean(axis=1) ** 2).reshape(*grid.shape, 2))
+    near = cKDTree(points).query(nodes, k=min(NEIGHBOURS, len(points)), workers=threads)[1]
+    return np.asarray(values[near].mean(axis=1))
 
 
 def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array, Array, Array]:

@@ -6,9 +6,10 @@ import numpy as np
 
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grids, sharpened
-from handsight.objects.geometry import Geometry, measured
-from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding
+from handsight.objects.geometry import Geometry, measured, roughened
+from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
+from handsight.objects.scans.scan import smoothed
 from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 
 CLOSED_SHARE = 0.95
@@ -25,6 +26,8 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     """What is to be known of a mesh as it came: repaired, then measured; raises InvalidObject where nothing is left."""
     mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
+    mesh, roughness = smoothed(mesh, size)
+    tree = tree if roughness is None else box_tree(mesh.corners.mean(axis=1))
     coarse, fine, coarser = grids(mesh.vertices, size)
     search, winding = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree)
     rim = rim_of(mesh, winding, fine.cell)
@@ -40,7 +43,9 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     values = side.signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
     sharp = sharpened(coarse, values, fine, exact, sheet=not closed)
     smooth, sharp_field = coarse.field(values, sheet=not closed), fine.field(sharp, sheet=not closed)
-    return measured(mesh, smooth, sharp_field, diameter=size, closed=closed, remarks=(*remarks, *coarser))
+    remarks = (*remarks, *coarser)
+    geometry = measured(mesh, smooth, sharp_field, diameter=size, closed=closed, remarks=remarks)
+    return geometry if roughness is None else roughened(geometry, roughness)
 
 
 def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:

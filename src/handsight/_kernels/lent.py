@@ -1,0 +1,59 @@
+"""Information that a model's bumps lend to its contacts, and what is left without it.
+
+A model that is off its object by a random slope and curvature turns a slide into residuals that the object itself would
+not show: of that slide a contact then seems to know what is worked out here, and knows nothing.
+"""
+
+from typing import Any
+
+from handsight._kernels.compiled import inner
+from handsight._kernels.contact_term import Pose, Surface, model_error
+from handsight._kernels.dense6 import eigen, in_metres
+from handsight._kernels.records import UNCERTAINTY
+from handsight._kernels.simd import accumulate, local
+from handsight._kernels.vec3 import cross, outer, sub, sub33, vector
+
+CURVATURE_SHARE = 1.5 / 2.5
+"""Each way of a slide meets one own and one mixed term of the curvature's error, the latter half as uncertain: 1.5
+variances. A normal's weight has 2.5 tangential ones in its trace: one more, along itself, of half the size."""
+UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@inner
+def add_lent(model: Any, nodes: Any, term: Any, surface: Surface, pose: Pose, equations: Any) -> None:
+    """Adds to normal equations by (δp, δθ) what bumps lend to a contact: the same for every slide along the surface."""
+    if model.error.inverse_cell == 0.0:
+        return
+    slope, curvature = model_error(model.error, nodes, surface[4], 2)
+    if slope + curvature == 0.0:
+        return
+    W, n, lever = term.weight, surface[2], sub(vector(term.contact.point), pose[1])
+    lent = W[0, 0] * slope + CURVATURE_SHARE * (W[1, 1] + W[2, 2] + W[3, 3]) * curvature
+    along = sub33(UNIT, outer(n, n))
+    rows = (
+        along[0] + cross(lever, along[0]) + (0.0,),
+        along[1] + cross(lever, along[1]) + (0.0,),
+        along[2] + cross(lever, along[2]) + (0.0,),
+    )
+    accumulate((lent, lent, lent), rows, equations)
+
+
+@inner
+def subtract_lent(by_touch: Any, equations: Any, radius: float) -> None:
+    """Lowers an information (6, 6) by (δp, δθ) by what `add_lent` has added up, where that leaves any."""
+    u, all_of_it = local(UNCERTAINTY), 0.0
+    for i in range(6):
+        all_of_it += equations[i, i]
+    if all_of_it == 0.0:
+        return
+    for i in range(6):
+        for j in range(i + 1):
+            by_touch[i, j] = by_touch[j, i] = by_touch[i, j] - equations[i, j]
+    in_metres(by_touch, radius, u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    for i in range(6):
+        for j in range(6):
+            value = 0.0
+            for k in range(6):
+                value += u.vectors[i, k] * max(u.values[k], 0.0) * u.vectors[j, k]
+            by_touch[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))

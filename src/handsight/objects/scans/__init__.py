@@ -1,0 +1,1 @@
+"""Objects made of noisy measurements of their surface."""

@@ -1,0 +1,67 @@
+"""Normals of points that have none."""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial import cKDTree
+
+from handsight.checks import Array
+from handsight.objects.meshes.repair import agreeing, components
+from handsight.objects.scans.windows import Points
+
+NEIGHBOURS = 12
+"""Points through which a plane is laid, and among which normals are made to agree."""
+MOST_NEIGHBOURS = 60
+REACH = 6.0
+"""Deviations of noise that a plane must be wide to have a direction."""
+
+
+def planes(points: Points, places: Array, count: int) -> Array:
+    """(k, 3) unit normals, either way, of the planes through about `count` points around the places (k, 3).
+
+    Of more than there are reasons to look at, a part as wide.
+    """
+    thinned = points.places[
+        : max(len(points.places) * MOST_NEIGHBOURS // max(count, MOST_NEIGHBOURS), NEIGHBOURS)
+    ]
+    nearest = cKDTree(thinned).query(places, k=min(count, MOST_NEIGHBOURS, len(thinned)))[1]
+    return _through(thinned[nearest])
+
+
+def enough_neighbours(sigma: float, spacing: float, least: int = NEIGHBOURS) -> int:
+    """How many points a plane takes where these are off by `sigma` and `spacing` apart [m]."""
+    return int(max(np.pi * (REACH * sigma / spacing) ** 2, least))
+
+
+def estimated_normals(points: Array, tree: cKDTree) -> Array:
+    """Unit outward normals (n, 3) of surface points (n, 3) [m]: of the plane through each one's neighbours."""
+    return outwards(points, _through(points[tree.query(points, k=min(NEIGHBOURS, len(points)))[1]]), tree)
+
+
+def _through(patch: Array) -> Array:
+    """(n, 3) unit normals of the planes through points (n, k, 3)."""
+    patch = patch - patch.mean(axis=1, keepdims=True)
+    return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))[1][:, :, 0])
+
+
+def outwards(points: Array, normals: Array, tree: cKDTree) -> Array:
+    """The unit normals (n, 3), each of which may be the wrong way, made to point outwards.
+
+    They are made to agree along the tree of neighbours whose planes differ least (Hoppe et al. 1992); then turned, each
+    connected part, so that they point away from its middle on the whole.
+    """
+    normals = normals.copy()
+    neighbours = tree.query(points, k=min(NEIGHBOURS, len(points)))[1]
+    row = np.repeat(np.arange(len(points)), neighbours.shape[1] - 1)
+    column = neighbours[:, 1:].reshape(-1)
+    cost = 1.0 - np.abs((normals[row] * normals[column]).sum(axis=1)) + 1e-6
+    graph = coo_array((cost, (row, column)), shape=(len(points), len(points)))
+    i, j = minimum_spanning_tree(graph.tocsr()).nonzero()
+    turned, _ = agreeing(i, j, (normals[i] * normals[j]).sum(axis=1) >= 0, len(points))
+    normals[turned] *= -1
+    part = components(row, column, len(points))
+    for k in range(part.max() + 1):
+        own = part == k
+        if ((points[own] - points[own].mean(axis=0)) * normals[own]).sum() < 0:
+            normals[own] *= -1
+    return normals

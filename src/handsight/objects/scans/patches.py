@@ -1,0 +1,128 @@
+"""The surface that noisy points lie about: quadrics, each as wide as it may be, and how far they are off."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from handsight._kernels.patches import blended
+from handsight._kernels.threads import in_parts
+from handsight.checks import Array, Indices
+from handsight.objects.scans.normals import enough_neighbours, outwards, planes
+from handsight.objects.scans.windows import (
+    Noise,
+    Patches,
+    Points,
+    spacing_of,
+    started,
+    widened,
+    widths,
+)
+
+PATCHES = 4000
+FIRST, RATIO, LAST = 3.0, 1.35, 0.3
+"""Windows: the least [spacings], how much wider each is, and the widest [diameters]."""
+MOST_WIDENED = 9.0
+"""Points that share one noise widen the least window, up to as many."""
+THICK = 3.0
+"""Deviations of noise that a window must be wide."""
+STEADY = 5.0
+"""Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
+TOLERANCE = 2e-4
+"""Of a quadric's residual, what an object's shape may add to the noise [diameters]."""
+BEND = 8.0
+"""One standard deviation of curvatures [1/diameters] before anything is measured."""
+LEAST_SIGMA = 1e-4
+"""No scan is taken for better [diameters]."""
+ROUGHLY = 3
+"""Windows that tell the faces of an object apart."""
+MANY = 4096
+"""Nodes that are worth another thread."""
+BLENDED = 24
+"""Patches that are averaged at a place."""
+ALIKE, LEAST_TRUST = 0.05, 0.02
+"""A patch counts by the inverse variance of its normal and of this part of the median one; the least that it counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannedSurface:
+    """A surface of many quadric patches."""
+
+    patches: Patches
+    tree: cKDTree
+    """Of their points (m, 3)."""
+    around: Indices
+    """(m, k) the patches nearest to each, itself first."""
+    spacing: float
+    """Between them [m]."""
+
+    @property
+    def variances(self) -> Array:
+        """(m, 3): of the distance [m²], of the normal per axis [rad²], of the curvature [1/m²]."""
+        v = self.patches["covariance"].diagonal(axis1=1, axis2=2)
+        return np.stack([v[:, 0], (v[:, 1] + v[:, 2]) / 2, (v[:, 3] + v[:, 5]) / 2], axis=1)
+
+    def blended(self, nodes: Array, nearest: Indices) -> Array:
+        """(n, 4) signed distances [m] of nodes (n, 3) near the surface, and ways outwards; `nearest` patches (n,)."""
+        out = np.empty((len(nodes), 4))
+        in_parts(partial(blended, self.patches, self.spacing, self.around), (nearest, nodes, out), MANY)
+        return out
+
+    def heights(self, nodes: Array, nearest: Indices) -> Array:
+        """Signed distances (n,) [m] of nodes (n, 3) near the surface, whose nearest patches (n,) are known."""
+        return np.asarray(self.blended(nodes, nearest)[:, 0])
+
+    def settled(self) -> tuple[Array, Array]:
+        """Points (m, 3) [m] on the blended surface, a patch's each, and unit outward normals (m, 3)."""
+        points = self.patches["point"]
+        there = self.blended(points, np.arange(len(points)))
+        normals = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
+        return points - there[:, :1] * normals, normals
+
+
+def fitted(points: Points, noise: Noise) -> ScannedSurface:
+    """The surface through noisy points; where their normals are not known, they are estimated first."""
+    noise = replace(noise, sigma=max(noise.sigma, LEAST_SIGMA * points.diameter))
+    if np.isfinite(points.normals).all():
+        patches = _fits(points, points.normals[:PATCHES], noise)
+    else:
+        centres = points.places[:PATCHES]
+        tree = cKDTree(centres)
+        count = enough_neighbours(noise.sigma, points.spacing)
+        normals = outwards(centres, planes(points, centres, count), tree)
+        nearest = tree.query(points.places)[1]
+        # Planes tell faces apart, but quadrics do so better: what they found decides once more.
+        for windows in (ROUGHLY, None):
+            patches = _fits(replace(points, normals=normals[nearest]), normals, noise, windows)
+            normals = patches["normal"].copy()
+    variance = patches["covariance"][:, 1, 1] + patches["covariance"][:, 2, 2]
+    typical = np.median(variance)
+    trust = (1 + ALIKE) * typical / (variance + ALIKE * typical)
+    patches["trust"] = np.clip(trust, LEAST_TRUST, 1 / LEAST_TRUST)
+    tree = cKDTree(patches["point"])
+    around = tree.query(patches["point"], k=min(BLENDED, len(patches)))[1]
+    return ScannedSurface(patches, tree, around, spacing_of(patches["point"]))
+
+
+def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None) -> Patches:
+    """Patches about the first of the points, one for each of the normals (m, 3); in so many windows."""
+    patches = started(points.places[: len(normals)], normals)
+    shared = min(noise.together, MOST_WIDENED)
+    least = max(
+        FIRST * points.spacing * np.sqrt(shared),
+        THICK * noise.sigma,
+        STEADY * np.sqrt(noise.sigma * points.spacing),
+    )
+    level = {
+        "variance": noise.sigma**2,
+        "together": noise.together,
+        "tolerance": (TOLERANCE * points.diameter) ** 2,
+        "bend": BEND / points.diameter,
+    }
+    windows = widths(least, max(LAST * points.diameter, least), RATIO)
+    widened(points, patches, windows[:most], **level)
+    alone = patches["fits"] == 0
+    unknown = np.repeat([noise.sigma**2 * noise.together, 1.0, level["bend"] ** 2], (1, 2, 3))
+    patches["covariance"][alone] = np.diag(unknown)
+    return patches

@@ -1,0 +1,51 @@
+"""How far a scanned surface is off the object it was scanned from, place by place."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from handsight.checks import Array
+from handsight.objects.geometry import Roughness
+from handsight.objects.scans.patches import ScannedSurface
+from handsight.objects.scans.windows import Noise, Points
+
+LEND = 3.84
+"""Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
+SHARED = 0.25
+"""The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
+is off by on the average; but a patch that ended early by chance still bends it, where it is."""
+SHARES, LEAST, MOST = 30, 30, 150
+"""Each place is compared with this many points for a patch, within these bounds."""
+
+
+def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Roughness:
+    """The variances of distance, normal, slope and curvature at each patch, as a contact meets them.
+
+    What the points scatter tells how far the fits are off by chance; what many points near by are off by on the
+    average, more than chance explains, tells where a window was too wide for the shape.
+    """
+    height, normal, bend = surface.variances.T
+    by_height, by_slope = _oversmoothed(surface, points, noise)
+    slope = normal + by_slope
+    variances = np.stack([height + by_height, slope, LEND * slope, LEND * bend], axis=1)
+    return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** SHARED)
+
+
+def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
+    """(m,) squared mean [m²] and slope [rad²] of the points' residuals around each patch, less their noise."""
+    count = int(np.clip(SHARES * len(points.places) / len(surface.patches), LEAST, MOST))
+    count = min(count, len(points.places))
+    centres = surface.patches["point"]
+    near = cKDTree(points.places).query(centres, k=count)[1].reshape(-1, count)
+    offset = points.places[near] - centres[:, None]
+    residual = surface.heights(points.places, surface.tree.query(points.places)[1])[near]
+    variance = noise.sigma**2 * noise.together
+    # Points of another face or of the far side tell nothing of this one.
+    known = np.abs(residual) < 5 * np.sqrt(noise.sigma**2 + surface.variances[:, :1])
+    many = np.maximum(known.sum(axis=1), 1)
+    mean = np.where(known, residual, 0.0).sum(axis=1) / many
+    slopes = np.zeros(len(near))
+    for along in (surface.patches["along"][:, 0], surface.patches["along"][:, 1]):
+        u = np.where(known, np.einsum("mki,mi->mk", offset, along), 0.0)
+        square = np.maximum((u * u).sum(axis=1), 1e-300)
+        slopes += ((u * residual).sum(axis=1) / square) ** 2 / 2 - variance / square / 2
+    return np.maximum(mean**2 - variance / many, 0.0), np.maximum(slopes, 0.0)

@@ -1,0 +1,108 @@
+"""What the bumps of a scan lend to contacts is no information."""
+
+import functools
+
+import numba
+import numpy as np
+import pytest
+
+import handsight as hs
+import scenes
+from handsight._kernels import batch, levenberg, posterior, records
+from handsight._kernels.compiled import FAST
+from handsight._kernels.simd import local
+from handsight._kernels.symmetry import pose_of
+from handsight.correction.outside import NO_OUTSIDE
+from handsight.correction.problem import Problem, descents_at
+from handsight.objects import Symmetries
+from oracles import correction as oracle
+
+PRIOR_TERM, TERM = records.PRIOR_TERM, records.TERM
+
+
+@functools.cache
+def scan(sigma, n=3000):
+    """A can as a scanner has it."""
+    can = hs.ObjectModel.cylinder(0.033, 0.115)
+    points, normals = can.sample(n, 5)
+    return hs.ObjectModel.from_points(
+        points + sigma * np.random.default_rng(2).normal(size=points.shape), normals
+    )
+
+
+def problem(model, seed, *, bare=False):
+    """A grasp of the can, its contacts on its true side."""
+    rng = np.random.default_rng(seed)
+    scene = scenes.random_scene(scenes.on_can_side(rng), rng)
+    contacts = scene.contacts
+    if bare:
+        felt = [None if i % 2 else normal for i, normal in enumerate(contacts.normals_palm)]
+        contacts = hs.Contacts(contacts.points_palm, felt, sigma_point=5e-4, sigma_normal=0.035)
+    return Problem(model, contacts, scene.vision, NO_OUTSIDE), scene.T_palm_object
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+def _information(model, nodes, contacts, vision, outside, descents, by_touch, total, equations):
+    """Of touch alone and of all, at a pose, and the sum of the contacts' whole equations."""
+    prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
+    center = batch._load_terms(contacts, terms)
+    batch._fill_prior(model[0], vision, center, prior)
+    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
+    posterior.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
+    whole = np.zeros((6, 6))
+    for k in range(len(terms)):
+        for i in range(6):
+            for j in range(6):
+                whole[i, j] += terms[k].equations[i, j]
+    return whole
+
+
+def information(given, T):
+    """(6, 6) each: of touch without what is lent, of all, and of touch as its equations have it."""
+    by_touch, total = np.empty((6, 6)), np.empty((6, 6))
+    record = given.model.record[:2]
+    arrays = given.contacts.record, given.prior, given.outside, descents_at(T[None])
+    whole = _information(*record, *arrays, by_touch, total, np.empty((7, 8)))
+    return by_touch, total, whole
+
+
+@pytest.mark.parametrize("bare", [False, True])
+@pytest.mark.parametrize("sigma", [5e-4, 2e-3])
+def test_what_is_lent_is_subtracted_and_never_more(sigma, bare):
+    for seed in range(5):
+        given, T = problem(scan(sigma), seed, bare=bare)
+        by_touch, total, whole = information(given, T)
+        scale = np.repeat([1.0, 1 / given.model.radius], 3)
+        whole = np.tril(whole) + np.tril(whole, -1).T
+        left = scale[:, None] * (whole - oracle.lent(given, T)) * scale
+        values, vectors = np.linalg.eigh(left)
+        expected = vectors @ np.diag(np.maximum(values, 0)) @ vectors.T
+        np.testing.assert_allclose(
+            scale[:, None] * by_touch * scale, expected, rtol=0, atol=2e-6 * np.abs(expected).max()
+        )
+        assert np.linalg.eigvalsh(scale[:, None] * by_touch * scale).min() > -1e-9 * np.abs(expected).max()
+        # Less is known, in every direction, than the equations say.
+        assert np.linalg.eigvalsh(expected - left).min() > -1e-9 * np.abs(expected).max()
+        assert np.linalg.eigvalsh(total).min() > 0
+
+
+def test_a_model_without_bumps_lends_nothing():
+    given, T = problem(hs.ObjectModel.cylinder(0.033, 0.115), 0)
+    by_touch, _, whole = information(given, T)
+    np.testing.assert_allclose(by_touch, np.tril(whole) + np.tril(whole, -1).T, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [5e-4, 1e-3])
+def test_the_spin_of_a_scanned_can_is_open(sigma):
+    axis_named = []
+    for seed in range(12):
+        given, T = problem(scan(sigma, 4000).with_symmetries(Symmetries()), seed)
+        estimate = hs.correct_pose(given.model, given.contacts, vision=given.vision)
+        axis = estimate.T_palm_object[:3, 2]
+        lever = np.cross(-estimate.T_palm_object[:3, :3] @ given.model.center_object, axis)
+        spin = np.concatenate([lever, axis * given.model.radius])
+        spin /= np.linalg.norm(spin)
+        named = estimate.unobservable @ spin if len(estimate.unobservable) else np.zeros(1)
+        axis_named.append(np.linalg.norm(named) > 0.9)
+    # Of twelve; without the subtraction it is none or one.
+    assert np.mean(axis_named) > 0.7

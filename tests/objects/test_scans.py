@@ -1,0 +1,322 @@
+"""Objects made of noisy points: what noise is read, what surface is found behind it, and how far that says it is off."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+
+import handsight as hs
+from handsight._kernels.patches import blended
+from handsight.objects import ObjectModel
+from handsight.objects.cloud import cloud_geometry
+from handsight.objects.meshes.mesh_geometry import mesh_geometry
+from handsight.objects.scans.noise import measured_noise
+from handsight.objects.scans.patches import fitted
+from handsight.objects.scans.scan import scanned, smoothed
+from handsight.objects.scans.windows import Noise, Points, spacing_of, started, widened
+from handsight.objects.surface import Triangles, diameter
+from oracles import fields
+
+CAN, BOX, BALL = (
+    ObjectModel.cylinder(0.033, 0.115),
+    ObjectModel.box((0.06, 0.09, 0.14)),
+    ObjectModel.sphere(0.035),
+)
+SHAPES = {"can": CAN, "box": BOX, "ball": BALL}
+
+
+def plane(n, rng):
+    """A sheet of 10 by 8 cm."""
+    points = np.column_stack([rng.uniform(-0.05, 0.05, n), rng.uniform(-0.04, 0.04, n), np.zeros(n)])
+    return points, np.tile([0.0, 0, 1], (n, 1))
+
+
+def drawn(name, n, seed):
+    """Points on a shape and their normals, in a random order."""
+    rng = np.random.default_rng([seed, n])
+    points, normals = plane(n, rng) if name == "plane" else SHAPES[name].sample(n, seed)
+    if name == "ball":  # not on its facets
+        normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+        points = 0.035 * normals
+    side = np.flatnonzero(np.abs(normals[:, 2]) < 0.5) if name == "can" else []
+    if len(side):
+        normals[side] = points[side] * [1, 1, 0] / np.linalg.norm(points[side, :2], axis=1, keepdims=True)
+        points[side, :2] = 0.033 * normals[side, :2]
+    order = rng.permutation(n)
+    return points[order], normals[order], rng
+
+
+def as_points(places, normals=None):
+    """As a scan's points are kept."""
+    unknown = np.full_like(places, np.nan)
+    given = unknown if normals is None else normals
+    return Points(places, given, spacing_of(places), diameter(places))
+
+
+@pytest.mark.parametrize("name", ["plane", "can", "box", "ball"])
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_is_read_from_the_points(name, seed):
+    rng = np.random.default_rng([seed, 5])
+    n, sigma = int(np.exp(rng.uniform(np.log(2000), np.log(20_000)))), 10 ** rng.uniform(-3.8, -2.7)
+    points, _, rng = drawn(name, n, seed)
+    _, noise = measured_noise(as_points(points + sigma * rng.normal(size=points.shape)))
+    assert not noise.is_shape
+    assert noise.together == 1
+    # Edges count as a little noise where points are far apart.
+    assert 0.85 * sigma < noise.sigma < 1.35 * sigma
+
+
+@pytest.mark.parametrize("name", ["plane", "can", "box", "ball"])
+@pytest.mark.parametrize("n", [2000, 6000])
+def test_points_without_noise_have_next_to_none(name, n):
+    points, _, _ = drawn(name, n, 1)
+    given, noise = measured_noise(as_points(points))
+    assert noise.sigma < 2e-4 * given.diameter
+
+
+def test_noise_that_neighbours_share_is_told_from_noise_of_their_own():
+    points, normals, rng = drawn("can", 6000, 2)
+    waves, phases = rng.normal(size=(3, 400)) / 3e-3, rng.uniform(0, 2 * np.pi, 400)
+    shared = 8e-4 * np.sqrt(2 / 400) * np.cos(points @ waves + phases).sum(axis=1)
+    noisy = points + shared[:, None] * normals + 1e-4 * rng.normal(size=points.shape)
+    _, noise = measured_noise(as_points(noisy))
+    assert not noise.is_shape
+    assert noise.together > 2
+    assert 4e-4 < noise.sigma < 1.2e-3
+
+
+def fields_of(name, points):
+    """Distance to a plane, a can's side or a ball, and the way outwards."""
+    if name == "plane":
+        return points[:, 2], np.tile([0.0, 0, 1], (len(points), 1))
+    away = points * ([1, 1, 0] if name == "can" else [1, 1, 1])
+    length = np.linalg.norm(away, axis=1)
+    return length - (0.033 if name == "can" else 0.035), away / length[:, None]
+
+
+@pytest.mark.parametrize("name", ["plane", "can", "ball"])
+@pytest.mark.parametrize("window", [0.01, 0.02])
+def test_a_quadric_is_exact_on_a_plane_a_cylinder_and_a_ball(name, window):
+    points, normals, rng = drawn(name, 4000, 3)
+    inner = np.abs(points[:, 2]) < 0.03 if name == "can" else np.linalg.norm(points, axis=1) < 0.036
+    inner &= np.abs(normals[:, 2]) < 0.5 if name == "can" else True
+    centres, facing = points[inner][:200], normals[inner][:200]
+    turned = facing + 0.1 * rng.normal(size=facing.shape)
+    patches = started(centres, turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    given = as_points(points, normals)
+    widened(given, patches, np.array([window] * 9), variance=1e-10, together=1.0, bend=1e6, free=True)
+    expected = {"plane": (0.0, 0.0), "can": (1 / 0.033, 0.0), "ball": (1 / 0.035, 1 / 0.035)}[name]
+    off = fields_of(name, patches["point"])
+    np.testing.assert_allclose(off[0], 0, atol=1e-8)
+    np.testing.assert_allclose(patches["normal"], off[1], atol=1e-6)
+    a, b, c = patches["bends"].T
+    apart = np.hypot((a - c) / 2, b)
+    np.testing.assert_allclose((a + c) / 2 + apart, expected[0], atol=1e-4)
+    np.testing.assert_allclose((a + c) / 2 - apart, expected[1], atol=1e-4)
+    # So is the distance, however far off the surface.
+    k = 40
+    height = rng.uniform(-0.02, 0.05, k)
+    nodes = patches["point"][:k] + height[:, None] * patches["normal"][:k]
+    out, index = np.empty((k, 4)), np.arange(k)
+    patches["trust"] = 1.0
+    blended(patches, given.spacing, index[:, None], index, nodes, out)
+    np.testing.assert_allclose(out[:, 0], height, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["can", "box", "ball"])
+@pytest.mark.parametrize(("n", "sigma"), [(4000, 5e-4), (4000, 1.5e-3), (12_000, 1e-3)])
+def test_missing_normals_of_noisy_points_are_found_and_point_outwards(name, n, sigma):
+    points, _, rng = drawn(name, n, 4)
+    scan = scanned(points + sigma * rng.normal(size=points.shape), None, SHAPES[name].diameter)
+    places, normals = scan.surface.settled()
+    truth = SHAPES[name].evaluate(places).gradient
+    along = (normals * truth).sum(axis=1)
+    assert (along > 0).mean() > 0.99
+    assert np.median(np.arccos(np.clip(along, -1, 1))) < np.deg2rad(4)
+
+
+def off_edges(name, rng):
+    """Places on a shape where it has no edge within a tenth of its size."""
+    points, normals = SHAPES[name].sample(4000, int(rng.integers(1000)))
+    if name == "can":
+        keep = (np.abs(points[:, 2]) < 0.045) & (np.abs(normals[:, 2]) < 0.5)
+    elif name == "box":
+        keep = ((np.abs(points) / [0.03, 0.045, 0.07]) > 0.75).sum(axis=1) == 1
+    else:
+        keep = np.ones(len(points), dtype=bool)
+    return points[keep], normals[keep]
+
+
+@pytest.mark.parametrize("name", ["can", "box", "ball"])
+@pytest.mark.parametrize("sigma", [5e-4, 1e-3, 2e-3])
+@pytest.mark.parametrize("given", [True, False])
+def test_the_surface_is_better_than_its_points_and_says_how_good(name, sigma, given):
+    points, normals, rng = drawn(name, 4000, 6)
+    noisy = points + sigma * rng.normal(size=points.shape)
+    scan = cloud_geometry(noisy, normals if given else None)
+    places, facing = off_edges(name, rng)
+    distance, gradient, _ = scan.fine.evaluate(places)
+    angle2 = (np.cross(gradient, facing) ** 2).sum(axis=1) / 2 / (gradient**2).sum(axis=1)
+    said = fields.variances(scan.field_error, places).mean(axis=0)
+    assert np.sqrt((distance**2).mean()) < 0.3 * sigma
+    assert 0.7 < np.sqrt(said[0] / (distance**2).mean()) < 2.5
+    assert 0.7 < np.sqrt(said[1] / angle2.mean()) < 3
+    assert (said[2:] > 0).all()
+    assert scan.closed
+
+
+def test_points_with_normals_and_no_noise_are_taken_as_they_are():
+    points, normals = BOX.sample(3000)
+    geometry = cloud_geometry(points, normals)
+    np.testing.assert_array_equal(geometry.surface.vertices, points)
+    assert not geometry.field_error.values[..., 2:].any()
+    assert (
+        scanned(
+            points + 3e-4 * BOX.diameter * np.random.default_rng(0).normal(size=(3000, 3)),
+            normals,
+            BOX.diameter,
+        )
+        is None
+    )
+
+
+def divided(mesh, times):
+    """Each triangle cut into four, `times` times."""
+    for _ in range(times):
+        mesh = mesh.subdivide()
+    return mesh
+
+
+def hull(n, seed):
+    """The convex hull of n points."""
+    points = np.random.default_rng(seed).normal(size=(n, 3))
+    return trimesh.convex.convex_hull(0.05 * points / np.linalg.norm(points, axis=1, keepdims=True) ** 0.8)
+
+
+CLEAN = {
+    "box": lambda: divided(trimesh.creation.box((0.06, 0.09, 0.14)), 5),
+    "box of long triangles": lambda: trimesh.creation.box((0.06, 0.09, 0.14)).subdivide_to_size(0.005),
+    "ball": lambda: trimesh.creation.icosphere(subdivisions=5, radius=0.035),
+    "can of 48 sides": lambda: trimesh.creation.cylinder(0.033, 0.115, sections=48).subdivide_to_size(0.006),
+    "can of 1000 sides": lambda: trimesh.creation.cylinder(0.033, 0.115, sections=1000),
+    "cone": lambda: trimesh.creation.cone(0.04, 0.1, sections=64).subdivide_to_size(0.005),
+    "ring": lambda: trimesh.creation.torus(0.05, 0.015, major_sections=200, minor_sections=40),
+    "capsule": lambda: trimesh.creation.capsule(height=0.08, radius=0.02, count=[60, 60]),
+    **{
+        f"hull of {n}": lambda n=n: divided(hull(n, n), max(0, round(np.log(3000 / n) / np.log(4))))
+        for n in (20, 90, 400)
+    },
+    "hull of 2000": lambda: hull(2000, 1),
+    "waves": lambda: waves(5),
+    "screw": lambda: trimesh.creation.revolve(thread(), sections=64),
+    "boxes": lambda: trimesh.util.concatenate(
+        [
+            divided(
+                trimesh.creation.box((0.03, 0.05, 0.02 + 0.01 * k)).apply_translation([0.02 * k, 0, 0]), 3
+            )
+            for k in range(5)
+        ]
+    ),
+}
+
+
+def waves(times):
+    """A ball with waves."""
+    mesh = trimesh.creation.icosphere(subdivisions=times, radius=0.04)
+    u = mesh.vertices / 0.04
+    mesh.vertices = mesh.vertices * (1 + 0.05 * np.sin(9 * u[:, :1]) * np.cos(7 * u[:, 1:2]))
+    return mesh
+
+
+def thread():
+    """A profile of a screw."""
+    z = np.linspace(0, 0.06, 300)
+    return np.vstack([[0, 0], np.column_stack([0.01 + 0.002 * np.abs((z / 0.002) % 1 - 0.5), z]), [0, 0.06]])
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_a_mesh_that_was_drawn_is_not_taken_for_a_scan(name):
+    mesh = CLEAN[name]()
+    given = Triangles(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
+    same, roughness = smoothed(given, diameter(given.vertices))
+    assert roughness is None
+    assert same is given
+
+
+@pytest.mark.parametrize("name", ["box of long triangles", "ball", "can of 48 sides", "capsule", "waves"])
+@pytest.mark.parametrize("noise", [1.5e-3, 6e-3])
+def test_a_mesh_with_noisy_vertices_is_brought_to_its_surface(name, noise):
+    mesh = CLEAN[name]()
+    clean, size = np.asarray(mesh.vertices, dtype=float), diameter(np.asarray(mesh.vertices))
+    rng = np.random.default_rng(7)
+    noisy = Triangles(clean + noise * size * rng.normal(size=clean.shape), np.asarray(mesh.faces))
+    found, roughness = smoothed(noisy, size)
+    assert roughness is not None
+    np.testing.assert_array_equal(found.faces, noisy.faces)
+    before, after = (
+        np.abs(trimesh.proximity.signed_distance(mesh, v[:300])) for v in (noisy.vertices, found.vertices)
+    )
+    assert np.median(after) < 0.6 * np.median(before)
+
+
+def test_a_scanned_mesh_says_of_itself_what_a_scanned_cloud_does():
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.035)
+    rng = np.random.default_rng(0)
+    geometry = mesh_geometry(
+        Triangles(mesh.vertices + 5e-4 * rng.normal(size=mesh.vertices.shape), mesh.faces)
+    )
+    assert geometry.closed
+    assert len(geometry.faces) == len(mesh.faces)
+    assert (geometry.field_error.values[..., 2:] > 0).all()
+    assert mesh_geometry(Triangles(mesh.vertices, mesh.faces)).field_error.values[..., 2:].max() == 0
+
+
+def hostile():
+    """Clouds that nobody would call a scan, or that few would."""
+    rng = np.random.default_rng(3)
+    ball = BALL.sample(3000)[0]
+    sheet, _ = plane(3000, rng)
+    yield "a sheet", sheet
+    yield "a noisy sheet", sheet + 1e-3 * rng.normal(size=sheet.shape)
+    yield "a thick line", np.column_stack([np.linspace(0, 0.2, 1000), *(1e-3 * rng.normal(size=(2, 1000)))])
+    yield "a lump", 0.03 * rng.normal(size=(2000, 3))
+    yield "twice the same, nearly", np.vstack([ball, ball + 1e-8])
+    yield "two balls", np.vstack([ball, ball + np.array([0.5, 0, 0])])
+    yield "far away", ball + 1e-3 * rng.normal(size=ball.shape) + [900.0, -500.0, 100.0]
+    yield "one dense spot", np.vstack([ball, 1e-5 * rng.normal(size=(9000, 3)) + [0.035, 0, 0]])
+    yield "few", ball[:30] + 1e-3 * rng.normal(size=(30, 3))
+    yield "a grid", np.stack(np.meshgrid(*[np.linspace(0, 0.05, 12)] * 3), axis=-1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "points"), list(hostile()), ids=lambda given: given if isinstance(given, str) else ""
+)
+def test_any_cloud_is_an_object_with_finite_fields(name, points):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", hs.objects.ObjectWarning)
+        geometry = cloud_geometry(points, None)
+    assert np.isfinite(geometry.coarse.values).all()
+    assert np.isfinite(geometry.fine.values).all()
+    assert np.isfinite(geometry.field_error.values).all()
+    assert (geometry.field_error.values >= 0).all()
+
+
+def test_a_million_points_are_looked_at_as_twenty_thousand_are():
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(1_000_000, 3))
+    points = 0.05 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    scan = scanned(points + 5e-4 * rng.normal(size=points.shape), None, 0.1)
+    assert len(scan.surface.patches) == 4000
+    assert scan.noise.sigma == pytest.approx(5e-4, rel=0.15)
+
+
+def test_a_patch_that_no_window_could_fit_says_that_it_knows_nothing():
+    points, normals = BALL.sample(300)
+    given = as_points(points, normals)
+    lonely = Points(
+        np.vstack([points, [[0.2, 0, 0]]]), np.vstack([normals, [[1.0, 0, 0]]]), given.spacing, given.diameter
+    )
+    surface = fitted(lonely, Noise(1e-3))
+    assert surface.patches["fits"][-1] == 0
+    assert (surface.variances[-1] > 3 * np.median(surface.variances, axis=0)).all()
