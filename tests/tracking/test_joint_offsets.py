@@ -11,7 +11,7 @@ from scipy.optimize import approx_fprime, least_squares
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight.correction.information import contact_information
+from handsight.correction.by_contact import information_by_contact
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.errors import InvalidInput
@@ -55,7 +55,7 @@ def test_what_a_surface_says_of_contacts_is_the_derivative_of_their_residuals(se
     rng = np.random.default_rng(seed)
     model, T, contacts, *_ = grip(rng, no_knowledge(4), np.zeros(4), name)
     T = se3.moved(T, np.array([0.001, 0, 0, 0, 0.01, 0]))
-    information, gradient = contact_information(model, contacts, T)
+    information, gradient = information_by_contact(model, contacts, T)
     problem = Problem(model, contacts, None, NO_OUTSIDE)
     S = oracle.covariance(problem, T)
     for i in range(len(contacts)):

@@ -27,7 +27,7 @@ LIMITS = COARSE_LIMITS, FINE_LIMITS
 
 
 @inner
-def _load_terms(contacts: Any, terms: Any) -> Vec3:
+def load_terms(contacts: Any, terms: Any) -> Vec3:
     """The centroid of the contacts; fills in their terms."""
     center = (0.0, 0.0, 0.0)
     for i in range(len(contacts)):
@@ -46,7 +46,7 @@ def _load_terms(contacts: Any, terms: Any) -> Vec3:
 
 
 @inner
-def _fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
+def fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
     """Vision's evidence, or the weak one in its place."""
     if len(prior):
         vision_prior(model, prior[0], term, local(UNCERTAINTY))
@@ -112,7 +112,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         if not answer.width < WIDEST_OF_ONE:
             continue
         terms = np.empty(problem.last - problem.first, TERM)
-        center = _load_terms(contacts[problem.first : problem.last], terms)
+        center = load_terms(contacts[problem.first : problem.last], terms)
         vision_prior(model[0], problem.prior, prior, room)
         evidence = Evidence(model[0], nodes, terms, outside, prior, center)
         prior_pose = pose_of(problem.prior.pose)
@@ -134,7 +134,7 @@ def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: An
     for k in range(len(problems)):
         problem, answer = problems[k], problems[k].answer
         terms = np.empty(problem.last - problem.first, TERM)
-        center = _load_terms(contacts[problem.first : problem.last], terms)
+        center = load_terms(contacts[problem.first : problem.last], terms)
         vision_prior(model[0], problem.prior, prior, room)
         evidence = Evidence(model[0], nodes, terms, outside, prior, center)
         start = pose_of(problem.prior.pose)
@@ -152,8 +152,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
     term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
     radius = model[0].radius
     floor = (1e-9 if len(prior) else 1.0) / (radius * radius)
-    center = _load_terms(contacts[0], terms)
-    _fill_prior(model[0], prior, center, term)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
     evidence = Evidence(model[0], nodes, terms, outside, term, center)
     for k in range(len(descents)):
         descent = descents[k]
@@ -177,8 +177,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
 def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
     """Completes answers (K,) whose pose is there; of the first set of contacts, with their gains at the first pose."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    center = _load_terms(contacts[0], terms)
-    _fill_prior(model[0], prior, center, term)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
     evidence = Evidence(model[0], nodes, terms, outside, term, center)
     for k in range(len(answers)):
         pose = pose_of(answers[k].pose)
@@ -192,8 +192,8 @@ def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: An
 def cost_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
     """Fills in minus two log of the posterior density of descents (K,), by the first set of contacts."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    center = _load_terms(contacts[0], terms)
-    _fill_prior(model[0], prior, center, term)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
     evidence = Evidence(model[0], nodes, terms, outside, term, center)
     for k in range(len(descents)):
         descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.batch import _fill_prior, _load_terms
+from handsight._kernels.batch import fill_prior, load_terms
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import eigen, factor, solve
@@ -280,8 +280,8 @@ def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, a
     """
     term, slide, sums = local(PRIOR_TERM), local(SLIDE), local(SUMS)
     terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
-    center = _load_terms(contacts[0], terms)
-    _fill_prior(model[0], prior, center, term)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
     floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
     for k in range(min(len(answers), MOST_MEANS)):
         row = answers[k]

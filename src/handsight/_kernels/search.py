@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.batch import _fill_prior, _load_terms
+from handsight._kernels.batch import fill_prior, load_terms
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose, surface_at
 from handsight._kernels.dense6 import factor
@@ -201,9 +201,9 @@ def search(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, bloc
     chosen, earlier = np.empty(blocks.shape[1], np.int64), np.empty(blocks.shape[1], POSE)
     for b in range(len(blocks)):
         rows = blocks[b]
-        center = _load_terms(contacts[rows[0, 0].set], terms)
+        center = load_terms(contacts[rows[0, 0].set], terms)
         if b == 0:
-            _fill_prior(model[0], prior, center, term)
+            fill_prior(model[0], prior, center, term)
         matching = Evidence(model[0], nodes, terms, outside, term, center)
         # The weak prior keeps phase 1 from running away, and has no say in what fits.
         weak = term.kind == WEAK_PRIOR

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from handsight._kernels import (
     batch,
+    by_contact,
     chain,
-    contact_information,
     contacts_to_palm,
     field,
     linking,
@@ -86,7 +86,7 @@ def _hands() -> None:
 def _time() -> None:
     model, nodes, *_ = _ball()
     random_walk.warm()
-    contact_information.warm(model, nodes)
+    by_contact.warm(model, nodes)
 
 
 GROUPS: dict[str, Callable[[], None]] = {

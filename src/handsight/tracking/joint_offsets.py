@@ -15,7 +15,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
-from handsight.correction.information import contact_information
+from handsight.correction.by_contact import information_by_contact
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.rig import Rig
@@ -73,7 +73,7 @@ class JointOffsets:
         K, j = by_error @ np.linalg.inv(self.root), len(self.joints)
         alone = contacts.covariance - K @ self.covariance @ K.swapaxes(1, 2)
         given = Contacts.trusted(contacts.points_palm, contacts.normals_palm, alone)
-        information, gradient = contact_information(model, given, T_palm_object)
+        information, gradient = information_by_contact(model, given, T_palm_object)
         M = np.zeros((len(contacts), 6, 6))
         M[:, :3, :3] = -np.eye(3)
         M[:, :3, 3:] = se3.skew(contacts.points_palm - T_palm_object[:3, 3])

@@ -7,12 +7,11 @@ from scipy.sparse import coo_array, diags_array
 
 from handsight.checks import Array, Indices
 from handsight.objects.geometry import Roughness
-from handsight.objects.surface import edges_of
 from handsight.objects.scans.noise import QUIET, measured_noise
 from handsight.objects.scans.patches import ScannedSurface, fitted
 from handsight.objects.scans.roughness import roughness_of
 from handsight.objects.scans.windows import Noise, Points, spacing_of
-from handsight.objects.surface import Triangles
+from handsight.objects.surface import Triangles, edges_of
 
 MOST_POINTS = 20_000
 """More say little more about an object that fits into a hand."""

@@ -2,14 +2,16 @@
 
 import numpy as np
 
-from handsight._kernels.contact_information import contact_information as kernel
+from handsight._kernels.by_contact import information_by_contact as kernel
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction.problem import descents_at
 from handsight.objects import ObjectModel
 
 
-def contact_information(model: ObjectModel, contacts: Contacts, T_palm_object: Array) -> tuple[Array, Array]:
+def information_by_contact(
+    model: ObjectModel, contacts: Contacts, T_palm_object: Array
+) -> tuple[Array, Array]:
     """Information (n, 6, 6) about (point, normal) of each contact, and the gradient (n, 6) of half its squared
     residuals.
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.batch import _load_terms
+from handsight._kernels.batch import load_terms
 from handsight._kernels.compiled import entry
 from handsight._kernels.contact_term import factored, invert_covariance, residual_covariance, surface_at
 from handsight._kernels.records import CONTACT, DESCENT, TERM
@@ -13,7 +13,7 @@ from handsight._kernels.vec3 import sub, vector
 
 
 @entry
-def contact_information(
+def information_by_contact(
     model: Any, nodes: Any, contacts: Any, descent: Any, information: Any, gradient: Any
 ) -> None:
     """Normal equations of n contacts' residuals by the contacts themselves, the object being at a pose.
@@ -23,7 +23,7 @@ def contact_information(
     r.
     """
     terms, pose, field = np.empty(len(contacts), TERM), pose_of(descent[0].pose), model[0].fine
-    _load_terms(contacts, terms)
+    load_terms(contacts, terms)
     A, r = np.zeros((4, 6)), np.empty(4)
     for k in range(len(contacts)):
         term = terms[k]
@@ -47,4 +47,4 @@ def warm(model: Any, nodes: Any) -> None:
     """Compiles the kernel, or loads it."""
     contacts, descent = np.zeros(1, CONTACT), np.zeros(1, DESCENT)
     contacts["covariance"] = np.eye(6)
-    contact_information(model, nodes, contacts, descent, np.empty((1, 6, 6)), np.empty((1, 6)))
+    information_by_contact(model, nodes, contacts, descent, np.empty((1, 6, 6)), np.empty((1, 6)))
