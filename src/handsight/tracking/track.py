@@ -71,12 +71,10 @@ class Track:
         self.rig, self.model, self.settings = rig, model, settings
         self.corrections = 0
         """How often the pose was corrected."""
-        s = settings
-        self._start, self._sensors = start, FingertipSensors(rig)
+        self._start, self._sensors, s = start, FingertipSensors(rig), settings
         self._offsets = joint_offsets
-        """By the grips before this one."""
         self._learnt_from: Correction | None = None
-        """The last correction of these."""
+        """The last correction of the grips that the offsets are by."""
         self._hand, self._margins = HandOutside(rig, model, s.outside), LinkMargins()
         self._process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         self._regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
