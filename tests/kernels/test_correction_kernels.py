@@ -85,8 +85,8 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
 def _evaluate(model, nodes, contacts, vision, outside, descents, equations):
     """Normal equations at the second of two poses, whitened as at the first; the center."""
     prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch._load_terms(contacts, terms)
-    batch._fill_prior(model[0], vision, center, prior)
+    center = batch.load_terms(contacts, terms)
+    batch.fill_prior(model[0], vision, center, prior)
     if len(vision) == 0:
         prior.kind = 0
     evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
@@ -445,7 +445,7 @@ assert os.waitpid(child, 0)[1] == 0
 def _match(model, contacts, descents, found, equations):
     """Of each contact, at a pose: the nearest sample's point and normal, and its equations about the palm's origin."""
     terms, pose = np.empty(len(contacts), TERM), pose_of(descents[0].pose)
-    batch._load_terms(contacts, terms)
+    batch.load_terms(contacts, terms)
     for i in range(len(contacts)):
         place, normal = match.nearest_sample(model[0], contacts[i], pose)
         for k in range(3):

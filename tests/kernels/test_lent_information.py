@@ -45,8 +45,8 @@ def problem(model, seed, *, bare=False):
 def _information(model, nodes, contacts, vision, outside, descents, by_touch, total, equations):
     """Of touch alone and of all, at a pose, and the sum of the contacts' whole equations."""
     prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch._load_terms(contacts, terms)
-    batch._fill_prior(model[0], vision, center, prior)
+    center = batch.load_terms(contacts, terms)
+    batch.fill_prior(model[0], vision, center, prior)
     evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
     posterior.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
     whole = np.zeros((6, 6))

@@ -118,8 +118,8 @@ def test_the_robots_model_is_scaled_dented_or_scanned_as_told():
         assert depth.min() > -0.001
 
 
-def test_a_scanned_model_is_rough_by_the_noise_it_is_told():
+def test_a_scanned_model_is_off_by_what_is_left_of_its_noise():
     scanned = model_of(Scenario(nuisances=only(object_scan=0.001)))
     off = model_of(Scenario()).evaluate(scanned.vertices).distance
-    assert np.std(off) == pytest.approx(0.001, rel=0.15)
+    assert 5e-5 < np.std(off) < 5e-4  # a millimetre, smoothed
     assert abs(np.mean(off)) < 3e-4

@@ -43,11 +43,17 @@ def test_a_can_is_where_touch_says_it_is(can):
     assert base_error(can, tracker.estimate.T_palm_object) < min(0.004, np.mean(seen))
 
 
-def test_a_box_between_two_faces_is_said_to_be_uncertain(box):
+def test_a_box_between_two_faces_is_said_to_be_uncertain_along_them(box):
     """Its slide along the gripped faces is open; the rest is known."""
     tracker = tracked(box)
-    assert tracker.state == "uncertain"
-    assert "known to" in tracker.reason
+    values, vectors = np.linalg.eigh(tracker.estimate.covariance[:3, :3])
+    across = tracker.estimate.T_palm_object[:3, 1]  # its 90 mm
+    assert abs(vectors[:, 2] @ across) < 0.3
+    assert np.sqrt(values[2]) > 2 * np.sqrt(across @ tracker.estimate.covariance[:3, :3] @ across)
+    assert tracker.sigma > 0.004
+    wary = tracked(box, uncertain_position=0.004)
+    assert wary.state == "uncertain"
+    assert "known to" in wary.reason
     off = se3.difference(tracker.estimate.T_palm_object, box.T_palm_object)
     assert off @ np.linalg.solve(tracker.estimate.covariance, off) < 22.5  # 99.9 % of six numbers
 
