@@ -27,7 +27,7 @@ MATCHED_APART = (0.001, float(np.deg2rad(1.0)))
 DEPARTS, FAR = 1.5, 2.3
 """A mode is no Gaussian when the cost beside it rises by this much more than a Gaussian's; where one is none, walls are
 looked for so many deviations away, too."""
-SLIDE, NARROW = 0.05, 0.02
+SLIDE, NARROW = 0.02, 0.02
 """Such a direction is worth an integral when its deviation is above this part of the radius; it is done with one above
 the other, if anything is."""
 MOST_OPEN, MOST_MEANS = 3, 3
