@@ -140,6 +140,14 @@ def test_what_one_grip_cannot_tell_stays_as_uncertain_as_it_was():
     np.testing.assert_allclose(after.mean[:2], 0, atol=1e-3 * SIGMA)
 
 
+def test_a_hand_whose_joints_are_exact_has_nothing_to_learn():
+    known = no_knowledge(4, 0.0)
+    model, T, contacts, by_error, prior = grip(np.random.default_rng(5), known, np.zeros(4))
+    after = known.after(model, contacts, by_error, T, prior)
+    assert not after.mean.any()
+    assert not after.covariance.any()
+
+
 @given(SEEDS)
 def test_positions_are_corrected_by_what_is_known_of_them(seed):
     rng = np.random.default_rng(seed)

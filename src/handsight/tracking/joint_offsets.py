@@ -68,8 +68,10 @@ class JointOffsets:
         `contacts` (n): at positions `corrected` by these offsets; `by_error` (n, 6, j): how they change, along `root`.
         Pose and offsets are solved for together, to first order: where the pose moves by x and the offsets are b more
         than thought, contact i is off the surface by r + A (M x - K b), M what moving the object does to a contact that
-        stays, K what the joints do.
+        stays, K what the joints do. Offsets that are known exactly stay so.
         """
+        if not self.sigma:
+            return self
         K, j = by_error @ np.linalg.inv(self.root), len(self.joints)
         alone = contacts.covariance - K @ self.covariance @ K.swapaxes(1, 2)
         given = Contacts.trusted(contacts.points_palm, contacts.normals_palm, alone)
