@@ -411,6 +411,38 @@ def test_parts_cover_the_range_once_and_pass_errors_on():
         in_parts(fails, (np.zeros(1000),), 10)
 
 
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one thread")
+def test_an_error_of_a_helper_is_the_callers():
+    def fails_elsewhere(part):
+        if threading.get_ident() != caller:
+            helped.set()
+            raise IndexError("helper")
+        helped.wait(10)
+
+    caller, helped = threading.get_ident(), threading.Event()
+    with pytest.raises(IndexError, match="helper"):
+        in_parts(fails_elsewhere, (np.zeros(1000),), 10)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one thread")
+def test_callers_do_not_wait_for_helpers_that_are_busy():
+    def work(part):
+        if len(part) == 10:  # the first caller's
+            busy.set()
+            assert free.wait(30)
+        done.append(len(part))
+
+    busy, free, done = threading.Event(), threading.Event(), []
+    first = threading.Thread(target=in_parts, args=(work, (np.zeros(40),), 10))
+    first.start()
+    assert busy.wait(10)
+    in_parts(work, (np.zeros(44),), 11)
+    assert done == [11] * 4
+    free.set()
+    first.join()
+    assert sorted(done) == [10] * 4 + [11] * 4
+
+
 PROGRAM = """
 import os, sys, warnings
 import numpy as np
