@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import handsight as hs
 from handsight import se3
@@ -87,3 +88,26 @@ def test_where_gravity_is_not_known_the_weight_stays_in_and_a_silent_sensor_says
     quiet = sensors.contacts(replace(last, wrenches=wrenches))
     assert quiet.reasons[one.fingers[0]] == "silent"
     assert quiet.fingers == one.fingers[1:]
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_a_finger_on_the_table_does_not_touch_the_object(can, k):
+    sensors, last = FingertipSensors(can.rig), can.held[-1]
+    felt = sensors.contacts(last)
+    finger, normal, point = felt.fingers[k], felt.contacts.normals_palm[k], felt.contacts.points_palm[k]
+    up = np.linalg.qr(np.column_stack([normal, np.eye(3)[:, :2]]))[0].T
+    up = up * np.sign(up[0] @ normal)
+    R = np.stack([up[1], np.cross(up[0], up[1]), up[0]])  # in the world the contact's normal is up
+
+    def placed(lift, tilt=0.0, sensors=sensors):
+        turn = se3.rotation_exp(np.array([tilt, 0, 0]))
+        T = se3.compose(turn @ R, np.zeros(3))
+        T[2, 3] = can.rig.table.height + lift - (turn @ R @ point)[2]
+        return sensors.contacts(replace(last, T_world_palm=T))
+
+    assert placed(0.0).reasons[finger] == "on the table"
+    assert finger not in placed(0.0).fingers
+    assert finger in placed(0.03).fingers
+    assert finger in placed(-0.03).fingers
+    assert finger in placed(0.0, tilt=0.5).fingers
+    assert finger in placed(0.0, sensors=FingertipSensors(replace(can.rig, table=None))).fingers

@@ -210,6 +210,22 @@ def test_a_wrong_object_is_uncertain_and_then_lost(can):
     assert "have fitted no pose for" in tracker.reason
 
 
+def test_what_touch_had_wrong_is_forgotten_when_nothing_fits_for_long(can):
+    """A finger that met the table's edge, say: vision has not changed, and is enough to begin with anew."""
+    tracker, last = tracked(can), can.observations[-1]
+    right = tracker.estimate.T_palm_object
+    elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
+    known = tracker.smoother.now.given_pose(elsewhere, np.diag([1e6] * 3 + [1e4] * 3))
+    tracker.smoother, tracker._correction = tracker.smoother.restarted(known), None
+    states = []
+    for k in range(1, 40):
+        tracker.update(later(last, 0.1 * k))
+        states.append(tracker.state)
+    assert states[0] == "uncertain"
+    assert states[-1] == "tracking"
+    assert np.linalg.norm((tracker.estimate.T_palm_object - right)[:3, 3]) < 3 * tracker.sigma
+
+
 def test_an_object_neither_touched_nor_seen_for_long_is_lost(can):
     tracker = tracked(can, lost_after=3.0, memory=0.0)
     tracker.update(later(can.observations[-1], 4.0, wrenches={}))

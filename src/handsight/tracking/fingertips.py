@@ -4,22 +4,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
 from handsight._kernels.contacts_to_palm import contacts_to_palm
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.tips_touching import NEAR_TIP
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
-from handsight.rig import Finger, Rig
+from handsight.rig import Finger, Rig, Table
 from handsight.tracking.joint_offsets import JointOffsets
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
-REASONS = tuple("silent" if name == "invalid" else name for name in REASON_NAMES)
+REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
 """By the kernel's number; the first is a contact."""
+ON_TABLE = len(REASONS) - 1
+TABLE_WITHIN = 3.0
+"""A contact that is within so many standard deviations on the rig's table, and faces up, is the table's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +35,7 @@ class FingertipContacts:
     """In the palm frame; None where no finger touches. Their covariance holds the sensor's noise, the finger's sigmas
     and the joints' errors through the hand's Jacobian."""
     reasons: Mapping[str, str]
-    """Why each of the other fingers has no contact: silent (no reading) or a `Reason` of its wrench."""
+    """Why each of the other fingers has no contact: silent (no reading), on the table, or a `Reason` of its wrench."""
     by_error: Array | None = None
     """(n, 6, j) by how much point and normal of each contact are off for one standard deviation of each of j
     independent errors of the joints (`JointOffsets.root`)."""
@@ -54,7 +57,8 @@ class FingertipSensors:
         """What is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are wrong.
 
         `offsets`: what is known of the joints' constant errors; None: what the rig says. Without T_world_palm gravity's
-        direction is not known, and the tips' weight (some 40 mN) stays in the readings.
+        direction is not known, and the tips' weight (some 40 mN) stays in the readings; nor is the table's place, and
+        a finger that touches it seems to touch the object.
         """
         readings = self._readings(observation.wrenches)
         if observation.joint_positions is None:
@@ -72,6 +76,8 @@ class FingertipSensors:
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         felt = np.empty(len(self.names), dtype=PALM_CONTACT)
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, felt)
+        if T is not None and self.rig.table is not None:
+            felt["reason"][_on_table(felt, self.rig.table, T)] = ON_TABLE
 
         reasons = {name: REASONS[k] for name, k in zip(self.names, felt["reason"].tolist(), strict=True) if k}
         fingers = tuple(name for name in self.names if name not in reasons)
@@ -96,6 +102,18 @@ class FingertipSensors:
                 return readings
         named = zip(self.names, rows, strict=True)
         return np.array([_reading(row, f"observation.wrenches[{name!r}]") for name, row in named])
+
+
+def _on_table(felt: NDArray[np.void], table: Table, T_world_palm: Array) -> Indices:
+    """Rows of the PALM_CONTACT (n,) that touch the table: no object's surface faces up where it stands."""
+    rows, up = np.flatnonzero(felt["reason"] == 0), T_world_palm[2, :3]
+    covariance, normals = felt["covariance"][rows], felt["normal"][rows]
+    height = felt["point"][rows] @ up + (T_world_palm[2, 3] - table.height)
+    variance_height = np.einsum("i,nij,j->n", up, covariance[:, :3, :3], up) + table.sigma_height**2
+    angle = np.arctan2(np.linalg.norm(np.cross(normals, up), axis=1), normals @ up)
+    variance_angle = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + table.sigma_tilt**2
+    near = np.maximum(height**2 / variance_height, angle**2 / variance_angle) < TABLE_WITHIN**2
+    return np.asarray(rows[near])
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:

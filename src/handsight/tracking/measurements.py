@@ -39,6 +39,8 @@ class VisionUpdate:
         self.unplaced = self.rejected = 0
         """Measurements without a T_world_palm to place them, and those beyond the gate."""
         self._rejected_in_a_row = 0
+        self._last: tuple[Array, Array, Array] | None = None
+        """The last measurement and its covariance in the mount, and the palm there."""
 
     def update(
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
@@ -60,13 +62,19 @@ class VisionUpdate:
         T_mount_object, covariance = self._in_mount(seen)
         T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
         checks.position(T_palm_object[:3, 3], "vision: the object's place in the palm", (3,))
-        given = T_mount_object, covariance, T_mount_palm
-        updated = None if smoother is None else self._gated(smoother, *given)
-        if updated is None or not updated.is_near:
-            # Nothing is known, or nothing that this can be believed with.
-            begun = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
-            updated = self._gated(begun, *given)
-        return updated
+        self._last = T_mount_object, covariance, T_mount_palm
+        updated = None if smoother is None else self._gated(smoother, *self._last)
+        # Else nothing is known, or nothing that this can be believed with.
+        return updated if updated is not None and updated.is_near else self.afresh()
+
+    def afresh(self) -> PoseBiasSmoother | None:
+        """What the last measurement says on its own, in the palm of then; None where there was none."""
+        if self._last is None:
+            return None
+        T_mount_object, _, T_mount_palm = self._last
+        T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
+        begun = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
+        return self._gated(begun, *self._last)
 
     def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""

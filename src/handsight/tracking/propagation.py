@@ -1,14 +1,34 @@
 """A correction propagated to now: the pose stays, its uncertainty grows with the process noise."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.correction import PoseEstimate
+from handsight.contact import Contacts
+from handsight.correction import PoseEstimate, PosePrior
 from handsight.objects import ObjectModel
 
 MOST_WALKED = 100.0
 """Variance [m², rad²] beyond which a walk says no more: nothing is known of where the object is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """The answer of a correction, and what it was made from."""
+
+    estimate: PoseEstimate
+    contacts: Contacts
+    """Touched by `fingers` at `stamp` [s]."""
+    by_error: Array | None
+    """(n, 6, j) of the contacts, see `FingertipContacts`."""
+    prior: PosePrior
+    """The object without touch."""
+    fingers: tuple[str, ...]
+    stamp: float
+    variance: float
+    """Of the position of the object's middle, its largest [m²]."""
 
 
 def walked(process_noise: Array, seconds: float) -> Array:

@@ -1,7 +1,8 @@
 """One object followed in one hand: propagated between corrections, corrected when there is something new."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -19,11 +20,12 @@ from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargins, Solve
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import propagated, sigma_of_point, walked
+from handsight.tracking.propagation import Correction, propagated, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.smoother import PoseBiasSmoother
 
 State = Literal["tracking", "uncertain", "lost"]
+Correct = Callable[..., PoseEstimate]
 NO_POSE = "no pose yet: neither a start nor vision"
 WIDER = 9.0
 """How much more variance a prior gets where nothing fits: the search then begins from several starts."""
@@ -37,23 +39,6 @@ RENEW_AFTER = 0.02
 """How old the growth of a propagated covariance may be [s]: a micrometre or so."""
 LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Correction:
-    """The answer of a correction, and what it was made from."""
-
-    estimate: PoseEstimate
-    contacts: Contacts
-    """Touched by `fingers` at `stamp` [s]."""
-    by_error: Array | None
-    """(n, 6, j) of the contacts, see `FingertipContacts`."""
-    prior: PosePrior
-    """The object without touch."""
-    fingers: tuple[str, ...]
-    stamp: float
-    variance: float
-    """Of the position of the object's middle, its largest [m²]."""
 
 
 class Track:
@@ -237,10 +222,9 @@ class Track:
         """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
         fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
         contacts, remembered = self._memory.added(fingers, touched, now)
-        T, covariance = smoother.solved.T_palm_object, smoother.now.covariance[:6, :6]
         joints = observation.joint_positions
         outside = self._hand.at(joints and self._offsets.corrected(joints), self._margins)
-        samples, answer, prior = self.settings.samples, self.settings.answer, PosePrior.trusted(T, covariance)
+        samples, answer, prior = self.settings.samples, self.settings.answer, without_touch(smoother)
         correct = partial(correct_pose, self.model, contacts, outside=outside, answer=answer, samples=samples)
         near = None if vision or last is None or fingers != last.fingers else last.estimate
         estimate = None
@@ -254,11 +238,8 @@ class Track:
             estimate = self._reconciled(estimate, outside, lambda hand: correct(vision=prior, outside=hand))
         if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
             self._recovered_at = now
-            wider = correct(vision=PosePrior.trusted(T, WIDER * covariance))
-            if wider.consistent:
-                estimate = wider
-                more = (WIDER - 1) * np.diag(covariance)
-                self.smoother = smoother.restarted(smoother.now.inflated(more))
+            estimate, smoother = self._recovered(estimate, smoother, correct)
+            self.smoother, prior = smoother, without_touch(smoother)
         for i in estimate.outliers:
             if i >= len(touched):
                 self._memory.forget(remembered[i - len(touched)])
@@ -268,6 +249,20 @@ class Track:
         )
         self.estimate, self._propagated_to = estimate, now
         self.corrections += 1
+
+    def _recovered(
+        self, estimate: PoseEstimate, smoother: PoseBiasSmoother, correct: Correct
+    ) -> tuple[PoseEstimate, PoseBiasSmoother]:
+        """Another estimate, where contacts fit one: by a wider prior; lost, by what vision alone says last."""
+        now = smoother.now
+        wider = smoother.restarted(now.inflated((WIDER - 1) * now.covariance.diagonal()[:6]))
+        # Touch may have said where something else is, such as the edge of the table.
+        lost = self.stamp - self._fits_at > LOST_WITHOUT_FIT
+        for other in (wider, self.vision.afresh() if lost else None):
+            found = estimate if other is None else correct(vision=without_touch(other))
+            if other is not None and found.consistent:
+                return found, other
+        return estimate, smoother
 
     def _reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> PoseEstimate:
         """The estimate where links of the hand that are larger in their file than they are have been found."""
@@ -298,3 +293,8 @@ class Track:
         if sigma > self.settings.uncertain_position:
             return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
         return "tracking", ""
+
+
+def without_touch(smoother: PoseBiasSmoother) -> PosePrior:
+    """Where the object is by all but touch."""
+    return PosePrior.trusted(smoother.solved.T_palm_object, smoother.now.covariance[:6, :6])
