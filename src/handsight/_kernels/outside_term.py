@@ -87,31 +87,23 @@ def _look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int
 
 
 @inner
-def _depth(evidence: Any, field: Any, point: Any, pose: Pose) -> tuple[float, Vec3]:
-    """How deep a point is inside the object in its deviations, and the distance's gradient there; 0 where it is not."""
-    R, p = pose
-    out = 0.0, (0.0, 0.0, 0.0)
-    if point.far or point.is_plane:
-        return out
-    place = tmul(R, sub(vector(point.point), p))
-    if _beyond_bounds(evidence.model, place) > 0:
-        return out
-    distance, gradient, _ = field_at(evidence.nodes, field, place)
-    u = -(distance + point.slack) / point.sigma
-    return (u, gradient) if u > 0 else out
-
-
-@inner
 def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds each link's row: the norm ρ of its points' depths u, and dρ = Σ (u / ρ)^(POWER - 1) du."""
-    outside, R, (center, radius) = evidence.outside, pose[0], frame
+    outside, model = evidence.outside, evidence.model
+    (R, p), (center, radius) = pose, frame
     n, link, total = len(outside), 0, 0.0
     by_shift, by_turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for i in range(n + 1):  # one more, for the last link's row
         u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
         if i < n:
-            u, g = _depth(evidence, field, point, pose)
-            if u == 0:
+            if point.far or point.is_plane:
+                continue
+            place = tmul(R, sub(vector(point.point), p))
+            if _beyond_bounds(model, place) > 0:
+                continue
+            distance, g, _ = field_at(evidence.nodes, field, place)
+            u = -(distance + point.slack) / point.sigma
+            if u <= 0:
                 continue
         if total > 0 and (i == n or point.link != link):
             rho = total ** (1 / POWER)
@@ -129,10 +121,17 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
 @inner
 def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
     """Squared residuals of all links."""
-    cost, total, link = 0.0, 0.0, 0
-    for i in range(len(evidence.outside)):
-        point = evidence.outside[i]
-        u, _ = _depth(evidence, field, point, pose)
+    outside, model = evidence.outside, evidence.model
+    (R, p), cost, total, link = pose, 0.0, 0.0, 0
+    for i in range(len(outside)):
+        point = outside[i]
+        if point.far or point.is_plane:
+            continue
+        place = tmul(R, sub(vector(point.point), p))
+        if _beyond_bounds(model, place) > 0:
+            continue
+        distance, _, _ = field_at(evidence.nodes, field, place)
+        u = -(distance + point.slack) / point.sigma
         if u > 0:
             if point.link != link:
                 cost, total, link = cost + total ** (2 / POWER), 0.0, point.link
