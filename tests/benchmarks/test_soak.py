@@ -16,5 +16,5 @@ def test_an_answer_says_which_line_it_answers(tmp_path):
 
 @pytest.mark.slow
 def test_no_line_is_lost_with_a_worker(capsys):
-    assert soak.main(["--lines", "2000", "--kill-every", "700"]) == 0
-    assert "2 000    2 000      0" in capsys.readouterr().out
+    assert soak.main(["--lines", "1000", "--kill-every", "350"]) == 0
+    assert "1 000    1 000      0" in capsys.readouterr().out

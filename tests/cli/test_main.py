@@ -112,8 +112,8 @@ def test_contact_converts_wrenches(asked, tmp_path):
     assert "1 contact" in said
 
 
-def test_the_demo_corrects_can_and_box_and_draws_them(tmp_path):
-    out, _ = run("demo", "--plot", tmp_path / "demo.png", cwd=tmp_path)
+def test_the_demo_corrects_can_and_box_and_draws_them(asked, tmp_path):
+    out, _ = asked("demo", "--plot", tmp_path / "demo.png")
     assert "can" in out
     assert "box" in out
     assert str(tmp_path / "demo.png") in out.replace("\n", "")

@@ -59,9 +59,9 @@ def test_what_a_recording_lacks_for_a_rig_is_listed(simulated, monkeypatch, caps
     assert "- finger th: no wrench on /[mm]/wrench; the nearest is '/th/wrench'" in out.splitlines()
 
 
-def test_track_writes_results_that_agree_and_are_far_better_than_vision(simulated):
+def test_track_writes_results_that_agree_and_are_far_better_than_vision(simulated, asked):
     folder, _ = simulated
-    _, said = run("track", "can.mcap", cwd=folder, columns=80)
+    _, said = asked("track", "can.mcap", cwd=folder, columns=80)
     summary = assert_results_agree(folder / "can-track")
     assert (folder / "can-track" / "track.png").read_bytes().startswith(b"\x89PNG")
     errors = summary["errors_mm_deg"]

@@ -1,13 +1,11 @@
 """What is said beside a pose: information, open directions, fit."""
 
-import numba
 import numpy as np
 import pytest
 
 import handsight as hs
 from handsight import se3
 from handsight._kernels import levenberg, prior_term, records, uncertainty
-from handsight._kernels.compiled import FAST
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
 from handsight._kernels.settings import LEAST_FACTOR, STRIDE
 from handsight._kernels.simd import local
@@ -15,6 +13,7 @@ from handsight._kernels.symmetry import pose_of
 from handsight.correction import modes
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import descents_at
+from kept_kernels import kept
 from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 RADIUS = 0.09
@@ -27,14 +26,14 @@ def covariance(deviations, seed=0):
     return (axes * np.square(deviations)) @ axes.T * SCALE[:, None] * SCALE
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _second_order(model, values, vectors, answers):
     u = local(UNCERTAINTY)
     u.values[:], u.vectors[:] = values, vectors
     return uncertainty.second_order_information(model[0], 0.0, answers[0], u)
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _calibrated(model, nodes, vision, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
     prior_term.vision_prior(model[0], vision[0], prior, local(UNCERTAINTY))

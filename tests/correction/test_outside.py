@@ -2,7 +2,6 @@
 
 import functools
 
-import numba
 import numpy as np
 import pytest
 
@@ -10,7 +9,6 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import levenberg, outside_term
-from handsight._kernels.compiled import FAST
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
@@ -18,6 +16,7 @@ from handsight.correction import Outside, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem, descents_at
 from handsight.errors import InvalidInput
+from kept_kernels import kept
 from objects.object_shapes import data_file
 from oracles import correction as oracle
 
@@ -41,7 +40,7 @@ def hand(thing, rng, count=60, links=6):
     )  # fmt: skip
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _costs(model, nodes, outside, descents, coarse, costs):
     """Of a walk through poses: what all points cost, and what is left of them by `nearby`."""
     terms, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.0, 0.0, 0.0)

@@ -2,7 +2,6 @@
 
 import functools
 
-import numba
 import numpy as np
 import pytest
 import trimesh
@@ -11,7 +10,6 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import levenberg, plane_term
-from handsight._kernels.compiled import FAST
 from handsight._kernels.records import PRIOR_TERM, TERM
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
@@ -19,6 +17,7 @@ from handsight.correction import Outside, Plane, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem, descents_at
 from handsight.errors import InvalidInput
+from kept_kernels import kept
 from objects.object_shapes import data_file
 
 EVERYONE = np.ones((1, 5), dtype=bool)
@@ -97,7 +96,7 @@ def test_on_a_scan_the_lowest_point_is_nearer_than_the_lowest_sample(name):
     assert np.quantile(high, 0.95) < np.quantile(alone, 0.95) / 2
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _planes(model, nodes, planes, descents, equations):
     """Equations of planes by (τ, radius ω) about (0.1, 0.2, 0.3)."""
     terms, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.1, 0.2, 0.3)

@@ -285,7 +285,8 @@ def test_without_the_simulator_an_experiment_says_so_and_ends_well(name, monkeyp
 
 @pytest.mark.slow
 @needs_simulator
-def test_whole_manipulations_are_followed_and_told_truthfully(tmp_path):
+def test_whole_manipulations_are_followed_and_told_truthfully(tmp_path, monkeypatch):
+    monkeypatch.setattr("over_time.RATE", 20.0)
     rows = run("over_time", tmp_path, "--quick")["over_time"]
     assert {row["object"] for row in rows} == {"can", "box"}
     assert column(rows, "inside").mean() > 0.9

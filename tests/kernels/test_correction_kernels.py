@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 
-import numba
 import numpy as np
 import pytest
 import trimesh
@@ -16,7 +15,6 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import batch, levenberg, match, prior_term, records
-from handsight._kernels.compiled import FAST
 from handsight._kernels.settings import CANDIDATE_APART
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
@@ -26,6 +24,7 @@ from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries
 from handsight.objects.symmetry import nearest
+from kept_kernels import kept
 from oracles import correction as oracle
 
 PRIOR_TERM, TERM, UNCERTAINTY = records.PRIOR_TERM, records.TERM, records.UNCERTAINTY
@@ -81,7 +80,7 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
     return Problem(model(name), contacts, None if blind else vision, hand)
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _evaluate(model, nodes, contacts, vision, outside, descents, equations):
     """Normal equations at the second of two poses, whitened as at the first; the center."""
     prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
@@ -95,7 +94,7 @@ def _evaluate(model, nodes, contacts, vision, outside, descents, equations):
     return center
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _prior(model, vision, descents, equations):
     """The prior's cost at a pose, and its equations about the palm's origin."""
     term = local(PRIOR_TERM)
@@ -473,7 +472,7 @@ assert os.waitpid(child, 0)[1] == 0
     assert done.returncode == 0, done.stderr
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _match(model, contacts, descents, found, equations):
     """Of each contact, at a pose: the nearest sample's point and normal, and its equations about the palm's origin."""
     terms, pose = np.empty(len(contacts), TERM), pose_of(descents[0].pose)

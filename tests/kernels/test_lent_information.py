@@ -2,19 +2,18 @@
 
 import functools
 
-import numba
 import numpy as np
 import pytest
 
 import handsight as hs
 import scenes
 from handsight._kernels import batch, levenberg, posterior, records
-from handsight._kernels.compiled import FAST
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, descents_at
 from handsight.objects import Symmetries
+from kept_kernels import kept
 from oracles import correction as oracle
 
 PRIOR_TERM, TERM = records.PRIOR_TERM, records.TERM
@@ -41,7 +40,7 @@ def problem(model, seed, *, bare=False):
     return Problem(model, contacts, scene.vision, NO_OUTSIDE), scene.T_palm_object
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@kept
 def _information(model, nodes, contacts, vision, outside, descents, by_touch, total, equations):
     """Of touch alone and of all, at a pose, and the sum of the contacts' whole equations."""
     prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)

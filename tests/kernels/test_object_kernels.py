@@ -264,11 +264,14 @@ def test_fields_are_evaluated_by_their_definitions(rng):
     mesh = ObjectModel.from_mesh(*bumpy())
     vertices, faces = bumpy()
     sheet = ObjectModel.from_mesh(vertices, faces[vertices[faces].mean(axis=1)[:, 2] > 0])
+    cloud = ObjectModel.from_points(*sheet.sample(1500))
     assert sheet.fine.sheet
+    assert cloud.fine.blur > 0
     points = np.vstack([rng.uniform(-0.1, 0.1, (3000, 3)), rng.normal(size=(100, 3))])
     for model in (
         mesh,
         sheet,
+        cloud,
         ObjectModel.box((0.06, 0.09, 0.14)),
         ObjectModel.cylinder(0.03, 0.1),
         ObjectModel.sphere(0.04),

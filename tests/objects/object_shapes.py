@@ -53,6 +53,17 @@ def prism(n, radius=0.04, height=0.1):
     return vertices, np.array(side + caps)
 
 
+def moebius(n, radius=0.05, half=0.012):
+    """A strip of n pieces that is turned over once on its way round: it has one side."""
+    turn = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    arm = np.cos(turn / 2)[:, None] * ring + np.sin(turn / 2)[:, None] * [0, 0, 1]
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    up, down = np.where(i + 1 < n, j, j + n), np.where(i + 1 < n, j + n, j)
+    faces = np.vstack([np.stack([i, i + n, up], axis=1), np.stack([i + n, down, up], axis=1)])
+    return np.vstack([radius * ring + half * arm, radius * ring - half * arm]), faces
+
+
 def triangles(vertices, faces):
     return Triangles(np.asarray(vertices, dtype=float), np.asarray(faces))
 

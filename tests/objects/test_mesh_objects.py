@@ -5,7 +5,7 @@ from handsight.errors import InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.meshes.mesh_geometry import holes_of
-from objects.object_shapes import BOX_FACES, box_mesh, divided, holed_box, prism, triangles
+from objects.object_shapes import BOX_FACES, box_mesh, divided, holed_box, moebius, prism, triangles
 
 SIZE = np.array([0.06, 0.09, 0.14])
 
@@ -180,16 +180,8 @@ def test_a_small_loose_piece_is_left_in_and_mentioned():
 
 
 def test_a_one_sided_surface_is_said_to_be_one():
-    n = 60
-    turn = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    arm = np.cos(turn / 2)[:, None] * ring + np.sin(turn / 2)[:, None] * [0, 0, 1]
-    vertices = np.vstack([0.05 * ring + 0.012 * arm, 0.05 * ring - 0.012 * arm])
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    up, down = np.where(i + 1 < n, j, j + n), np.where(i + 1 < n, j + n, j)
-    faces = np.vstack([np.stack([i, i + n, up], axis=1), np.stack([i + n, down, up], axis=1)])
     with pytest.warns(ObjectWarning, match="one side only somewhere"):
-        assert not ObjectModel.from_mesh(vertices, faces).closed
+        assert not ObjectModel.from_mesh(*moebius(60)).closed
 
 
 @pytest.mark.parametrize(

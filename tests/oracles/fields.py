@@ -40,7 +40,7 @@ def _grid(field: GridField, points: Array) -> FieldValues:
     weights = [np.nan_to_num(_CUBIC(edge[:, :, None] - node, nu=nu)) for nu in range(3)]
     nodes = field.values[node[:, 0, :, None, None], node[:, 1, None, :, None], node[:, 2, None, None, :]]
     if field.sheet:
-        nodes = _on_one_side(nodes, edge - node[:, :, 1], field.cell)
+        nodes = _on_one_side(nodes, edge - node[:, :, 1], field)
     products = [
         np.einsum("nijk,ni,nj,nk->n", nodes.astype(float), *(weights[o][:, k] for k, o in enumerate(order)))
         / field.cell ** sum(order)
@@ -50,17 +50,17 @@ def _grid(field: GridField, points: Array) -> FieldValues:
     return _beyond(inner, (u - edge) * field.cell)
 
 
-def _on_one_side(nodes: Array, past: Array, cell: float) -> Array:
+def _on_one_side(nodes: Array, past: Array, field: GridField) -> Array:
     """Nodes (n, 4, 4, 4), those with no surface on the way to the nearest one with its sign.
 
     `past` (n, 3): how far past the second node along each axis. A way from a node to another through the surface is at
-    least as long as their distances to it add up to.
+    least as long as their distances to it add up to, but for the surface's blur.
     """
     nearest = 1 + (past > 0.5)
     here = nodes[np.arange(len(nodes)), *nearest.T][:, None, None, None]
     places = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), axis=-1)
-    way = cell * np.linalg.norm(places - nearest[:, None, None, None], axis=-1)
-    return np.where(np.abs(nodes) + np.abs(here) > 1.02 * way, np.copysign(nodes, here), nodes)
+    way = field.cell * np.linalg.norm(places - nearest[:, None, None, None], axis=-1)
+    return np.where(np.abs(nodes) + np.abs(here) > 1.02 * way + field.blur, np.copysign(nodes, here), nodes)
 
 
 def _beyond(edge: FieldValues, w: Array) -> FieldValues:

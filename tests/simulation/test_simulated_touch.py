@@ -13,7 +13,7 @@ SENSOR = {"force_noise": 0.01, "torque_noise": 5e-5}
     ("kind", "tips", "clean", "noisy"), [("can", 5, 60e-6, 200e-6), ("box", 3, 30e-6, 200e-6)]
 )
 def test_a_wrench_tells_where_the_tip_is_touched(kind, tips, clean, noisy):
-    for most, draws, nuisances in ((clean, 20, NONE), (noisy, 8, only(**SENSOR))):
+    for most, draws, nuisances in ((clean, 8, NONE), (noisy, 5, only(**SENSOR))):
         errors = [location_errors(samples(kind, seed, nuisances=nuisances)[-1]) for seed in range(draws)]
         assert np.mean([len(e) for e in errors]) > tips - 0.5
         assert np.mean(np.concatenate(errors)) < most

@@ -12,7 +12,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import PoseMeasurement
 from tests.corpus.observations import BOX, gripper, observed
 
-UPDATES = 100_000
+UPDATES = 30_000
 NAN, ROTATED = np.full((4, 4), np.nan), se3.compose(se3.rotation_exp(np.array([0.3, 0.2, 1.0])), np.zeros(3))
 BAD = [
     *({"T_world_palm": T} for T in (NAN, 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.eye(3), "palm", 1e200 * ROTATED)),
@@ -168,14 +168,14 @@ class Life:
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_updates_with_hostile_ones_among_them():
+def test_many_updates_with_hostile_ones_among_them():
     life, updates = Life(0), 0
     while updates < UPDATES:
         updates += life.live()
         life.check()
-    assert min(life.late, life.undone) > 1000
-    assert life.refused > 10_000
-    assert life.tracker.corrections > 100
+    assert min(life.late, life.undone) > UPDATES / 100
+    assert life.refused > UPDATES / 10
+    assert life.tracker.corrections > UPDATES / 1000
     Ts, covariances = np.array(life.poses), np.array(life.covariances)
     assert np.abs(Ts[:, :3, 3]).max() <= 1000
     np.testing.assert_allclose(

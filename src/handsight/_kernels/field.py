@@ -32,7 +32,8 @@ Values = tuple[float, Vec3, Mat33]
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 FLAT: Mat33 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 APART = 1.02
-"""Two places whose distances to a surface add up to more than this much of what is between them are on one side."""
+"""Two places whose distances to a surface add up to more than this much of what is between them, and what the surface
+itself is unsure of (`blur`), are on one side."""
 
 
 @inner
@@ -71,7 +72,8 @@ def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
             for k in range(4):
                 value = nodes[first + i * step_x + j * step_y + k]
                 gap2 = (APART * field.cell) ** 2 * ((i - x) ** 2 + (j - y) ** 2 + (k - z) ** 2)
-                if value * nearest < 0 and (value - nearest) ** 2 > gap2:
+                over = abs(value - nearest) - field.blur
+                if value * nearest < 0 and over > 0 and over * over > gap2:
                     value = -value
                 own.values[16 * i + 4 * j + k] = value
     return _in_metres(field, spline(own.values, 0, 16, 4, past), beyond)

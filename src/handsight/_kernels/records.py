@@ -28,6 +28,7 @@ FIELD = _record(
     ("inverse_cell", "f8"),
     ("shape", "i8", (3,)),
     ("nodes", "i8"),  # where they begin among the object's
+    ("blur", "f8"),  # by how much a sheet's distances may add up to too much
     ("least_radius", "f8"),  # of curvature, of an exact field
     ("variance_distance", "f8"),  # how far it is off the surface: a coarse field on faces
     ("variance_normal", "f8"),

@@ -35,7 +35,7 @@ TWO_AT_ONCE = 0.002**2, math.radians(12.0) ** 2
 """Variances per axis of point [m²] and normal [rad²] of what one contact is taken for that is two, beside the press."""
 PRESS = 0.4
 """Mean load of one tip on another, in parts of the smaller of the loads on both; it may be anything from none to twice
-that. Simulated tips that touch press each other with .3 to .9 of what presses them to the object."""
+that. Simulated tips that touch press each other with less than what presses them to the object."""
 HALVINGS = 4
 """Of a press that nothing else on the tip would explain."""
 STEPS = 12

@@ -21,7 +21,7 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import SAMPLES, Geometry, frozen
 from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
 
-VERSION = 8
+VERSION = 9
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
@@ -125,10 +125,13 @@ def _fits(array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> bo
 def _numbers_fit(geometry: Geometry) -> bool:
     """Whether lengths, errors and indices are such."""
     lengths = [geometry.diameter, geometry.area, *(grid.cell for grid in _grids(geometry))]
-    errors, faces = (geometry.sigma_point, geometry.sigma_normal), geometry.surface.faces
+    blurs, faces = (grid.blur for grid in _grids(geometry)[:2]), geometry.surface.faces
     return (
         all(isinstance(x, float) and 1 / MOST < x < MOST for x in lengths)
-        and all(isinstance(x, float) and 0 <= x < MOST for x in errors)
+        and all(
+            isinstance(x, float) and 0 <= x < MOST
+            for x in (geometry.sigma_point, geometry.sigma_normal, *blurs)
+        )
         and all(
             isinstance(flag, bool)
             for flag in (geometry.closed, *(grid.sheet for grid in _grids(geometry)[:2]))

@@ -2,7 +2,8 @@
 
 Near the points the distance is the smooth average of the planes through them (implicit moving least squares,
 Kolluri 2008), or, where they are noisy, of the quadrics fitted to them (`handsight.objects.scans`); far away it is that
-to the nearest point, negative where the cloud winds around. Outliers are not removed.
+to the nearest point, negative where the cloud winds around. A cloud that is open has sides and no inside. Outliers are
+not removed.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
-from handsight.objects.fields import Grid, grids, sharpened
+from handsight.objects.cloud_distances import ClosedDistances, OpenDistances
+from handsight.objects.fields import Grid, GridField, grids, sharpened
 from handsight.objects.geometry import Geometry, measured, roughened
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.normals import estimated_normals
@@ -24,8 +26,6 @@ LEAST_POINTS = 20
 PLANES = 10
 """Points whose planes are averaged."""
 AREA_NEIGHBOURS = 8
-NEAR, FAR = 2.0, 4.0
-"""Spacings from a point between which the average of planes gives way to the distance to it."""
 
 
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
@@ -51,12 +51,23 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     nodes = coarse.nodes()
     hole = _largest_hole(coarse, tree.query(nodes)[0], winding.inside(nodes))
     closed = hole < LARGEST_HOLE * size and _winds(cloud, winding)
-    distances = _Distances(cloud, tree, heights, winding if closed else None)
-    values = distances.at(nodes)
-    sharp = sharpened(coarse, values, fine, lambda index, _: (index, distances.at(fine.nodes_at(index))))
-    fields, remarks = (coarse.field(values), fine.field(sharp)), (*remarks, *coarser)
+    if closed:
+        fields = _fields(coarse, fine, ClosedDistances(cloud, tree, heights, winding).at)
+    else:
+        distances = OpenDistances(cloud, tree, heights)
+        fields = _fields(coarse, fine, distances.at, sheet=True, blur=cloud.spacing)
+    remarks = (*remarks, *coarser)
     geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
     return geometry if scan is None else roughened(geometry, scan.roughness)
+
+
+def _fields(
+    coarse: Grid, fine: Grid, at: Callable[[Array], Array], *, sheet: bool = False, blur: float = 0.0
+) -> tuple[GridField, GridField]:
+    """The fields on both grids of the distances (n,) [m] `at` nodes (n, 3); `sheet`, `blur`: as of GridField."""
+    values = at(coarse.nodes())
+    sharp = sharpened(coarse, values, fine, lambda index, _: (index, at(fine.nodes_at(index))), sheet=sheet)
+    return coarse.field(values, sheet=sheet, blur=blur), fine.field(sharp, sheet=sheet, blur=blur)
 
 
 def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
@@ -114,34 +125,3 @@ class _Planes:
         weight *= np.maximum(agreement, 0.0) + 1e-9
         height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
         return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Distances:
-    """Distances to a cloud: near it those of its smooth surface, far from it that to the nearest point."""
-
-    cloud: Cloud
-    tree: cKDTree
-    heights: Callable[[Array, Indices], Array]
-    """Of nodes near the surface and the points nearest to them."""
-    winding: Winding | None
-    """None: the nearest point's normal says which side is inside."""
-
-    def at(self, nodes: Array) -> Array:
-        """Signed distances (n,) [m] of nodes (n, 3)."""
-        near, nearest = self.tree.query(nodes)
-        share = np.clip((near / self.cloud.spacing - NEAR) / (FAR - NEAR), 0.0, 1.0)
-        share = share * share * (3 - 2 * share)
-        if self.winding is None:
-            # From behind the negative distance meets the positive one around the rim without a jump.
-            away = nodes - self.cloud.vertices[nearest]
-            cosine = np.einsum("ni,ni->n", away, self.cloud.normals[nearest]) / np.where(near > 0, near, 1.0)
-            far = near * np.clip((cosine + 0.6) / 0.3, -1.0, 1.0)
-        else:
-            far = near.copy()
-            away = np.flatnonzero(share > 0)
-            far[away] *= np.where(self.winding.inside(nodes[away]), -1.0, 1.0)
-        close = np.flatnonzero(share < 1)
-        smooth = np.zeros(len(nodes))
-        smooth[close] = self.heights(nodes[close], nearest[close])
-        return np.asarray((1 - share) * smooth + share * far)

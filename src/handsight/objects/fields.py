@@ -76,7 +76,8 @@ class GridField(Field):
     Around a `sheet`, a surface that has no inside, distances are negative behind it, and somewhere beyond its rim the
     sign must change where no surface is. A continuous field would pass through zero there. So before nodes are
     interpolated, those with no surface between them and the node nearest to the point take that node's sign (two places
-    whose distances add up to more than what is between them): the sign jumps, the distance does not.
+    whose distances add up to more than what is between them, and the sheet's `blur`): the sign jumps, the distance does
+    not.
     """
 
     origin: Array
@@ -87,6 +88,8 @@ class GridField(Field):
     """(nx, ny, nz) distances [m], each side at least 4; read-only."""
     sheet: bool = False
     """Whether the surface has no inside: signs tell its sides."""
+    blur: float = 0.0
+    """By how much a sheet's distances on both sides of it may add up to more than what is between them [m]."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for too few nodes."""
@@ -141,9 +144,10 @@ class Grid:
         """(n, 3) positions [m] of the nodes with these places in the flat order."""
         return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
 
-    def field(self, values: Array, *, sheet: bool = False) -> GridField:
-        """The smooth field of these distances (nx ny nz,) [m] at the nodes, of a `sheet` or not."""
-        return GridField(self.origin, self.cell, values.reshape(self.shape).astype(np.float32), sheet)
+    def field(self, values: Array, *, sheet: bool = False, blur: float = 0.0) -> GridField:
+        """The smooth field of these distances (nx ny nz,) [m] at the nodes, of a `sheet` or not; `blur` [m] is its."""
+        nodes = values.reshape(self.shape).astype(np.float32)
+        return GridField(self.origin, self.cell, nodes, sheet, blur)
 
 
 def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:

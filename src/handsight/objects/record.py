@@ -103,7 +103,7 @@ def _nodes(field: Field) -> Nodes:
 def _fill_field(row: np.void, field: Field, nodes: int) -> None:
     """Fills in a FIELD record; the nodes of a grid begin at `nodes`."""
     if isinstance(field, GridField):
-        row["kind"] = records.SHEET if field.sheet else records.GRID
+        row["kind"], row["blur"] = records.SHEET if field.sheet else records.GRID, field.blur
         row["origin"], row["nodes"] = field.origin, nodes
         row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
     elif isinstance(field, ExactField):

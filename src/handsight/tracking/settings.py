@@ -26,9 +26,9 @@ class TrackerSettings:
     """Or whose normal turned so far [rad]."""
     process_noise_position: float = 0.002
     """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
-    of time. Objects between simulated tips move by 2 to 13 mm as they are lifted, and by some millimetres after."""
+    of time. Objects between simulated tips move by millimetres as they are lifted, and creep on after."""
     process_noise_rotation: float = np.deg2rad(3.0)
-    """[rad]; a box between three simulated tips crept by 5 mm and 10° while it was carried for 18 s."""
+    """[rad]; a box between three simulated tips creeps by degrees while it is carried."""
     regrasp_position: float = 0.005
     """How far it may be pushed when a finger comes or goes, per axis [m]."""
     regrasp_rotation: float = np.deg2rad(3.0)
