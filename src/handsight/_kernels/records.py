@@ -103,6 +103,7 @@ TERM = _record(
     ("variance_normal", "f8"),  # mean, per tangent axis
     ("isotropic", "i8"),  # the point's covariance is a ball's, and none of it is shared with the normal
     ("weight", "f8", (4, 4)),  # inverse covariance of (distance, normal)
+    ("log_spread", "f8"),  # log det of that covariance
     ("equations", "f8", (7, 8)),  # its own, by (δp, δθ)
 )
 
