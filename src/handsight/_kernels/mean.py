@@ -43,8 +43,7 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
     u, places, reach = local(UNCERTAINTY), np.zeros(MOST_PLACES, PLACE), REACH[slide.count - 1]
     side = 2 * reach + 1
     seen = np.zeros(side**slide.count, np.bool_)
-    sums.total = 0.0
-    sums.least, sums.best = np.inf, -np.inf
+    sums.total, sums.best = 0.0, -np.inf
     sums.first[:], sums.second[:], sums.within[:] = 0.0, 0.0, 0.0
     count, done, middle = 1, 0, len(seen) // 2
     seen[middle] = True

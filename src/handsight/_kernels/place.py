@@ -11,7 +11,7 @@ from handsight._kernels.compiled import inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import factor, solve
 from handsight._kernels.levenberg import Evidence, evaluate
-from handsight._kernels.settings import DEPTH, LINEAR, NEAR2, STEPS_ACROSS
+from handsight._kernels.settings import NEAR2
 from handsight._kernels.slide import at_coordinates, coordinates_at, moved_to
 from handsight._kernels.vec3 import Mat33, add, cross, matmul, mul, norm, scale, sub, transpose
 
@@ -54,26 +54,21 @@ def _relax(slide: Any, E: Mat33, u: Any) -> bool:
 def visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: Any) -> float:
     """Log weight of a place, its other coordinates made the best there; adds it to the sums.
 
-    The cost is what the step across promises; where that is far below what it was, it is read again after it.
+    The cost is what the step across promises: what S changes on the way is left out.
     """
-    count, cost, pose = slide.count_across, 0.0, mode
-    for _ in range(STEPS_ACROSS):
-        coordinates_at(slide, place, u.row)
-        pose = moved_to(evidence, mode, u.row)
-        evaluate(evidence, evidence.model.fine, pose, True, u.equations)
-        if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
-            return -np.inf
-        cost, gain = u.equations[6, 6], 0.0
-        for a in range(count):
-            gain += u.values[a] * u.column[a]
-            place.aside[a] -= u.column[a]
-        cost -= gain
-        if gain < LINEAR or cost > sums.least + 2 * DEPTH:
-            break
+    count, fine = slide.count_across, evidence.model.fine
+    coordinates_at(slide, place, u.row)
+    pose = moved_to(evidence, mode, u.row)
+    evaluate(evidence, fine, pose, True, u.equations)
+    if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
+        return -np.inf
+    cost = u.equations[6, 6]
+    for a in range(count):
+        cost -= u.values[a] * u.column[a]
+        place.aside[a] -= u.column[a]
     for i in range(len(evidence.terms)):
         if evidence.terms[i].contact.used:
             cost += evidence.terms[i].log_spread
-    sums.least = min(sums.least, cost)
     coordinates_at(slide, place, u.row)
     half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / evidence.model.radius
     if half > 0.5 * np.pi:

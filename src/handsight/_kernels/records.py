@@ -196,7 +196,6 @@ SLIDE = _record(
 # Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
 SUMS = _record(
     ("best", "f8"),  # largest log weight yet
-    ("least", "f8"),  # predicted cost yet
     ("total", "f8"),
     ("first", "f8", (6,)),
     ("second", "f8", (6, 6)),

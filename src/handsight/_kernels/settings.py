@@ -35,13 +35,11 @@ MOST_OPEN, MOST_MEANS = 3, 3
 PLACES = (4.0, 2.0, 1.3)
 """Places in a deviation along one, two or three directions."""
 DEPTH = 6.0
-"""A place that costs this much more than the best leads no further; predicted to cost twice that, it is passed by."""
+"""A place that costs this much more than the best leads no further."""
 ROUNDS, MOST_PLACES = 5, 600
 """Lattices that are laid until one is fine enough, and places of each at most."""
 REACH = (200, 40, 15)
 """Places to either side of the mode, along one, two or three directions."""
-STEPS_ACROSS, LINEAR = 3, 1.0
-"""Gauss-Newton steps across a slide, at most; one that lowers the cost by less is the last."""
 RISE, PROBES, SWEEPS = 2.0, 6, 2
 """A direction reaches as far as its cost rises by this; how often it is read to either side to find that, and how
 often all directions are followed."""

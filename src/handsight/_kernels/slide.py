@@ -141,7 +141,7 @@ def measure(evidence: Evidence, mode: Pose, slide: Any) -> None:
     is followed from the middle of the one before, twice.
     """
     radius, middle, six, here = evidence.model.radius, np.zeros(6), np.zeros(6), 0.0
-    for m in range(-1, slide.count * SWEEPS):
+    for m in range(-1, slide.count * (SWEEPS if slide.count > 1 else 1)):
         n, ends = max(m, 0) % slide.count, (0.0, 0.0)
         for side in range(2 if m >= 0 else 1):
             length, near, far = slide.spacing[n], 0.0, 2 * radius
