@@ -204,6 +204,18 @@ def test_blind_a_slide_that_is_not_known_has_no_covariance():
     assert len(best.unobservable)
 
 
+def test_blind_maxima_along_a_slide_that_is_not_known_stay_hypotheses():
+    several = 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        contacts = random_scene(across_box(rng), rng).contacts
+        best, maximum = (hs.correct_pose(box(), contacts, answer=answer) for answer in ("best", "maximum"))
+        unknown = best.hypotheses[0].covariance is None
+        assert not unknown or len(best.hypotheses) >= min(5, len(maximum.hypotheses))
+        several += unknown and len(best.hypotheses) >= 5
+    assert several
+
+
 def test_an_answer_that_is_none_is_named():
     scene = grasp(*can_contacts(), seed=0)
     with pytest.raises(

@@ -103,7 +103,7 @@ def _planes(model, nodes, planes, descents, equations):
     evidence = levenberg.Evidence(model[0], nodes, terms, planes, nothing, center)
     equations[:] = 0.0
     frame = center, model[0].radius
-    plane_term.add_planes(evidence, model[0].fine, pose_of(descents[0].pose), frame, equations)
+    plane_term.add_planes(evidence, pose_of(descents[0].pose), frame, equations)
 
 
 @pytest.mark.parametrize("name", ["box", "can", "ellipsoid"])

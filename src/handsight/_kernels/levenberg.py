@@ -10,6 +10,7 @@ from handsight._kernels.contact_term import (
     add_contact,
     factored,
     invert_covariance,
+    log_determinant,
     residual_covariance,
     surface_at,
 )
@@ -53,12 +54,13 @@ def evaluate(evidence: Evidence, field: Any, pose: Pose, rewhiten: bool, equatio
         if term.contact.used:
             surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
             if rewhiten:
-                S = residual_covariance(model, evidence.nodes, field, term, surface)
-                invert_covariance(factored(S), term.contact.has_normal != 0, term.weight)
+                factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
+                invert_covariance(factor4, term.contact.has_normal != 0, term.weight)
+                term.log_spread = log_determinant(factor4, term.contact.has_normal != 0)
             add_contact(term, surface, frame, equations)
     if len(evidence.outside):
         add_outside(evidence, field, pose, frame, equations)
-        add_planes(evidence, field, pose, frame, equations)
+        add_planes(evidence, pose, frame, equations)
     if evidence.prior.kind != NO_PRIOR:
         add_prior(evidence.prior, pose, frame, equations)
 

@@ -14,11 +14,13 @@ import numpy as np
 from handsight._kernels.batch import fill_prior, load_terms
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose
-from handsight._kernels.dense6 import eigen, factor, solve
-from handsight._kernels.levenberg import Evidence, evaluate
-from handsight._kernels.posterior import posterior_cost
+from handsight._kernels.dense6 import eigen
+from handsight._kernels.levenberg import Evidence
+from handsight._kernels.outside_term import look
+from handsight._kernels.place import cover, visit
 from handsight._kernels.prior_term import rotation_log
 from handsight._kernels.records import (
+    OUTSIDE,
     PLACE,
     PRIOR_TERM,
     SLIDE,
@@ -27,151 +29,12 @@ from handsight._kernels.records import (
     UNCERTAINTY,
     WEAK_PRIOR,
 )
-from handsight._kernels.settings import DEPARTS, DEPTH, MOST_MEANS, MOST_PLACES, NEAR2, REACH, ROUNDS
+from handsight._kernels.settings import DEPARTS, DEPTH, LIGHT, MOST_MEANS, MOST_PLACES, REACH, ROUNDS
 from handsight._kernels.simd import local
-from handsight._kernels.slide import choose, coordinates_at, fine_enough, lay_lattice, mark_spins
+from handsight._kernels.slide import choose, fine_enough, lay_lattice, mark_spins, measure
 from handsight._kernels.symmetry import nearest, pose_of
 from handsight._kernels.uncertainty import retract_body
-from handsight._kernels.vec3 import (
-    Mat33,
-    Vec3,
-    add,
-    cross,
-    matmul,
-    mul,
-    scale,
-    sub,
-    tmul,
-    transpose,
-)
-
-
-@inner
-def _relax(slide: Any, E: Mat33, u: Any) -> bool:
-    """Whether a step across the slide is determined; `u.column`: the step, of `u.values` the gradient, `u.matrix` the
-    Hessian by it, `u.wider` its directions (τ, radius ω) after the turn E that led to the place."""
-    count = slide.count_across
-    for a in range(count):
-        shift = mul(E, (slide.across[0, a], slide.across[1, a], slide.across[2, a]))
-        turn = mul(E, (slide.across[3, a], slide.across[4, a], slide.across[5, a]))
-        six = shift + turn
-        for i in range(6):
-            u.wider[i, a] = six[i]
-    for a in range(count):
-        slope = 0.0
-        for i in range(6):
-            row = 0.0
-            for j in range(6):
-                row += u.equations[max(i, j), min(i, j)] * u.wider[j, a]
-            u.column[i] = row
-            slope += u.equations[6, i] * u.wider[i, a]
-        u.values[a] = slope
-        for b in range(count):
-            value = 0.0
-            for i in range(6):
-                value += u.wider[i, b] * u.column[i]
-            u.matrix[b, a] = value
-    trace = 0.0
-    for a in range(count):
-        trace += u.matrix[a, a]
-    if not factor(u.matrix, count, 1e-12 * trace, u.factor):
-        return False
-    solve(u.factor, count, u.values, u.column)
-    return True
-
-
-@inner
-def _visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: Any) -> float:
-    """Log weight of a place, its other coordinates made the best there; adds it to the sums."""
-    model, count = evidence.model, slide.count_across
-    pose, cost = mode, 0.0
-    for relaxed in range(2):
-        coordinates_at(slide, place, u.row)
-        shift, turn = (u.row[0], u.row[1], u.row[2]), (u.row[3], u.row[4], u.row[5])
-        pose = retract_body(mode, (shift, scale(turn, 1 / model.radius)))
-        if relaxed:
-            cost = posterior_cost(evidence, pose)
-            break
-        evaluate(evidence, model.fine, pose, True, u.equations)
-        if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
-            return -np.inf
-        least = u.equations[6, 6]
-        for a in range(count):
-            least -= u.values[a] * u.column[a]
-            place.aside[a] -= u.column[a]
-        if least > sums.least + 2 * DEPTH:
-            return -np.inf
-        sums.least = min(sums.least, least)
-    half = 0.5 * np.sqrt(u.row[3] ** 2 + u.row[4] ** 2 + u.row[5] ** 2) / model.radius
-    if half > 0.5 * np.pi:
-        return -np.inf  # a place met before, from the other side
-    log_weight = -0.5 * cost
-    if half > 1e-6:
-        log_weight += 2 * np.log(np.sin(half) / half)  # of rotations there are fewer, the larger the turn
-    for a in range(count):
-        log_weight += np.log(u.factor[a, a])
-    _add(slide, sub(pose[1], mode[1]), model.radius, log_weight, sums, u)
-    return log_weight
-
-
-@inner
-def _add(slide: Any, shift: Vec3, radius: float, log_weight: float, sums: Any, u: Any) -> None:
-    """Adds a place with its Gaussian across the slide, both by (δp, δθ)."""
-    count = slide.count_across
-    if log_weight > sums.best:
-        before = np.exp(sums.best - log_weight)
-        sums.best = log_weight
-        sums.total *= before
-        for i in range(6):
-            sums.first[i] *= before
-            for j in range(6):
-                sums.second[i, j] *= before
-                sums.within[i, j] *= before
-    weight = np.exp(log_weight - sums.best)
-    six = shift + scale((u.row[3], u.row[4], u.row[5]), 1 / radius)
-    for a in range(count):
-        turn = scale((u.wider[3, a], u.wider[4, a], u.wider[5, a]), 1 / radius)
-        moved = scale(
-            add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), slide.stretch[a]
-        )
-        column = moved + scale(turn, slide.stretch[a])
-        # The columns of L⁻¹ Gᵀ, of which the product with itself is G H⁻¹ Gᵀ.
-        for i in range(6):
-            value = column[i]
-            for b in range(a):
-                value -= u.factor[a, b] * u.by_touch[i, b]
-            u.by_touch[i, a] = value * u.factor[a, a]
-    sums.total += weight
-    for i in range(6):
-        sums.first[i] += weight * six[i]
-        for j in range(6):
-            value = 0.0
-            for a in range(count):
-                value += u.by_touch[i, a] * u.by_touch[j, a]
-            sums.second[i, j] += weight * (six[i] * six[j])
-            sums.within[i, j] += weight * value
-
-
-@inner
-def _cover(slide: Any, others: Any, u: Any) -> None:
-    """Marks other modes (n, 7), coordinates and a mark, that lie beside the place that was visited last."""
-    for n in range(len(others)):
-        beside = True
-        for k in range(slide.count):
-            along = 0.0
-            for i in range(6):
-                along += slide.along[i, k] * (others[n, i] - u.row[i])
-            beside = beside and abs(along) <= slide.spacing[k]
-        square = 0.0
-        for a in range(slide.count_across):
-            u.column[a] = 0.0
-            for i in range(6):
-                u.column[a] += slide.across[i, a] * (others[n, i] - u.row[i])
-        for a in range(slide.count_across):
-            for b in range(slide.count_across):
-                square += u.column[a] * u.matrix[a, b] * u.column[b]
-        if beside and square < NEAR2:
-            others[n, 6] = 1.0
+from handsight._kernels.vec3 import matmul, scale, sub, tmul, transpose
 
 
 @inner
@@ -180,18 +43,17 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
     u, places, reach = local(UNCERTAINTY), np.zeros(MOST_PLACES, PLACE), REACH[slide.count - 1]
     side = 2 * reach + 1
     seen = np.zeros(side**slide.count, np.bool_)
-    sums.total = 0.0
-    sums.least, sums.best = np.inf, -np.inf
+    sums.total, sums.best = 0.0, -np.inf
     sums.first[:], sums.second[:], sums.within[:] = 0.0, 0.0, 0.0
     count, done, middle = 1, 0, len(seen) // 2
     seen[middle] = True
     while done < count:
         place = places[done]
         done += 1
-        log_weight = _visit(evidence, mode, slide, place, sums, u)
+        log_weight = visit(evidence, mode, slide, place, sums, u)
         if not log_weight > sums.best - 0.5 * DEPTH:
             continue
-        _cover(slide, others, u)
+        cover(slide, others, u)
         where = middle
         for k in range(slide.count):
             where += place.index[k] * side**k
@@ -217,10 +79,14 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
 def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
     """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, slide, local(UNCERTAINTY))
+    rows = np.empty(len(evidence.outside), OUTSIDE)
+    look(evidence, evidence.model.fine, mode, np.inf, rows)
+    near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
+    measure(near, mode, slide)
     for _ in range(ROUNDS):
         cell = lay_lattice(slide)
         others[:, 6] = 0.0
-        if not _flood(evidence, mode, slide, others, sums):
+        if not _flood(near, mode, slide, others, sums):
             for k in range(slide.count):
                 slide.spacing[k] *= 1.5
         elif not sums.total > 0:
@@ -283,9 +149,10 @@ def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, a
     center = load_terms(contacts[0], terms)
     fill_prior(model[0], prior, center, term)
     floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
+    best = -np.inf
     for k in range(min(len(answers), MOST_MEANS)):
         row = answers[k]
-        if row.weight < 0 or not row.departure > DEPARTS:
+        if row.weight < 0 or not row.departure > DEPARTS or row.log_weight < best - LIGHT:
             continue
         mode = pose_of(row.pose)
         for n in range(k + 1, len(answers)):
@@ -298,3 +165,4 @@ def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, a
             for n in range(k + 1, len(answers)):
                 if others[n, 6] == 1.0:
                     answers[n].weight = -1.0
+        best = max(best, row.log_weight)

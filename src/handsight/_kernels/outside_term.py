@@ -36,7 +36,7 @@ def _beyond_bounds(model: Any, place: Vec3) -> float:
 
 
 @inner
-def _largest_move(model: Any, pose: Pose, other: Pose) -> float:
+def largest_move(model: Any, pose: Pose, other: Pose) -> float:
     """No point within the object's bounds is farther apart at two poses than this [m]."""
     (R, p), (Q, q) = pose, other
     low, high = vector(model.bounds[0]), vector(model.bounds[1])
@@ -59,16 +59,22 @@ def nearby(evidence: Any, field: Any, pose: Pose, last: tuple[Pose, int], near: 
     metre). Planes always count.
     """
     looked, count = last
-    move, reach = _largest_move(evidence.model, pose, looked), LOOK_REACH * evidence.model.radius
+    move, reach = largest_move(evidence.model, pose, looked), LOOK_REACH * evidence.model.radius
     if not move <= reach:
-        looked, count, move = pose, _look(evidence, field, pose, reach, near), 0.0
-    for i in range(count):
-        near[i].far = near[i].clearance > move
+        looked, count, move = pose, look(evidence, field, pose, reach, near), 0.0
+    pass_over(near[:count], move)
     return looked, count
 
 
 @inner
-def _look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
+def pass_over(near: Any, move: float) -> None:
+    """Marks as far what no part of the object can have reached, which has moved so far since it was looked at."""
+    for i in range(len(near)):
+        near[i].far = near[i].clearance > move
+
+
+@inner
+def look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
     """How many rows are nearer than a reach; fills `near` with them."""
     R, p = pose
     count = 0

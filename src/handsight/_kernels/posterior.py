@@ -75,7 +75,7 @@ def information(
             by_touch[i, j] = by_touch[j, i] = value
     subtract_lent(by_touch, equations, model.radius)
     # Walls: they cost, but say nothing of the way back.
-    chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, model.fine, pose)
+    chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, pose)
     equations[:] = 0.0
     if evidence.prior.kind == VISION_PRIOR:
         add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
@@ -90,7 +90,7 @@ def information(
 def posterior_cost(evidence: Evidence, pose: Pose) -> float:
     """Minus two log of the posterior density at a pose, up to a constant."""
     model, nodes, field = evidence.model, evidence.nodes, evidence.model.fine
-    total = outside_cost(evidence, field, pose) + plane_cost(evidence, field, pose)
+    total = outside_cost(evidence, field, pose) + plane_cost(evidence, pose)
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         if term.contact.used:

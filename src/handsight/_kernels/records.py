@@ -104,6 +104,7 @@ TERM = _record(
     ("variance_normal", "f8"),  # mean, per tangent axis
     ("isotropic", "i8"),  # the point's covariance is a ball's, and none of it is shared with the normal
     ("weight", "f8", (4, 4)),  # inverse covariance of (distance, normal)
+    ("log_spread", "f8"),  # log det of that covariance
     ("equations", "f8", (7, 8)),  # its own, by (δp, δθ)
 )
 
@@ -196,7 +197,6 @@ SLIDE = _record(
 # Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
 SUMS = _record(
     ("best", "f8"),  # largest log weight yet
-    ("least", "f8"),  # predicted cost yet
     ("total", "f8"),
     ("first", "f8", (6,)),
     ("second", "f8", (6, 6)),

@@ -32,14 +32,21 @@ SLIDE, NARROW = 0.02, 0.02
 the other, if anything is."""
 MOST_OPEN, MOST_MEANS = 3, 3
 """Directions along which a mode is integrated, the widest; modes whose means are taken, the likeliest."""
-PLACES = (4.0, 1.8, 1.1)
+PLACES = (4.0, 2.0, 1.3)
 """Places in a deviation along one, two or three directions."""
 DEPTH = 6.0
-"""A place that costs this much more than the best leads no further; predicted to cost twice that, it is passed by."""
+"""A place that costs this much more than the best leads no further."""
 ROUNDS, MOST_PLACES = 5, 600
 """Lattices that are laid until one is fine enough, and places of each at most."""
 REACH = (200, 40, 15)
 """Places to either side of the mode, along one, two or three directions."""
+RISE, PROBES, SWEEPS = 2.0, 6, 2
+"""A direction reaches as far as its cost rises by this; how often it is read to either side to find that, and how
+often all directions are followed."""
+SPREAD = (0.6, 0.8, 0.8)
+"""A deviation in such reaches, along one, two or three directions."""
+LIGHT = 7.0
+"""A mode whose log weight is this much less than another's stays its maximum."""
 NEAR2 = 16.0
 """A mode so near to a place, in squared deviations across the slide, belongs to it."""
 LOOK_REACH, LOOK_SLOPE = 0.2, 1.25

@@ -25,16 +25,23 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
+def _departs(problem: Problem, row: np.void) -> bool:
+    """Whether a mode is answered by its mean."""
+    return bool(row["departure"] > DEPARTS and (row["complete"] or not problem.blind))
+
+
 def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
     """The estimate whose likeliest modes are means, each where it is no Gaussian, or its first one all the same.
 
     A mode that the same slide leads to is part of its mean, and no hypothesis any more, nor is one of two means that
-    are not apart.
+    are not apart. Blind, a mode with a direction that is not known stays its maximum: such a slide ends nowhere, and
+    several maxima along it say more than one mean.
     """
-    departs = [row["departure"] > DEPARTS for row in estimate.modes[:MOST_MEANS]]
+    departs = [_departs(problem, row) for row in estimate.modes[:MOST_MEANS]]
     if answer == "maximum" or not (answer == "mean" or any(departs)):
         return estimate
     rows = np.array(estimate.modes)
+    rows["departure"][: len(departs)][~np.array(departs)] = 0.0
     if answer == "mean":
         rows["departure"][0] = np.inf
     used = np.ones((1, len(problem.contacts)), dtype=bool)
