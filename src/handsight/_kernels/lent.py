@@ -6,9 +6,20 @@ not show: of that slide a contact then seems to know what is worked out here, an
 
 from typing import Any
 
+import numpy as np
+
 from handsight._kernels.compiled import inner
-from handsight._kernels.contact_term import Pose, Surface, model_error
+from handsight._kernels.contact_term import (
+    Pose,
+    Surface,
+    factored,
+    invert_covariance,
+    model_error,
+    residual_covariance,
+    surface_at,
+)
 from handsight._kernels.dense6 import eigen, in_metres
+from handsight._kernels.levenberg import Evidence
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.simd import accumulate, local
 from handsight._kernels.vec3 import cross, outer, sub, sub33, vector
@@ -57,3 +68,30 @@ def subtract_lent(by_touch: Any, equations: Any, radius: float) -> None:
             for k in range(6):
                 value += u.vectors[i, k] * max(u.values[k], 0.0) * u.vectors[j, k]
             by_touch[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+
+
+@inner
+def wavering(evidence: Evidence, pose: Pose) -> float:
+    """How far touch's cost at a pose moves from bump to bump, as a standard deviation; 0 for a model without bumps.
+
+    With W = (S + V)⁻¹, V of the bumps and S of the rest, (n + e)ᵀ W (n + e) has the variance 4 tr WV - 2 tr (WV)² over
+    e ~ N(0, V), n ~ N(0, S) being what it is.
+    """
+    model, square = evidence.model, 0.0
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if not term.contact.used or model.error.inverse_cell == 0.0:
+            continue
+        surface = surface_at(evidence.nodes, model.fine, vector(term.contact.point), pose)
+        slope, _ = model_error(model.error, evidence.nodes, surface[4], 2)
+        if slope == 0.0:
+            continue
+        height, _ = model_error(model.error, evidence.nodes, surface[4], 0)
+        S = residual_covariance(model, evidence.nodes, model.fine, term, surface)
+        invert_covariance(factored(S), term.contact.has_normal != 0, term.weight)
+        W = term.weight
+        share = min(W[0, 0] * height, 1.0)
+        square += 4 * share - 2 * share * share
+        share = min((W[1, 1] + W[2, 2] + W[3, 3]) / 2.5 * slope / 3.84, 1.0)
+        square += 2 * (4 * share - 2 * share * share)
+    return np.sqrt(square)

@@ -15,9 +15,10 @@ from handsight._kernels.batch import fill_prior, load_terms
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import eigen, factor, solve
+from handsight._kernels.lent import wavering
 from handsight._kernels.levenberg import Evidence, evaluate
 from handsight._kernels.posterior import posterior_cost
-from handsight._kernels.prior_term import rotation_log
+from handsight._kernels.prior_term import prior_cost, rotation_log
 from handsight._kernels.records import (
     PLACE,
     PRIOR_TERM,
@@ -44,6 +45,8 @@ from handsight._kernels.vec3 import (
     tmul,
     transpose,
 )
+
+GIVE = 3.0
 
 
 @inner
@@ -91,6 +94,9 @@ def _visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u:
         pose = retract_body(mode, (shift, scale(turn, 1 / model.radius)))
         if relaxed:
             cost = posterior_cost(evidence, pose)
+            if slide.give > 0.0:
+                prior = prior_cost(evidence.prior, pose)
+                cost = prior + max(cost - prior, slide.level)
             break
         evaluate(evidence, model.fine, pose, True, u.equations)
         if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
@@ -99,7 +105,7 @@ def _visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u:
         for a in range(count):
             least -= u.values[a] * u.column[a]
             place.aside[a] -= u.column[a]
-        if least > sums.least + 2 * DEPTH:
+        if least > sums.least + 2 * DEPTH + slide.give:
             return -np.inf
         sums.least = min(sums.least, least)
     half = 0.5 * np.sqrt(u.row[3] ** 2 + u.row[4] ** 2 + u.row[5] ** 2) / model.radius
@@ -217,6 +223,9 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
 def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
     """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, slide, local(UNCERTAINTY))
+    slide.give = GIVE * wavering(evidence, mode)
+    if slide.give > 0.0:
+        slide.level = posterior_cost(evidence, mode) - prior_cost(evidence.prior, mode) + slide.give
     for _ in range(ROUNDS):
         cell = lay_lattice(slide)
         others[:, 6] = 0.0
