@@ -5,6 +5,8 @@ posterior departs from a Gaussian a lattice is flooded from the mode on, as far 
 places a Gauss-Newton step leads to the best of the other directions, which count as Gaussian there (Laplace):
 
     weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the slide, walls in it
+
+Along a slide over a scan's bumps the mode is in the deepest dent: there touch's cost counts from what dents explain on.
 """
 
 from typing import Any
@@ -28,7 +30,7 @@ from handsight._kernels.records import (
     UNCERTAINTY,
     WEAK_PRIOR,
 )
-from handsight._kernels.settings import DEPARTS, DEPTH, MOST_MEANS, MOST_PLACES, NEAR2, REACH, ROUNDS
+from handsight._kernels.settings import DEPARTS, DEPTH, GIVE, MOST_MEANS, MOST_PLACES, NEAR2, REACH, ROUNDS
 from handsight._kernels.simd import local
 from handsight._kernels.slide import choose, coordinates_at, fine_enough, lay_lattice, mark_spins
 from handsight._kernels.symmetry import nearest, pose_of
@@ -45,8 +47,6 @@ from handsight._kernels.vec3 import (
     tmul,
     transpose,
 )
-
-GIVE = 3.0
 
 
 @inner
@@ -95,8 +95,9 @@ def _visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u:
         if relaxed:
             cost = posterior_cost(evidence, pose)
             if slide.give > 0.0:
-                prior = prior_cost(evidence.prior, pose)
-                cost = prior + max(cost - prior, slide.level)
+                # In a dent of a scan contacts fit by chance: what is no worse than chance explains is alike.
+                by_prior = prior_cost(evidence.prior, pose)
+                cost = by_prior + max(cost - by_prior, slide.level)
             break
         evaluate(evidence, model.fine, pose, True, u.equations)
         if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
@@ -223,7 +224,7 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
 def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
     """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, slide, local(UNCERTAINTY))
-    slide.give = GIVE * wavering(evidence, mode)
+    slide.give, slide.level = GIVE * wavering(evidence, mode), 0.0
     if slide.give > 0.0:
         slide.level = posterior_cost(evidence, mode) - prior_cost(evidence.prior, mode) + slide.give
     for _ in range(ROUNDS):

@@ -3,13 +3,12 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from handsight._kernels.lent import LEND
 from handsight.checks import Array
 from handsight.objects.geometry import Roughness
 from handsight.objects.scans.patches import ScannedSurface
 from handsight.objects.scans.windows import CROWD, Noise, Points
 
-LEND = 3.84
-"""Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
 SHARED = 0.25
 """The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
 is off by on the average; but a patch that ended early by chance still bends it, where it is."""
