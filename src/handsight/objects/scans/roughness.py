@@ -12,8 +12,9 @@ from handsight.objects.scans.windows import CROWD, Noise, Points
 SHARED = 0.25
 """The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
 is off by on the average; but a patch that ended early by chance still bends it, where it is."""
-CHANCE, BY_WEIGHT = 3.0, 5 / 9
-"""Deviations by which residuals may exceed the noise; points of a window that count, for its weights."""
+CHANCE, BY_WEIGHT, FITTED = 4.0, 5 / 9, 6
+"""Deviations by which residuals may exceed the noise; points of a window that count, for its weights, and how many of
+them a quadric takes."""
 SHARES, LEAST, MOST = 30, 30, 150
 """Each place is compared with this many points for a patch, within these bounds."""
 
@@ -58,7 +59,7 @@ def _unresolved(surface: ScannedSurface, points: Points, noise: Noise) -> Array:
     """(m,) squared height [m²] of what each patch leaves of the points, beyond their noise: detail as fine as these are
     apart, which from one to the next is off independently."""
     patches = surface.patches
-    many = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, CROWD) * BY_WEIGHT
+    many = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, CROWD) * BY_WEIGHT - FITTED
     chance = 1 + CHANCE * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
     known = 0.0 if noise.is_shape else noise.sigma**2 * chance
     return np.asarray(np.maximum(patches["spread"] - known, 0.0))
