@@ -4,10 +4,12 @@ import functools
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import handsight as hs
 import scenes
-from handsight._kernels import batch, levenberg, posterior, records
+from handsight import se3
+from handsight._kernels import batch, lent, levenberg, posterior, records
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight.correction.outside import NO_OUTSIDE
@@ -89,6 +91,51 @@ def test_a_model_without_bumps_lends_nothing():
     given, T = problem(hs.ObjectModel.cylinder(0.033, 0.115), 0)
     by_touch, _, whole = information(given, T)
     np.testing.assert_allclose(by_touch, np.tril(whole) + np.tril(whole, -1).T, rtol=1e-12)
+
+
+@kept
+def _wavering(model, nodes, contacts, vision, outside, descents):
+    prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
+    center = batch.load_terms(contacts, terms)
+    batch.fill_prior(model[0], vision, center, prior)
+    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
+    return lent.wavering(evidence, pose_of(descents[0].pose))
+
+
+@pytest.mark.parametrize("bare", [False, True])
+@pytest.mark.parametrize("sigma", [5e-4, 2e-3])
+def test_costs_waver_from_bump_to_bump_as_drawn_bumps_make_them(sigma, bare):
+    for seed in range(3):
+        given, T = problem(scan(sigma), seed, bare=bare)
+        record = given.model.record[:2]
+        said = _wavering(*record, given.contacts.record, given.prior, given.outside, descents_at(T[None]))
+        assert said == pytest.approx(oracle.wavering(given, T), rel=0.1)
+
+
+def test_costs_of_a_model_without_bumps_do_not_waver():
+    for model in (
+        hs.ObjectModel.cylinder(0.033, 0.115),
+        hs.ObjectModel.from_points(*scenes.can().sample(3000)),
+    ):
+        given, T = problem(model, 0)
+        arrays = given.contacts.record, given.prior, given.outside, descents_at(T[None])
+        assert _wavering(*given.model.record[:2], *arrays) == 0
+
+
+def spin_and_deviation(seed):
+    """How far the answer is from the truth along a scanned can's spin [rad], and how sure it is of that."""
+    given, T = problem(scan(2e-3, 4000).with_symmetries(Symmetries()), seed)
+    estimate = hs.correct_pose(given.model, given.contacts, vision=given.vision)
+    turn = se3.rotation_log(T[:3, :3] @ estimate.T_palm_object[:3, :3].T)
+    axis = T[:3, 2]
+    return axis @ turn, np.sqrt(axis @ estimate.covariance[3:, 3:] @ axis)
+
+
+def test_no_dent_of_a_scanned_can_holds_its_spin():
+    """Where all the weight is that of the deepest dent, these squares are 5 on the average."""
+    errors, deviations = np.array([spin_and_deviation(seed) for seed in range(40)]).T
+    # 99.9 % of the mean of forty squares of Gaussians.
+    assert np.mean((errors / deviations) ** 2) < chdtri(40, 1e-3) / 40
 
 
 @pytest.mark.parametrize("sigma", [5e-4, 1e-3])

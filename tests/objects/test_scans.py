@@ -320,3 +320,63 @@ def test_a_patch_that_no_window_could_fit_says_that_it_knows_nothing():
     surface = fitted(lonely, Noise(1e-3))
     assert surface.patches["fits"][-1] == 0
     assert (surface.variances[-1] > 3 * np.median(surface.variances, axis=0)).all()
+
+
+@pytest.mark.parametrize("width", [4e-3, 5e-3])
+def test_detail_that_points_are_too_few_for_is_said_to_be_missing_in_the_normals(width):
+    """A ball with dents hardly wider than its points are apart."""
+    rng = np.random.default_rng(1)
+    waves, phases = rng.normal(size=(3, 400)) / width, rng.uniform(0, 2 * np.pi, 400)
+    height = 2e-4 * np.sqrt(2 / 400)
+
+    def dented(way):
+        return (0.035 + height * np.cos(0.035 * way @ waves + phases).sum(axis=1))[:, None] * way
+
+    way, places = (
+        given / np.linalg.norm(given, axis=1, keepdims=True) for given in rng.normal(size=(2, 2600, 3))
+    )
+    scan = cloud_geometry(dented(way), None)
+    slope = -height * np.sin(0.035 * places @ waves + phases) @ waves.T
+    facing = places - slope + (slope * places).sum(axis=1, keepdims=True) * places
+    gradient = scan.fine.evaluate(dented(places)).gradient
+    sine2 = (np.cross(gradient, facing) ** 2).sum(axis=1) / (
+        (gradient**2).sum(axis=1) * (facing**2).sum(axis=1)
+    )
+    said = fields.variances(scan.field_error, dented(places))[:, 1]
+    assert 0.7 < np.sqrt(said.mean() / (sine2.mean() / 2)) < 3
+
+
+def without_a_base(sigma, seed):
+    """A noisy can of which nobody saw the base, and places on the base."""
+    points, normals, rng = drawn("can", 4000, seed)
+    seen = normals[:, 2] > -0.5
+    noisy = points + sigma * rng.normal(size=points.shape)
+    return cloud_geometry(noisy[seen], normals[seen]), points[~seen]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_a_scan_has_no_points_it_says_that_it_knows_nothing(seed):
+    scan, base = without_a_base(1e-3, seed)
+    assert not scan.closed
+    far = base[np.linalg.norm(base[:, :2], axis=1) < 0.025]
+    said = fields.variances(scan.field_error, far)
+    off = scan.fine.evaluate(far).distance
+    assert (np.abs(off) < 2.5 * np.sqrt(said[:, 0])).mean() > 0.95
+    assert (said[:, 1] > 0.5**2).mean() > 0.9
+    # Where there are points all around, it knows what a scan of all of it does.
+    points, normals, rng = drawn("can", 4000, seed)
+    closed = cloud_geometry(points + 1e-3 * rng.normal(size=points.shape), normals)
+    assert closed.closed
+    side, _ = off_edges("can", rng)
+    side = side[side[:, 2] > 0]
+    here, there = (np.median(fields.variances(given.field_error, side), axis=0) for given in (scan, closed))
+    np.testing.assert_allclose(here, there, rtol=0.5)
+
+
+@pytest.mark.parametrize(("radius", "height"), [(0.05, 0.03), (0.04, 0.02), (0.03, 0.1)])
+def test_normals_of_few_points_agree_across_the_rims_of_a_can(radius, height):
+    can = ObjectModel.cylinder(radius, height)
+    for seed in range(4):
+        scan = scanned(can.sample(1500, seed)[0], None, can.diameter)
+        places, normals = scan.surface.settled()
+        assert ((normals * can.evaluate(places).gradient).sum(axis=1) > 0).mean() > 0.98

@@ -159,3 +159,22 @@ def lent(problem: Problem, T: Array) -> Array:
         B = np.hstack([np.eye(3), -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])])
         F += f * B.T @ (np.eye(3) - np.outer(normals[i], normals[i])) @ B
     return F
+
+
+def wavering(problem: Problem, T: Array, draws: int = 300) -> float:
+    """Standard deviation of the contacts' cost where their errors stay what they are and bumps are drawn anew."""
+    contacts, rng, square = problem.contacts, np.random.default_rng(0), 0.0
+    _, _, normals, _ = surface(problem, contacts.points_palm, T)
+    bumps = fields.variances(problem.model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))
+    S = covariance(problem, T)
+    for i in range(len(contacts)):
+        size = 4 if contacts.has_normal[i] else 1
+        V = np.zeros((4, 4))
+        V[0, 0] = bumps[i, 0]
+        V[1:, 1:] = bumps[i, 2] / 3.84 * (np.eye(3) - np.outer(normals[i], normals[i]))
+        V, whole = V[:size, :size], S[i, :size, :size]
+        own = rng.multivariate_normal(np.zeros(size), whole - V, draws)
+        by_bumps = rng.multivariate_normal(np.zeros(size), V, draws)
+        r = own[:, None] + by_bumps
+        square += np.einsum("abi,ij,abj->ab", r, np.linalg.inv(whole), r).var(axis=1).mean()
+    return float(np.sqrt(square))

@@ -6,16 +6,31 @@ not show: of that slide a contact then seems to know what is worked out here, an
 
 from typing import Any
 
+import numpy as np
+
 from handsight._kernels.compiled import inner
-from handsight._kernels.contact_term import Pose, Surface, model_error
+from handsight._kernels.contact_term import (
+    Pose,
+    Surface,
+    factored,
+    invert_covariance,
+    model_error,
+    residual_covariance,
+    surface_at,
+)
 from handsight._kernels.dense6 import eigen, in_metres
+from handsight._kernels.levenberg import Evidence
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.simd import accumulate, local
 from handsight._kernels.vec3 import cross, outer, sub, sub33, vector
 
-CURVATURE_SHARE = 1.5 / 2.5
+LEND = 3.84
+"""Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
+TRACE = 2.5
+"""Tangential weights in the trace of a normal's: two, and one along itself of half the size."""
+CURVATURE_SHARE = 1.5 / TRACE
 """Each way of a slide meets one own and one mixed term of the curvature's error, the latter half as uncertain: 1.5
-variances. A normal's weight has 2.5 tangential ones in its trace: one more, along itself, of half the size."""
+variances."""
 UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -57,3 +72,29 @@ def subtract_lent(by_touch: Any, equations: Any, radius: float) -> None:
             for k in range(6):
                 value += u.vectors[i, k] * max(u.values[k], 0.0) * u.vectors[j, k]
             by_touch[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+
+
+@inner
+def wavering(evidence: Evidence, pose: Pose) -> float:
+    """How far touch's cost moves from bump to bump along a slide, as a standard deviation; 0 where there are none.
+
+    The finger's error n ~ N(0, S) stays what it is, the bumps' e ~ N(0, V) changes from place to place. With
+    W = (S + V)⁻¹ the cost (n + e)ᵀ W (n + e) has the variance 4 tr(W V) - 2 tr(W V W V), a mean over n.
+    """
+    model, square = evidence.model, 0.0
+    if model.error.inverse_cell == 0.0:
+        return 0.0
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            surface = surface_at(evidence.nodes, model.fine, vector(term.contact.point), pose)
+            slope, _ = model_error(model.error, evidence.nodes, surface[4], 2)
+            if slope > 0.0:
+                height, _ = model_error(model.error, evidence.nodes, surface[4], 0)
+                S = residual_covariance(model, evidence.nodes, model.fine, term, surface)
+                invert_covariance(factored(S), term.contact.has_normal != 0, term.weight)
+                W = term.weight
+                by_height = min(W[0, 0] * height, 1.0)
+                by_slope = min((W[1, 1] + W[2, 2] + W[3, 3]) / TRACE * slope / LEND, 1.0)
+                square += by_height * (4 - 2 * by_height) + 2 * by_slope * (4 - 2 * by_slope)
+    return np.sqrt(square)

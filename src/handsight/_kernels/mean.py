@@ -5,6 +5,8 @@ posterior departs from a Gaussian a lattice is flooded from the mode on, as far 
 places a Gauss-Newton step leads to the best of the other directions, which count as Gaussian there (Laplace):
 
     weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the slide, walls in it
+
+Along a slide over a scan's bumps the mode is in the deepest dent: there touch's cost counts from what dents explain on.
 """
 
 from typing import Any
@@ -15,10 +17,12 @@ from handsight._kernels.batch import fill_prior, load_terms
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import eigen
+from handsight._kernels.lent import wavering
 from handsight._kernels.levenberg import Evidence
 from handsight._kernels.outside_term import look
 from handsight._kernels.place import cover, visit
-from handsight._kernels.prior_term import rotation_log
+from handsight._kernels.posterior import posterior_cost
+from handsight._kernels.prior_term import prior_cost, rotation_log
 from handsight._kernels.records import (
     OUTSIDE,
     PLACE,
@@ -29,7 +33,7 @@ from handsight._kernels.records import (
     UNCERTAINTY,
     WEAK_PRIOR,
 )
-from handsight._kernels.settings import DEPARTS, DEPTH, LIGHT, MOST_MEANS, MOST_PLACES, REACH, ROUNDS
+from handsight._kernels.settings import DEPARTS, DEPTH, GIVE, LIGHT, MOST_MEANS, MOST_PLACES, REACH, ROUNDS
 from handsight._kernels.simd import local
 from handsight._kernels.slide import choose, fine_enough, lay_lattice, mark_spins, measure
 from handsight._kernels.symmetry import nearest, pose_of
@@ -82,6 +86,9 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: A
     rows = np.empty(len(evidence.outside), OUTSIDE)
     look(evidence, evidence.model.fine, mode, np.inf, rows)
     near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
+    slide.give, slide.level = GIVE * wavering(evidence, mode), 0.0
+    if slide.give > 0.0:
+        slide.level = posterior_cost(evidence, mode) - prior_cost(evidence.prior, mode) + slide.give
     measure(near, mode, slide)
     for _ in range(ROUNDS):
         cell = lay_lattice(slide)

@@ -193,6 +193,8 @@ SLIDE = _record(
     ("across", "f8", (6, 6)),
     ("stretch", "f8", (6,)),  # how much wider these are than the slope at the mode says
     ("proper", "i8"),  # whether all is known: blind, a direction may not be
+    ("give", "f8"),  # how far a bumpy model's dents may lower the cost of contacts and walls, and the cost
+    ("level", "f8"),  # below which places are therefore alike
 )
 # Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
 SUMS = _record(

@@ -36,6 +36,9 @@ PLACES = (4.0, 2.0, 1.3)
 """Places in a deviation along one, two or three directions."""
 DEPTH = 6.0
 """A place that costs this much more than the best leads no further."""
+GIVE = 3.0
+"""Deviations by which the deepest dent of a bumpy model may be below the place that is right: 1.5 below what is usual,
+as the least of ten or so is, that 1.5 above it."""
 ROUNDS, MOST_PLACES = 5, 600
 """Lattices that are laid until one is fine enough, and places of each at most."""
 REACH = (200, 40, 15)

@@ -13,6 +13,7 @@ from handsight._kernels.dense6 import eigen, in_metres
 from handsight._kernels.levenberg import Evidence
 from handsight._kernels.outside_term import largest_move, pass_over
 from handsight._kernels.posterior import information, posterior_cost
+from handsight._kernels.prior_term import prior_cost
 from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.settings import (
     DEPARTS,
@@ -133,6 +134,16 @@ def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
 
 
 @inner
+def undented(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
+    """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
+    explains is alike."""
+    if slide.give > 0.0:
+        by_prior = prior_cost(evidence.prior, pose)
+        cost = by_prior + max(cost - by_prior, slide.level)
+    return cost
+
+
+@inner
 def measure(evidence: Evidence, mode: Pose, slide: Any) -> None:
     """Brings the places of a slide as close as they need be, by how far its cost lets each direction go.
 
@@ -148,7 +159,8 @@ def measure(evidence: Evidence, mode: Pose, slide: Any) -> None:
             for _ in range(PROBES if m >= 0 else 1):
                 for i in range(6):
                     six[i] = middle[i] + slide.along[i, n] * (0.0 if m < 0 else -length if side else length)
-                rise = posterior_cost(evidence, moved_to(evidence, mode, six)) - here
+                pose = moved_to(evidence, mode, six)
+                rise = undented(evidence, slide, pose, posterior_cost(evidence, pose)) - here
                 if 0.5 * RISE < rise < 2 * RISE:
                     break
                 if rise > RISE:

@@ -21,7 +21,7 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import SAMPLES, Geometry, frozen
 from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
 
-VERSION = 9
+VERSION = 10
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""

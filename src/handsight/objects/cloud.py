@@ -16,8 +16,9 @@ from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.cloud_distances import ClosedDistances, OpenDistances
 from handsight.objects.fields import Grid, GridField, grids, sharpened
-from handsight.objects.geometry import Geometry, measured, roughened
+from handsight.objects.geometry import Geometry, measured, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
+from handsight.objects.scans.holes import unseen_variances
 from handsight.objects.scans.normals import estimated_normals
 from handsight.objects.scans.scan import scanned
 from handsight.objects.surface import LARGEST_HOLE, Cloud, check_extent, diameter, distinct
@@ -58,7 +59,14 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         fields = _fields(coarse, fine, distances.at, sheet=True, blur=cloud.spacing)
     remarks = (*remarks, *coarser)
     geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
-    return geometry if scan is None else roughened(geometry, scan.roughness)
+    if scan is None:
+        return geometry
+    geometry = roughened(geometry, scan.roughness)
+
+    def unseen(places: Array) -> Array:
+        return unseen_variances(tree.query(places)[0], winding.at(places), cloud.spacing)
+
+    return geometry if closed else with_error(geometry, unseen)
 
 
 def _fields(

@@ -1,5 +1,6 @@
 """What is measured on an object's surface, whatever the surface came from."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -128,20 +129,29 @@ def measured(
 
 def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
     """The same, its errors larger by how far its surface is off the object."""
+    weights = roughness.weights[:, None]
+    given = np.hstack([weights * roughness.variances, weights])
+
+    def at(nodes: Array) -> Array:
+        mean = _mean_of_nearest(roughness.points, given, nodes)
+        return np.asarray(mean[:, :4] / mean[:, 4:])
+
+    point, normal = np.sqrt(np.median(roughness.variances[:, :2], axis=0))
+    return replace(
+        with_error(geometry, at),
+        sigma_point=float(np.hypot(geometry.sigma_point, point)),
+        sigma_normal=float(np.hypot(geometry.sigma_normal, normal)),
+    )
+
+
+def with_error(geometry: Geometry, variances_at: Callable[[Array], Array]) -> Geometry:
+    """The same, its errors larger by variances (n, 4), as of FieldError, at places (n, 3)."""
     error = geometry.field_error
     if error is None:
         return geometry
     nodes = Grid(error.origin, error.cell, error.values.shape[:3]).nodes()
-    weights = roughness.weights[:, None]
-    mean = _mean_of_nearest(roughness.points, np.hstack([weights * roughness.variances, weights]), nodes)
-    values = error.values + (mean[:, :4] / mean[:, 4:]).reshape(error.values.shape)
-    point, normal = np.sqrt(np.median(roughness.variances[:, :2], axis=0))
-    return replace(
-        geometry,
-        sigma_point=float(np.hypot(geometry.sigma_point, point)),
-        sigma_normal=float(np.hypot(geometry.sigma_normal, normal)),
-        field_error=FieldError(error.origin, error.cell, values),
-    )
+    values = error.values + variances_at(nodes).reshape(error.values.shape)
+    return replace(geometry, field_error=FieldError(error.origin, error.cell, values))
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:

@@ -5,7 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.objects.meshes.repair import agreeing, components
 from handsight.objects.scans.windows import Points
 
@@ -44,20 +44,33 @@ def _through(patch: Array) -> Array:
     return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))[1][:, :, 0])
 
 
-def outwards(points: Array, normals: Array, tree: cKDTree) -> Array:
+def _likeness(points: Array, normals: Array, pairs: tuple[Indices, Indices], turning: bool) -> Array:
+    """(m,) how much alike the normals of pairs are, -1 to 1; `turning`: but for how the surface turns between them."""
+    i, j = pairs
+    cosine = (normals[i] * normals[j]).sum(axis=1)
+    if not turning:
+        return np.asarray(cosine)
+    # Of one normal and the other's mirror image halfway between them: 1 on any circle, and across an edge.
+    way = points[j] - points[i]
+    product = (way * normals[i]).sum(axis=1) * (way * normals[j]).sum(axis=1)
+    return np.asarray(cosine - 2 * product / np.maximum((way * way).sum(axis=1), 1e-300))
+
+
+def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = False) -> Array:
     """The unit normals (n, 3), each of which may be the wrong way, made to point outwards.
 
     They are made to agree along the tree of neighbours whose planes differ least (Hoppe et al. 1992); then turned, each
-    connected part, so that they point away from its middle on the whole.
+    connected part, so that they point away from its middle on the whole. `turning`: points are on the surface, so that
+    the way from one to the next says how it turns there.
     """
     normals = normals.copy()
     neighbours = tree.query(points, k=min(NEIGHBOURS, len(points)))[1]
     row = np.repeat(np.arange(len(points)), neighbours.shape[1] - 1)
     column = neighbours[:, 1:].reshape(-1)
-    cost = 1.0 - np.abs((normals[row] * normals[column]).sum(axis=1)) + 1e-6
+    cost = 1.0 - np.abs(_likeness(points, normals, (row, column), turning)) + 1e-6
     graph = coo_array((cost, (row, column)), shape=(len(points), len(points)))
     i, j = minimum_spanning_tree(graph.tocsr()).nonzero()
-    turned, _ = agreeing(i, j, (normals[i] * normals[j]).sum(axis=1) >= 0, len(points))
+    turned, _ = agreeing(i, j, _likeness(points, normals, (i, j), turning) >= 0, len(points))
     normals[turned] *= -1
     part = components(row, column, len(points))
     for k in range(part.max() + 1):

@@ -37,6 +37,8 @@ LEAST_SIGMA = 1e-4
 """No scan is taken for better [diameters]."""
 ROUGHLY = 3
 """Windows that tell the faces of an object apart."""
+TOLD = 0.5
+"""Of a spacing, noise below which the way from a patch to the next has a direction."""
 MANY = 4096
 """Nodes that are worth another thread."""
 BLENDED = 24
@@ -93,9 +95,11 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
         normals = outwards(centres, planes(points, centres, count), tree)
         nearest = tree.query(points.places)[1]
         # Planes tell faces apart, but quadrics do so better: what they found decides once more.
-        for windows in (ROUGHLY, None):
-            patches = _fits(replace(points, normals=normals[nearest]), normals, noise, windows)
-            normals = patches["normal"].copy()
+        patches = _fits(replace(points, normals=normals[nearest]), normals, noise, ROUGHLY)
+        normals = patches["normal"].copy()
+        if noise.sigma < TOLD * points.spacing:
+            normals = outwards(patches["point"], normals, cKDTree(patches["point"]), turning=True)
+        patches = _fits(replace(points, normals=normals[nearest]), normals, noise)
     variance = patches["covariance"][:, 1, 1] + patches["covariance"][:, 2, 2]
     typical = np.median(variance)
     trust = (1 + ALIKE) * typical / (variance + ALIKE * typical)

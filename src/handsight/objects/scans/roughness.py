@@ -3,16 +3,18 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from handsight._kernels.lent import LEND
 from handsight.checks import Array
 from handsight.objects.geometry import Roughness
 from handsight.objects.scans.patches import ScannedSurface
-from handsight.objects.scans.windows import Noise, Points
+from handsight.objects.scans.windows import CROWD, Noise, Points
 
-LEND = 3.84
-"""Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
 SHARED = 0.25
 """The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
 is off by on the average; but a patch that ended early by chance still bends it, where it is."""
+CHANCE, BY_WEIGHT, FITTED = 4.0, 5 / 9, 6
+"""Deviations by which residuals may exceed the noise; points of a window that count, for its weights, and how many of
+them a quadric takes."""
 SHARES, LEAST, MOST = 30, 30, 150
 """Each place is compared with this many points for a patch, within these bounds."""
 
@@ -25,8 +27,10 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     """
     height, normal, bend = surface.variances.T
     by_height, by_slope = _oversmoothed(surface, points, noise)
-    slope = normal + by_slope
-    variances = np.stack([height + by_height, slope, LEND * slope, LEND * bend], axis=1)
+    slope, detail = normal + by_slope, _unresolved(surface, points, noise)
+    # Detail that the surface has not is missing in its normals; it has no bumps from it to lend.
+    missing = 2 * detail / points.spacing**2
+    variances = np.stack([height + by_height + detail, slope + missing, LEND * slope, LEND * bend], axis=1)
     return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** SHARED)
 
 
@@ -49,3 +53,13 @@ def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tupl
         square = np.maximum((u * u).sum(axis=1), 1e-300)
         slopes += ((u * residual).sum(axis=1) / square) ** 2 / 2 - variance / square / 2
     return np.maximum(mean**2 - variance / many, 0.0), np.maximum(slopes, 0.0)
+
+
+def _unresolved(surface: ScannedSurface, points: Points, noise: Noise) -> Array:
+    """(m,) squared height [m²] of what each patch leaves of the points, beyond their noise: detail as fine as these are
+    apart, which from one to the next is off independently."""
+    patches = surface.patches
+    many = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, CROWD) * BY_WEIGHT - FITTED
+    chance = 1 + CHANCE * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
+    known = 0.0 if noise.is_shape else noise.sigma**2 * chance
+    return np.asarray(np.maximum(patches["spread"] - known, 0.0))
