@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 
+import numba
 import numpy as np
 import pytest
 import trimesh
@@ -444,6 +445,7 @@ def test_callers_do_not_wait_for_helpers_that_are_busy():
 
 PROGRAM = """
 import os, sys, warnings
+import numba
 import numpy as np
 import handsight as hs
 contacts = hs.Contacts(np.array([[0.03, 0, 0.02], [-0.03, 0.01, 0], [0, 0.045, 0.01]]),
