@@ -16,7 +16,7 @@ from handsight.objects.symmetry import MOST_ROTATIONS, Symmetries, about
 
 MM = 1e-3
 """Metres of the file's unit."""
-NEAR = 0.02
+NEAR = 0.01
 """Turns as matrices, and shifts as parts of the diameter, that differ by less are meant to be one: files round them to
 a few digits."""
 ROUNDS = 6
