@@ -126,7 +126,9 @@ def test_a_model_that_was_changed_or_cut_is_refused(tmp_path):
     path = library.file(entry)
     good = path.read_bytes()
     path.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
-    with pytest.raises(InvalidFile, match=r"obj_000001\.ply: expected the SHA-256 \w{12}…, got \w{12}…: changed since"):
+    with pytest.raises(
+        InvalidFile, match=r"obj_000001\.ply: expected the SHA-256 \w{12}…, got \w{12}…: changed since"
+    ):
         library.model("block")
     path.write_bytes(good[:-1])
     with pytest.raises(InvalidFile, match=rf"expected {len(good)} bytes, got {len(good) - 1}: changed since"):
@@ -138,16 +140,39 @@ def test_a_model_that_was_changed_or_cut_is_refused(tmp_path):
 def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
     library = Library(tmp_path)
     library.add(block(tmp_path), Facts(name="mustard"))
-    with pytest.raises(InvalidInput, match=rf"^name: expected an object of {tmp_path}, got 'Mustrd'; the nearest valid one is 'mustard'$"):
+    with pytest.raises(
+        InvalidInput,
+        match=rf"^name: expected an object of {tmp_path}, got 'Mustrd'; the nearest valid one is 'mustard'$",
+    ):
         library.entry("Mustrd")
     with pytest.raises(InvalidInput, match=r"; valid: mustard$"):
         library.entry("../../etc/passwd")
-    with pytest.raises(InvalidFile, match=r"nowhere: expected a library, with models/models_info\.json, got none"):
+    with pytest.raises(
+        InvalidFile, match=r"nowhere: expected a library, with models/models_info\.json, got none"
+    ):
         Library(tmp_path / "nowhere").entry("mustard")
 
 
 @pytest.mark.parametrize(
-    "name", ["", " a", "a ", "../a", "a/b", "a\\b", ".a", "-a", "a\n", "\x1b[2J", "a\0", "7", "obj_000001", "x" * 101, None, 3]
+    "name",
+    [
+        "",
+        " a",
+        "a ",
+        "../a",
+        "a/b",
+        "a\\b",
+        ".a",
+        "-a",
+        "a\n",
+        "\x1b[2J",
+        "a\0",
+        "7",
+        "obj_000001",
+        "x" * 101,
+        None,
+        3,
+    ],
 )
 def test_what_a_path_or_a_terminal_obeys_is_no_name(name):
     with pytest.raises(InvalidInput, match=r"^name: expected"):
@@ -175,14 +200,23 @@ def test_facts_that_cannot_be_are_refused(tmp_path, facts, said):
 def test_a_name_is_given_once(tmp_path):
     library = Library(tmp_path)
     library.add(block(tmp_path), Facts(name="block"))
-    with pytest.raises(InvalidInput, match="^name: expected a new one, got 'block', which is that of object 1$"):
+    with pytest.raises(
+        InvalidInput, match="^name: expected a new one, got 'block', which is that of object 1$"
+    ):
         library.add(block(tmp_path), Facts(name="block"))
     assert len(library.entries()) == 1
 
 
 @pytest.mark.parametrize(
     ("words", "axes", "rotations"),
-    [([], 0, 1), (["z"], 1, 1), (["z", "x/2"], 1, 2), (["z/3"], 0, 3), (["z/3", "x/2"], 0, 6), (["find"], 0, 6)],
+    [
+        ([], 0, 1),
+        (["z"], 1, 1),
+        (["z", "x/2"], 1, 2),
+        (["z/3"], 0, 3),
+        (["z/3", "x/2"], 0, 6),
+        (["find"], 0, 6),
+    ],
 )
 def test_symmetries_are_declared_in_words(words, axes, rotations):
     # A prism of 24 sides passes for round.

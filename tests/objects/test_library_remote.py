@@ -35,7 +35,9 @@ def test_what_is_asked_for_is_fetched_once_and_nothing_else(ours, cache):
     with served(ours) as (url, asked):
         model = Library(url).model("block")
         np.testing.assert_allclose(np.ptp(model.bounds_object, axis=0), [0.06, 0.09, 0.14])
-        assert asked == [f"/models/{name}" for name in ("models_info.json", "handsight.json", "obj_000001.ply")]
+        assert asked == [
+            f"/models/{name}" for name in ("models_info.json", "handsight.json", "obj_000001.ply")
+        ]
         assert Library(url).entry("block").facts.licence == "CC0"
         assert ObjectModel.from_library("block", url).name == "block"
         assert len(asked) == 3
@@ -77,11 +79,17 @@ def test_a_bop_folder_of_others_is_used_from_a_url_too(tmp_path, cache):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"1.ply": (b"ply\n", 4)}, r"obj_000001\.ply: expected the SHA-256 \w+…, got \w+…: changed since it was added"),
+        (
+            {"1.ply": (b"ply\n", 4)},
+            r"obj_000001\.ply: expected the SHA-256 \w+…, got \w+…: changed since it was added",
+        ),
         ({"1.ply": (b"x" * 10**5, 10**5)}, r"obj_000001\.ply: expected at most \d+ bytes, got more"),
         ({"1.ply": 404}, r"obj_000001\.ply: cannot be read: no such file"),
         ({"1.ply": 500}, r"obj_000001\.ply: cannot be fetched: Internal Server Error"),
-        ({"1.ply": (b"ply\n", 400)}, r"obj_000001\.ply: cannot be fetched: it ended 396 bytes early|IncompleteRead"),
+        (
+            {"1.ply": (b"ply\n", 400)},
+            r"obj_000001\.ply: cannot be fetched: it ended 396 bytes early|IncompleteRead",
+        ),
     ],
 )
 def test_a_model_that_is_not_what_was_added_is_refused_and_the_others_are_there(ours, cache, wrong, said):
@@ -113,13 +121,19 @@ def test_documents_that_are_none_are_refused(ours, wrong, said):
 
 def test_documents_above_the_size_are_refused(ours, monkeypatch):
     monkeypatch.setattr(remote, "LARGEST_DOCUMENT", 100)
-    with served(ours) as (url, _), pytest.raises(InvalidFile, match=r"info\.json: expected at most 100 bytes, got more"):
+    with (
+        served(ours) as (url, _),
+        pytest.raises(InvalidFile, match=r"info\.json: expected at most 100 bytes, got more"),
+    ):
         Library(url).entries()
 
 
 def test_a_model_of_others_above_the_size_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(remote, "LARGEST_FILE", 100)
-    with served(bop(tmp_path)) as (url, _), pytest.raises(InvalidFile, match=r"1\.ply: expected at most 100 bytes, got more"):
+    with (
+        served(bop(tmp_path)) as (url, _),
+        pytest.raises(InvalidFile, match=r"1\.ply: expected at most 100 bytes, got more"),
+    ):
         Library(url).model("1")
 
 
@@ -131,7 +145,9 @@ def test_what_was_fetched_before_stays_where_fetching_anew_fails(ours):
     assert Library(url).model("block").closed
 
 
-@pytest.mark.parametrize("spoil", [lambda data: data[:-9], lambda data: b"", lambda data: data[:60] + b"x" + data[61:]])
+@pytest.mark.parametrize(
+    "spoil", [lambda data: data[:-9], lambda data: b"", lambda data: data[:60] + b"x" + data[61:]]
+)
 def test_a_copy_that_was_damaged_is_fetched_again(ours, cache, spoil):
     with served(ours) as (url, asked):
         Library(url).fetch()
@@ -172,7 +188,18 @@ def test_other_kinds_of_urls_are_fsspecs(ours, monkeypatch):
         Library("memory://other").entries()
 
 
-@pytest.mark.parametrize("url", ["http://", "http://[", "http://a b/", "https://127.0.0.1:1", "http://127.0.0.1:x", "file://\0", "http://é/"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://",
+        "http://[",
+        "http://a b/",
+        "https://127.0.0.1:1",
+        "http://127.0.0.1:x",
+        "file://\0",
+        "http://é/",
+    ],
+)
 def test_what_is_no_url_is_refused(url):
     with pytest.raises(InvalidFile, match="models_info.json: cannot be fetched: |expected a library"):
         Library(url).entries()

@@ -26,8 +26,6 @@ def flat(T, digits):
     return tuple(np.round(se3.compose(T[:3, :3], 1e3 * T[:3, 3]), digits).reshape(-1).tolist())
 
 
-
-
 def farthest(of, expected):
     """How far a rotation of a group is off the nearest of another."""
     return max(np.abs(of.rotations - T).max(axis=(1, 2)).min() for T in expected.rotations)
@@ -49,7 +47,10 @@ def test_a_group_of_few_digits_is_read_as_a_group(name, digits, rng):
 
 
 def test_turns_that_only_generate_a_group_are_read_as_it():
-    info = Info(diameter=200.0, symmetries_discrete=[flat(se3.compose(se3.rotation_exp(v), np.zeros(3)), 4) for v in GROUPS["cube"]])
+    info = Info(
+        diameter=200.0,
+        symmetries_discrete=[flat(se3.compose(se3.rotation_exp(v), np.zeros(3)), 4) for v in GROUPS["cube"]],
+    )
     assert len(symmetries_of(info).rotations) == 24
 
 

@@ -101,7 +101,9 @@ def test_a_full_disk_is_said_and_leaves_the_library_as_it_was(tmp_path, monkeypa
         fsync(number)
 
     monkeypatch.setattr(store.os, "fsync", full)
-    with pytest.raises(NotWritten, match=r"library/models/\w+\.\w+: cannot be written: No space left on device$"):
+    with pytest.raises(
+        NotWritten, match=r"library/models/\w+\.\w+: cannot be written: No space left on device$"
+    ):
         library.add(file, Facts(name="second"))
     monkeypatch.undo()
     assert names(library) == ["first"]
@@ -127,8 +129,11 @@ def test_a_file_that_the_system_refuses_to_grow_is_said(tmp_path):
 def test_a_lock_that_is_held_is_waited_for_and_then_told_of(tmp_path, monkeypatch):
     library, file = Library(tmp_path), block(tmp_path)
     monkeypatch.setattr(store, "LOCK_SECONDS", 0.2)
-    with store.locked(tmp_path / "models"), pytest.raises(
-        NotWritten, match=r"models: cannot be written: another process has been adding to it for 0\.2 s$"
+    with (
+        store.locked(tmp_path / "models"),
+        pytest.raises(
+            NotWritten, match=r"models: cannot be written: another process has been adding to it for 0\.2 s$"
+        ),
     ):
         library.add(file, Facts(name="block"))
     assert library.add(file, Facts(name="block")).number == 1

@@ -41,7 +41,7 @@ class ContinuousAxis(msgspec.Struct):
 class Info(msgspec.Struct):
     """What the file says of an object; keys that nobody here asks for are left alone."""
 
-    diameter: Annotated[float, msgspec.Meta(gt=0, le=1e9)]
+    diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]
     """[mm]"""
     size_x: float | None = None
     size_y: float | None = None
