@@ -1,6 +1,7 @@
 """What was added to a library is the same object when it is asked for; a BOP folder of others is a library as it is."""
 
 import json
+import os
 import re
 import shutil
 
@@ -137,6 +138,15 @@ def test_a_model_that_was_changed_or_cut_is_refused(tmp_path):
     assert library.model("block").closed
 
 
+def test_a_model_above_the_size_is_refused_unread(tmp_path):
+    library = Library(bop(tmp_path))
+    os.truncate(tmp_path / "models/obj_000001.ply", 600_000_000)  # a hole, which takes no room
+    with pytest.raises(
+        InvalidFile, match=r"obj_000001\.ply: expected at most 500000000 bytes, got 600000000"
+    ):
+        library.model("1")
+
+
 def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
     library = Library(tmp_path)
     library.add(block(tmp_path), Facts(name="mustard"))
@@ -222,7 +232,7 @@ def test_symmetries_are_declared_in_words(words, axes, rotations):
     # A prism of 24 sides passes for round.
     sides = 24 if "z" in words else 3
     vertices, faces = prism(sides, 0.04, 0.1)
-    model = ObjectModel.from_mesh(vertices + [0.01, -0.02, 0.03], faces)
+    model = ObjectModel.from_mesh(np.add(vertices, [0.01, -0.02, 0.03]), faces)
     of = declared(model, words)
     assert (len(of.axes), len(of.rotations)) == (axes, rotations)
     for point, direction in of.axes:

@@ -145,6 +145,19 @@ def test_what_was_fetched_before_stays_where_fetching_anew_fails(ours):
     assert Library(url).model("block").closed
 
 
+def test_a_file_of_others_is_fetched_anew_and_stays_where_that_fails(tmp_path):
+    theirs = bop(tmp_path / "bop")
+    with served(theirs) as (url, _):
+        Library(url).fetch()
+        bop(theirs, ((60, 90, 140), (20, 30, 40)))
+        assert Library(url).model("5").bounds_object[1, 0] == pytest.approx(0.025)
+        Library(url).fetch()
+        assert Library(url).model("5").bounds_object[1, 0] == pytest.approx(0.01)
+        (theirs / "models/obj_000005.ply").unlink()
+        assert len(Library(url).fetch()) == 1
+        assert Library(url).model("5").bounds_object[1, 0] == pytest.approx(0.01)
+
+
 @pytest.mark.parametrize(
     "spoil", [lambda data: data[:-9], lambda data: b"", lambda data: data[:60] + b"x" + data[61:]]
 )

@@ -11,6 +11,8 @@ import pytest
 from handsight.errors import NotWritten
 from handsight.objects import Facts, Library
 from handsight.objects.library import store
+from handsight.objects.library.add import add, new_object
+from handsight.objects.library.folder import Folder
 from objects.libraries import block, bop
 
 RENAMES = 3
@@ -64,6 +66,30 @@ def test_threads_at_the_same_time_lose_nothing(tmp_path):
     for thread in threads:
         thread.join()
     assert len(names(library)) == 8
+
+
+def test_whoever_reads_meanwhile_finds_each_object_with_all_that_is_known_of_it(tmp_path):
+    folder, library = Folder(tmp_path / "library"), Library(tmp_path / "library")
+    new = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
+    add(folder, new)
+
+    def write():
+        for k in range(60):
+            add(folder, new._replace(facts=new.facts | {"name": f"block {k}"}))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    reads, seen = 0, 0
+    while writer.is_alive():
+        entries = library.entries()
+        assert all(entry.facts is not None and entry.facts.mass == 0.5 for entry in entries)
+        assert len(entries) >= seen
+        for entry in entries[seen:]:
+            assert library.file(entry).exists()
+        reads, seen = reads + 1, len(entries)
+    writer.join()
+    assert reads > 10
+    assert len(library.entries()) == 61
 
 
 @pytest.mark.parametrize("there", [False, True], ids=["new", "of others"])

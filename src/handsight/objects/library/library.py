@@ -98,7 +98,7 @@ class Library:
         for k, entry in enumerate(wanted):
             advance(k / len(wanted), entry.name)
             try:
-                self.file(entry)
+                self._source.file(entry, anew=True)
             except HandsightError as error:
                 wrong.append(str(error))
         return wrong

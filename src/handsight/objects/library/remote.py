@@ -24,6 +24,8 @@ SECONDS = 30
 CHUNK = 1 << 20
 NOT_THERE = (403, 404, 410)
 """HTTP's words for it; some stores of files refuse to say that they have none (403)."""
+NO_COPY = (OSError, ValueError, msgspec.MsgspecError)
+"""What reading one raises that is not there, or damaged."""
 
 
 class _Copy(msgspec.Struct):
@@ -53,14 +55,20 @@ class Remote:
         for base in (f"{self.url.rstrip('/')}/models", self.url.rstrip("/")):
             info = fetched(f"{base}/{INFO}", LARGEST_DOCUMENT)
             if info is not None:
-                self._keep(_Copy(base, info, fetched(f"{base}/{FACTS}", LARGEST_DOCUMENT), {}))
+                facts, known = fetched(f"{base}/{FACTS}", LARGEST_DOCUMENT), dict[int, str]()
+                with contextlib.suppress(*NO_COPY):
+                    known = self._kept().sha256
+                self._keep(_Copy(base, info, facts, known))
                 return
         raise NoLibrary(f"{self.url}: expected a library, with models/{INFO}, got none")
 
-    def file(self, entry: Entry) -> Path:
-        """The model's file in the cache, fetched where it is not yet there; raises InvalidFile, NotWritten."""
+    def file(self, entry: Entry, *, anew: bool = False) -> Path:
+        """The model's file in the cache, fetched where it is not yet there; raises InvalidFile, NotWritten.
+
+        `anew`: also where no document says that it is still the same.
+        """
         copy = self._copy()
-        known = entry.facts.sha256 if entry.facts else copy.sha256.get(entry.number)
+        known = entry.facts.sha256 if entry.facts else None if anew else copy.sha256.get(entry.number)
         if known is not None:
             path = _by_content(known, entry.file)
             with contextlib.suppress(HandsightError):  # whatever is wrong with it, it can be fetched again
@@ -77,13 +85,14 @@ class Remote:
         path = _by_content(found, entry.file)
         with new_file(path) as file:
             file.write(data)
-        if not entry.facts and known != found:
-            self._keep(msgspec.structs.replace(copy, sha256={**copy.sha256, entry.number: found}))
+        now = self._copy()  # which another process may have fetched anew
+        if not entry.facts and now.info == copy.info:
+            self._keep(msgspec.structs.replace(now, sha256={**now.sha256, entry.number: found}))
         return path
 
     def _copy(self) -> _Copy:
         """What was fetched, or is now for the first time."""
-        with contextlib.suppress(OSError, ValueError, msgspec.MsgspecError):  # not there, or damaged
+        with contextlib.suppress(*NO_COPY):
             return self._kept()
         self.refresh()
         return self._kept()
