@@ -1,6 +1,7 @@
 """Two writers lose nothing; an add that was cut short, by whatever, leaves the library as it was."""
 
 import errno
+import json
 import os
 import subprocess
 import sys
@@ -110,6 +111,12 @@ def test_an_add_that_is_killed_before_it_is_done_is_invisible(tmp_path, dies_at,
     assert entry.facts.mass == 0.1
     assert names(library) == sorted([*before, "killed0"])
     assert not list(library.wrong(library.entries()))
+    # Nor may it be taken for what is known of an object that others number so.
+    documents = [
+        json.loads((tmp_path / f"library/models/{name}.json").read_text())
+        for name in ("handsight", "models_info")
+    ]
+    assert documents[0]["objects"].keys() <= documents[1].keys()
 
 
 @pytest.mark.parametrize("fails_at", range(1, RENAMES + 1))
