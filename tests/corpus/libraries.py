@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.errors import HandsightError
 from handsight.objects import Facts, Library
 from handsight.objects.files.read import Shape
 from handsight.objects.files.write import ply_bytes
@@ -120,17 +119,6 @@ def named(key: str) -> Callable[[], None]:
     return lambda: opened(text({key: {"diameter": 1.0}}), None)
 
 
-def url(place: str) -> Callable[[], None]:
-    """A library at a place."""
-
-    def ask() -> None:
-        with tempfile.TemporaryDirectory():
-            Library(place).entries()
-            raise HandsightError("it is there")
-
-    return ask
-
-
 DOORS = [
     Door("a library's documents", documents_spoilt, 200),
     Door("an object's facts", facts_spoilt, 100),
@@ -160,5 +148,6 @@ CASES = [
     Case("two of a name", lambda: opened(text({"1": INFO["1"], "2": INFO["1"]}), text({
         "version": 1, "objects": {"1": FACTS["objects"]["1"], "2": FACTS["objects"]["1"]}})),  # type: ignore[index]
         "handsight.json: objects.2.name: expected a name of its own, got 'block', which is that of object 1"),
-    Case("a library that is a null byte", url("a\0b"), "expected a library"),
+    Case("a library with a null byte in its name", lambda: print(Library("a\0b")), "library: expected a folder or a URL, got 'a\\x00b'"),
+    Case("a library that is a number", lambda: print(Library(3)), "library: expected a folder or a URL, got '3'"),  # type: ignore[arg-type]
 ]  # fmt: skip

@@ -42,8 +42,11 @@ class Library:
     """Objects by name, in a folder or at a URL; nothing is read before it is asked for, and then as it is there."""
 
     def __init__(self, place: str | os.PathLike[str] | None = None) -> None:
-        """`place`: a folder or a URL; None: `default_place`."""
-        self.place = os.fspath(default_place() if place is None else place)
+        """`place`: a folder or a URL; None: `default_place`. Raises InvalidInput for what is neither."""
+        place = default_place() if place is None else place
+        if not isinstance(place, str | os.PathLike) or "\0" in (named := os.fspath(place)):
+            raise InvalidInput(f"library: expected a folder or a URL, got {checks.brief(place)!r}")
+        self.place = named
         self._source: Folder | Remote
         self._source = Remote(self.place) if "://" in self.place else Folder(Path(self.place))
 
