@@ -201,6 +201,18 @@ def test_other_kinds_of_urls_are_fsspecs(ours, monkeypatch):
         Library("memory://other").entries()
 
 
+@pytest.mark.parametrize("inner", ["", "data/ycb"])
+def test_a_library_may_be_in_an_archive(tmp_path, inner):
+    pytest.importorskip("fsspec", reason="other URLs need fsspec: pip install 'handsight[library]'")
+    bop(tmp_path / "packed" / inner)
+    archive = shutil.make_archive(str(tmp_path / "ycb"), "zip", tmp_path / "packed")
+    url = f"zip://{inner}::file://{archive}"
+    assert Library(url).model("5").closed
+    assert Library(url.replace("::", "/models::" if inner else "models::")).model("5").closed
+    with pytest.raises(InvalidFile, match="expected a library"):
+        Library(f"zip://nowhere::file://{archive}").entries()
+
+
 @pytest.mark.parametrize(
     "url",
     [
@@ -209,7 +221,6 @@ def test_other_kinds_of_urls_are_fsspecs(ours, monkeypatch):
         "http://a b/",
         "https://127.0.0.1:1",
         "http://127.0.0.1:x",
-        "file://\0",
         "http://é/",
     ],
 )

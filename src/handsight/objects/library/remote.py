@@ -6,9 +6,10 @@ again, and two libraries with the same file have it once.
 
 import contextlib
 import hashlib
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 
@@ -52,10 +53,10 @@ class Remote:
 
     def refresh(self) -> None:
         """Fetches the documents anew; raises InvalidFile, and what was fetched before stays."""
-        for base in (f"{self.url.rstrip('/')}/models", self.url.rstrip("/")):
-            info = fetched(f"{base}/{INFO}", LARGEST_DOCUMENT)
+        for base in (_under(self.url, "models"), self.url):
+            info = fetched(_under(base, INFO), LARGEST_DOCUMENT)
             if info is not None:
-                facts, known = fetched(f"{base}/{FACTS}", LARGEST_DOCUMENT), dict[int, str]()
+                facts, known = fetched(_under(base, FACTS), LARGEST_DOCUMENT), dict[int, str]()
                 with contextlib.suppress(*NO_COPY):
                     known = self._kept().sha256
                 self._keep(_Copy(base, info, facts, known))
@@ -74,7 +75,7 @@ class Remote:
             with contextlib.suppress(HandsightError):  # whatever is wrong with it, it can be fetched again
                 check_content(path, known, None)
                 return path
-        where = f"{copy.base}/{entry.file}"
+        where = _under(copy.base, entry.file)
         data = fetched(where, entry.facts.bytes if entry.facts else LARGEST_FILE)
         if data is None:
             raise InvalidFile(f"{where}: cannot be read: no such file")
@@ -131,20 +132,29 @@ def fetched(url: str, most: int) -> bytes | None:
     return bytes(data)
 
 
-def _opened(url: str) -> IO[bytes]:
+def _opened(url: str) -> AbstractContextManager[Any]:
     """What is at a URL: of http, https and file by the standard library, of any other kind by fsspec."""
     kind = url.partition("://")[0].lower()
     if kind in ("http", "https", "file"):
         from urllib.request import Request, urlopen
 
-        opened: Any = urlopen(Request(url, headers={"User-Agent": "handsight"}), timeout=SECONDS)
-        return opened  # type: ignore[no-any-return]
+        opened: AbstractContextManager[Any] = urlopen(
+            Request(url, headers={"User-Agent": "handsight"}), timeout=SECONDS
+        )
+        return opened
     try:
         import fsspec
     except ImportError:
         raise MissingExtra(f"{url}: {kind}:// needs fsspec: pip install 'handsight[library]'") from None
-    there: Any = fsspec.open(url, "rb")
-    return there.open()  # type: ignore[no-any-return]
+    there: AbstractContextManager[Any] = fsspec.open(url, "rb")
+    return there
+
+
+def _under(url: str, name: str) -> str:
+    """The URL of what is so called in another; of a chain, as `zip://models::file:///ycbv.zip`, in its first link."""
+    first, chain, rest = url.partition("::")
+    between = "" if first.endswith("://") else "/"
+    return f"{first if not between else first.rstrip('/')}{between}{name}{chain}{rest}"
 
 
 def _says_not_there(error: Exception) -> bool:
