@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)|(?:src|href)=\"([^\"]+)\"")
-GROUPS = {"rig", "calibrate"}
+GROUPS = {"rig", "calibrate", "objects"}
 """Commands that have commands."""
 ENVIRONMENT = {**os.environ, "MPLBACKEND": "Agg", "COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"}
 

@@ -87,7 +87,7 @@ NAN = float("nan")
             changed("vision.covariance", np.eye(6).tolist()),
             "vision: expected sigma_position and sigma_rotation_deg or a covariance, got both",
         ),
-        (changed("object", {}), "object: expected one of mesh, box, cylinder, got none"),
+        (changed("object", {}), "object: expected one of mesh, box, cylinder, name, got none"),
         (
             changed("object", {"box": [0.1, 0.1, -0.1]}),
             "object.box: expected 3 numbers above 0, got [0.1, 0.1, -0.1]",

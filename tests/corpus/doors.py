@@ -3,6 +3,7 @@
 from tests.corpus import (
     arguments,
     caches,
+    libraries,
     lines,
     object_files,
     observations,
@@ -11,6 +12,6 @@ from tests.corpus import (
     searches,
 )
 
-ROOMS = [arguments, caches, lines, object_files, observations, recordings, rigs, searches]
+ROOMS = [arguments, caches, libraries, lines, object_files, observations, recordings, rigs, searches]
 DOORS = [door for room in ROOMS for door in room.DOORS]
 CASES = [case for room in ROOMS for case in room.CASES]

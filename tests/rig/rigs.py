@@ -97,6 +97,7 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
         objects={
             "a box": ObjectEntry(box=(a, b, c)),
             "tin": ObjectEntry(cylinder=(a, b)),
+            "bottle": ObjectEntry(name="mustard"),
             "mug": ObjectEntry(mesh=(Path(folder) / "mug.stl").absolute(), scale=c),
         },
     )

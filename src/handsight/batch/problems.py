@@ -40,6 +40,8 @@ class ObjectFields(_Strict):
     scale: Any = None
     box: Any = None
     cylinder: CylinderSize | None = None
+    name: str | None = None
+    """In the library that the environment names."""
 
 
 class ContactFields(_Strict):
@@ -119,9 +121,10 @@ class Reader:
         return model
 
     def _build(self, fields: ObjectFields) -> ObjectModel:
-        named = [name for name in ("mesh", "box", "cylinder") if getattr(fields, name) is not None]
+        kinds = ("mesh", "box", "cylinder", "name")
+        named = [kind for kind in kinds if getattr(fields, kind) is not None]
         if len(named) != 1:
-            raise InvalidInput(f"object: expected one of mesh, box, cylinder, got {named or 'none'}")
+            raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {named or 'none'}")
         if fields.scale is not None and fields.mesh is None:
             raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
         if fields.mesh is not None:
@@ -130,6 +133,11 @@ class Reader:
                 return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
             except HandsightError as error:
                 raise InvalidInput(f"object.mesh: {error}") from None
+        if fields.name is not None:
+            try:
+                return ObjectModel.from_library(fields.name)
+            except HandsightError as error:
+                raise InvalidInput(f"object.name: {str(error).removeprefix('name: ')}") from None
         if fields.cylinder is not None:
             return ObjectModel.cylinder(
                 checks.positive(fields.cylinder.radius, "object.cylinder.radius"),

@@ -76,7 +76,8 @@ def correct(
         typer.Option(
             metavar="ADDRESS",
             help="Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They look for meshes in the "
-            "problem file's folder under its absolute path, so share it. One thread per worker is best.",
+            "problem file's folder under its absolute path, so share it, and for names in the library that their own "
+            "environment names. One thread per worker is best.",
         ),
     ] = None,
 ) -> None:
@@ -91,8 +92,9 @@ def correct(
                 "sigma_position": 0.03, "sigma_rotation_deg": 15}}
     ```
 
-    * **object**: `{"box": [x, y, z]}`, `{"cylinder": {"radius": r, "height": h}}` or
-      `{"mesh": "file.ply", "scale": 0.001}`; the file is looked for beside the problem file.
+    * **object**: `{"box": [x, y, z]}`, `{"cylinder": {"radius": r, "height": h}}`,
+      `{"mesh": "file.ply", "scale": 0.001}`, looked for beside the problem file, or `{"name": "mustard"}`, in the
+      library (`handsight objects --help`).
     * **contacts**: `normal` is the object's outward normal. Sigmas are one standard deviation per axis
       (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
     * **contacts_of_residual**: `true` if these are of all that parts contacts from the model, as measured at known

@@ -11,6 +11,7 @@ import typer
 from handsight.cli.contact import WithColumns, contact
 from handsight.cli.correct import correct
 from handsight.cli.demo import demo
+from handsight.cli.objects import objects_app
 from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.simulate import simulate
 from handsight.cli.terminal import CANNOT_WRITE, WRONG_INPUT, exit_code, flush_stdout, hold_streams, say, warn
@@ -82,5 +83,6 @@ for command in (demo, track, simulate, correct):
     app.command()(command)
 app.command(cls=WithColumns)(contact)
 app.command()(warmup)
+app.add_typer(objects_app, name="objects")
 app.add_typer(rig_app, name="rig")
 app.add_typer(calibrate_app, name="calibrate")

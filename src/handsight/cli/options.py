@@ -1,5 +1,6 @@
 """What the commands for recordings have in common: a recording, its rig and the object in it."""
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,14 +23,16 @@ RigFile = Annotated[
 ObjectName = Annotated[
     str | None,
     typer.Option(
-        "--object", help="A name of the rig's objects, or a mesh file in metres; default: its only object."
+        "--object",
+        help="A name of the rig's objects or of the library, or a mesh file in metres; default: the rig's only one.",
     ),
 ]
 
 
 def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":
     """The rig of a recording and the model of the object in it, as told or as found; raises InvalidInput."""
-    from handsight.objects import ObjectModel
+    from handsight.objects import Library, ObjectModel
+    from handsight.objects.library import NoLibrary
     from handsight.rig import Rig
 
     path = rig or _rig_beside(recording)
@@ -42,12 +45,17 @@ def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tupl
         name = next(iter(found.objects))
     if name in found.objects:
         return found, replace(found.objects[name].model(), name=name)
-    if not Path(name).exists():
-        from handsight.checks import among
+    if Path(name).exists():
+        return found, ObjectModel.from_file(name)
+    library, listed = Library(), set[str]()
+    with contextlib.suppress(NoLibrary):  # there need not be one
+        listed = {entry.name for entry in library.entries()}
+    if name in listed:
+        return found, library.model(name)
+    from handsight.checks import among
 
-        known = among(name, found.objects)
-        raise InvalidInput(f"--object: expected a name of {path} or a mesh file, got {name!r}{known}")
-    return found, ObjectModel.from_file(name)
+    known = among(name, {*found.objects, *listed})
+    raise InvalidInput(f"--object: expected a name of {path} or a mesh file, got {name!r}{known}")
 
 
 def own_rig(recording: Path) -> Path:

@@ -1,9 +1,19 @@
 """Objects: what a hand can hold, as samples of the surface, distance fields and symmetries."""
 
 from handsight.objects.fields import Field, FieldValues
+from handsight.objects.library import Facts, Library
 from handsight.objects.model import ObjectModel
 from handsight.objects.surface import ObjectWarning
 from handsight.objects.symmetry import Symmetries
 from handsight.objects.symmetry_search import propose_symmetries
 
-__all__ = ["Field", "FieldValues", "ObjectModel", "ObjectWarning", "Symmetries", "propose_symmetries"]
+__all__ = [
+    "Facts",
+    "Field",
+    "FieldValues",
+    "Library",
+    "ObjectModel",
+    "ObjectWarning",
+    "Symmetries",
+    "propose_symmetries",
+]

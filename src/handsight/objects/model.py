@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
-    """One object's surface; made by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`."""
+    """One object's surface; made by `box`, `cylinder`, `sphere`, or `from_` file, library, mesh or points."""
 
     name: str
     """What it is called in plots; a file's stem. May be empty."""
@@ -113,6 +113,17 @@ class ObjectModel(Geometry):
         name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
         geometry = cache.remembered(name, lambda: _of_file(file, data, scale))
         return cls._from(geometry, file.stem, symmetries or Symmetries())
+
+    @classmethod
+    def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> "ObjectModel":
+        """The object so called in a library, a folder or a URL, with the symmetries that are declared there.
+
+        None: the library that `$HANDSIGHT_LIBRARY` names, else the user's own. Raises InvalidInput for a name that is
+        not there, InvalidFile where there is no library or the object's file is not the one that was added.
+        """
+        from handsight.objects.library import Library  # which makes models
+
+        return Library(library).model(name)
 
     @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:

@@ -201,7 +201,7 @@ def _closed(generators: list[Array]) -> Array:
     group = [np.eye(4)]
     for T in group:  # which grows while it is walked
         for product in (T @ generator for generator in generators):
-            if not any(np.abs(product - known).max() < _SAME for known in group):
+            if np.abs(np.stack(group) - product).max(axis=(1, 2)).min() >= _SAME:
                 group.append(product)
         if len(group) > MOST_ROTATIONS:
             raise InvalidInput(f"rotations: expected a finite group, got over {MOST_ROTATIONS} products")

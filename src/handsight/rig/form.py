@@ -232,12 +232,15 @@ class ObjectForm(Form):
     """A path from the rig file on."""
     scale: Positive | None = None
     """Metres of a unit of the mesh."""
+    name: Text | None = None
+    """In the object library."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        said = [kind for kind in ("box", "cylinder", "mesh") if getattr(self, kind) is not None]
+        kinds = ("box", "cylinder", "mesh", "name")
+        said = [kind for kind in kinds if getattr(self, kind) is not None]
         if len(said) != 1:
-            raise ValueError(f"expected one of box, cylinder, mesh, got {' and '.join(said) or 'none'}")
+            raise ValueError(f"expected one of {', '.join(kinds)}, got {' and '.join(said) or 'none'}")
         if self.scale is not None and self.mesh is None:
             raise ValueError(f"scale: expected beside mesh only, got it beside {said[0]}")
 
@@ -248,6 +251,7 @@ class ObjectForm(Form):
             cylinder=None if self.cylinder is None else (self.cylinder.radius, self.cylinder.height),
             mesh=None if self.mesh is None else folder / self.mesh,
             scale=1.0 if self.scale is None else self.scale,
+            name=self.name,
         )
 
 

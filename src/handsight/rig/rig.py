@@ -132,7 +132,7 @@ class Topics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectEntry:
-    """An object the rig knows by name; one of box, cylinder, mesh."""
+    """An object the rig knows by name; one of box, cylinder, mesh, name."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
@@ -141,6 +141,8 @@ class ObjectEntry:
     mesh: Path | None = None
     scale: float = 1.0
     """Metres of a unit of the mesh."""
+    name: str | None = None
+    """In the library that `ObjectModel.from_library` opens."""
 
     def model(self) -> ObjectModel:
         """The object's surface; raises a HandsightError where it cannot be made."""
@@ -148,8 +150,10 @@ class ObjectEntry:
             return ObjectModel.box(self.box)
         if self.cylinder is not None:
             return ObjectModel.cylinder(*self.cylinder)
+        if self.name is not None:
+            return ObjectModel.from_library(self.name)
         if self.mesh is None:
-            raise InvalidInput("object: expected one of box, cylinder, mesh, got none")
+            raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
         return ObjectModel.from_file(self.mesh, scale=self.scale)
 
 

@@ -129,6 +129,8 @@ def _object(entry: ObjectEntry) -> dict[str, Any]:
         return {"box": entry.box}
     if entry.cylinder is not None:
         return {"cylinder": dict(zip(("radius", "height"), entry.cylinder, strict=True))}
+    if entry.name is not None:
+        return {"name": entry.name}
     return {"mesh": _file(str(entry.mesh)), "scale": entry.scale}
 
 

@@ -1,0 +1,170 @@
+"""`models_info.json` as the BOP benchmark has it: of each object its diameter and symmetries, there in millimetres.
+
+https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
+"""
+
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.objects.model import ObjectModel
+from handsight.objects.symmetry import MOST_ROTATIONS, Symmetries, about
+
+MM = 1e-3
+"""Metres of the file's unit."""
+NEAR = 0.01
+"""Turns as matrices, and shifts as parts of the diameter, that differ by less are meant to be one: files round them to
+a few digits."""
+ROUNDS = 6
+"""Each squares how far a group is off."""
+
+Vector = tuple[float, float, float]
+Matrix = tuple[
+    float, float, float, float, float, float, float, float,
+    float, float, float, float, float, float, float, float,
+]  # fmt: skip
+"""4 x 4, row by row."""
+
+
+class ContinuousAxis(msgspec.Struct):
+    """A line about which any turn is a symmetry."""
+
+    axis: Vector
+    offset: Vector = (0.0, 0.0, 0.0)
+    """A point of it [mm]."""
+
+
+class Info(msgspec.Struct):
+    """What the file says of an object; keys that nobody here asks for are left alone."""
+
+    diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]
+    """[mm]"""
+    size_x: float | None = None
+    size_y: float | None = None
+    size_z: float | None = None
+    symmetries_discrete: list[Matrix] = []
+    symmetries_continuous: list[ContinuousAxis] = []
+
+
+def info_of(model: ObjectModel) -> dict[str, Any]:
+    """What the file is to say of an object."""
+    low, high = model.bounds_object / MM
+    of = model.symmetries
+    return {
+        "diameter": model.diameter / MM,
+        **{f"min_{axis}": float(low[k]) for k, axis in enumerate("xyz")},
+        **{f"size_{axis}": float(high[k] - low[k]) for k, axis in enumerate("xyz")},
+        "symmetries_discrete": [_flat(T) for T in of.rotations[1:]],
+        "symmetries_continuous": [
+            {"axis": axis.tolist(), "offset": (point / MM).tolist()} for point, axis in of.axes
+        ],
+    }
+
+
+def symmetries_of(info: Info) -> Symmetries:
+    """The symmetries that the file means, exact however they are rounded; raises InvalidInput where these are none."""
+    near = NEAR * info.diameter * MM
+    turns = [_turn(matrix, f"symmetries_discrete[{k}]") for k, matrix in enumerate(info.symmetries_discrete)]
+    lines = [
+        (checks.position(MM * np.array(line.offset), f"symmetries_continuous[{k}].offset", (3,)), line.axis)
+        for k, line in enumerate(info.symmetries_continuous)
+    ]
+    if len(turns) > MOST_ROTATIONS:
+        raise InvalidInput(f"symmetries_discrete: expected at most {MOST_ROTATIONS}, got {len(turns)}")
+    if not lines:
+        return Symmetries(rotations=_exact(turns, near))
+    found = Symmetries(lines)
+    middles = [
+        middle for k, T in enumerate(turns) if (middle := _swapped_about(T, found, near, k)) is not None
+    ]
+    if not middles:
+        return found
+    middle, axis = np.mean(middles, axis=0), found.axes[0][1]
+    if np.abs(np.array(middles) - middle).max() > near:
+        raise InvalidInput("symmetries_discrete: expected half turns that swap the ends about one middle")
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    return Symmetries([(middle, axis)], about(middle, np.pi * side / np.linalg.norm(side))[None])
+
+
+def _flat(T: Array) -> list[float]:
+    return [float(x) for x in se3.compose(T[:3, :3], T[:3, 3] / MM).reshape(-1)]
+
+
+def _turn(matrix: Matrix, name: str) -> Array:
+    """The rigid transform [m] that a matrix [mm] of few digits means."""
+    given = np.array(matrix).reshape(4, 4)
+    shift = checks.position(MM * given[:3, 3], name, (3,))
+    R = _nearest_rotations(given[:3, :3])
+    if not (np.abs(R - given[:3, :3]).max() < NEAR and (given[3] == [0, 0, 0, 1]).all()):
+        raise InvalidInput(f"{name}: expected a rigid transform, got {checks.brief(given)}")
+    return se3.compose(R, shift)
+
+
+def _nearest_rotations(M: Array) -> Array:
+    """The rotations (..., 3, 3) nearest to matrices (..., 3, 3)."""
+    U, _, Vt = np.linalg.svd(M)
+    U[..., -1] *= np.linalg.det(U @ Vt)[..., None]
+    return np.asarray(U @ Vt)
+
+
+def _swapped_about(T: Array, found: Symmetries, near: float, k: int) -> Array | None:
+    """The point about which a discrete symmetry swaps the ends of a continuous one's axis; None where it keeps them."""
+    point, axis = found.axes[0]
+    shift = se3.apply(T, point[None])[0] - point
+    along, cosine = float(shift @ axis), float(axis @ T[:3, :3] @ axis)
+    gap = shift if found.round else shift - along * axis
+    if np.linalg.norm(gap) > near or (not found.round and abs(cosine) < 1 - NEAR):
+        raise InvalidInput(f"symmetries_discrete[{k}]: expected a turn that keeps the continuous axis")
+    if found.round or (cosine > 0 and abs(along) < near):
+        return None
+    if cosine > 0:
+        raise InvalidInput(
+            f"symmetries_discrete[{k}]: expected a turn, got a shift along the continuous axis"
+        )
+    return np.asarray(point + along * axis / 2)
+
+
+def _exact(turns: list[Array], near: float) -> Array:
+    """The finite group (k, 4, 4) that turns are meant to make, closed to rounding.
+
+    The mean of R(gh) R(h)⁻¹ over all h is nearer to a group's R(g) than R(g) itself, by a square each time (Grove,
+    Karcher, Ruh 1974); and what all turns leave in place is the mean of where they take a point.
+    """
+    group = _closed(turns, near)
+    products = group[:, None] @ group
+    gaps = np.array([[_gap(product, group, near) for product in row] for row in products])
+    table, R = gaps.argmin(axis=-1), group[:, :3, :3]
+    for _ in range(ROUNDS):
+        R = _nearest_rotations(np.einsum("ghij,hkj->gik", R[table], R))
+    center = group[:, :3, 3].mean(axis=0)
+    exact = se3.compose(R, center - R @ center)
+    if max(_gap(T, one[None], near)[0] for T, one in zip(group, exact, strict=True)) > 1:
+        raise InvalidInput("symmetries_discrete: expected turns about one point, got others")
+    return exact
+
+
+def _closed(turns: list[Array], near: float) -> Array:
+    """The turns and their products (k, 4, 4), the identity first; raises InvalidInput where there is no end of them."""
+    group, done = np.eye(4)[None], 0
+    while done < len(group):
+        for turn in turns:
+            product = group[done] @ turn
+            if _gap(product, group, near).min() > 1:
+                group = np.vstack([group, product[None]])
+        if len(group) > MOST_ROTATIONS:
+            said = f"expected a finite group, got over {MOST_ROTATIONS} products"
+            raise InvalidInput(f"symmetries_discrete: {said}")
+        done += 1
+    return group
+
+
+def _gap(T: Array, others: Array, near: float) -> Array:
+    """How far a transform is off each of others (k, 4, 4); 1 where they may just be meant to be one."""
+    apart = np.abs(others - T)
+    return np.asarray(
+        np.maximum(apart[:, :3, :3].max(axis=(1, 2)) / NEAR, apart[:, :3, 3].max(axis=1) / near)
+    )

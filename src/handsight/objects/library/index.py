@@ -1,0 +1,133 @@
+"""What a library has, as its two documents say it: the objects in them by number and name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import msgspec
+
+from handsight import checks
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.explain import explain, named
+from handsight.objects.library.bop import MM, Info, symmetries_of
+from handsight.objects.library.facts import VERSION, Document, Record
+from handsight.objects.symmetry import Symmetries
+
+INFO, FACTS = "models_info.json", "handsight.json"
+LARGEST_DOCUMENT = 20_000_000
+"""Bytes; what is known of ten thousand objects."""
+LARGEST_NUMBER = 10**9
+
+Form = TypeVar("Form")
+
+
+class NoLibrary(InvalidFile):
+    """A folder or a URL without one."""
+
+
+class Documents(NamedTuple):
+    """Both, as they lie there."""
+
+    info: bytes
+    facts: bytes | None
+    """None: a BOP folder of somebody else's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """An object of a library."""
+
+    number: int
+    """BOP's `obj_id`."""
+    name: str
+    """As it was added; `obj_000005` where nobody has named it."""
+    facts: Record | None
+    """Mass, licence, ... and what its model's file must be; None: a BOP folder of somebody else's."""
+    info: Info
+    place: str
+
+    @property
+    def file(self) -> str:
+        """The name of its model's file."""
+        return f"obj_{self.number:06d}.ply"
+
+    @property
+    def diameter(self) -> float:
+        """Largest distance between two surface points [m]."""
+        return MM * self.info.diameter
+
+    @property
+    def size(self) -> tuple[float, float, float] | None:
+        """Along x, y, z [m]; None where the documents do not say."""
+        x, y, z = self.info.size_x, self.info.size_y, self.info.size_z
+        return None if x is None or y is None or z is None else (MM * x, MM * y, MM * z)
+
+    @cached_property
+    def symmetries(self) -> Symmetries:
+        """Those declared; raises InvalidFile where they are none."""
+        try:
+            return symmetries_of(self.info)
+        except InvalidInput as error:
+            raise InvalidFile(f"{self.place}: {INFO}: {self.number}.{error}") from None
+
+
+def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
+    """The objects by their numbers; raises InvalidFile, which begins with the place."""
+    where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
+    infos = _by_number(in_form(documents.info, dict[str, Info], where), where)
+    records: dict[int, Record] = {}
+    if documents.facts is not None:
+        records = _by_number(_records(documents.facts, there), there)
+    made, owners = list[Entry](), dict[str, int]()
+    for number in sorted(infos):
+        record = records.get(number)
+        name = record.name if record else f"obj_{number:06d}"  # which no name can be
+        entry = Entry(number=number, name=name, facts=record, info=infos[number], place=place)
+        if entry.name in owners:
+            owner = owners[entry.name]
+            said = f"expected a name of its own, got {entry.name!r}, which is that of object {owner}"
+            raise InvalidFile(f"{there}: objects.{number}.name: {said}")
+        owners[entry.name] = number
+        made.append(entry)
+    return tuple(made)
+
+
+def in_form(data: bytes, form: type[Form], where: str) -> Form:
+    """A JSON document in a form; raises InvalidFile for what it is not, which begins with `where`."""
+    raw = plain(data, where)
+    try:
+        return msgspec.convert(raw, form)
+    except msgspec.ValidationError as error:
+        field, said = explain(error, form, raw)
+        raise InvalidFile(f"{where}: {named(field) or 'file'}: {said}") from None
+
+
+def plain(data: bytes, where: str) -> dict[str, Any]:
+    """A JSON document whose outermost is a mapping; raises InvalidFile, which begins with `where`."""
+    try:
+        raw = msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
+    if not isinstance(raw, dict):
+        raise InvalidFile(f"{where}: expected an object {{...}}, got {checks.brief(raw)}")
+    return raw
+
+
+def _records(data: bytes, where: str) -> dict[str, Record]:
+    version = plain(data, where).get("version")
+    if version != VERSION:
+        raise InvalidFile(f"{where}: version: expected {VERSION}, got {checks.brief(version)}")
+    return in_form(data, Document, where).objects
+
+
+def _by_number(of: Mapping[str, Form], where: str) -> dict[int, Form]:
+    found: dict[int, Form] = {}
+    for key, value in of.items():
+        # Nothing but a number becomes the name of a file.
+        if not (
+            key.isascii() and key.isdecimal() and str(int(key[:10])) == key and int(key) < LARGEST_NUMBER
+        ):
+            raise InvalidFile(f"{where}: expected numbers of objects as keys, got {checks.brief(key)!r}")
+        found[int(key)] = value
+    return found

@@ -1,0 +1,153 @@
+"""A library's documents, damaged or written by somebody who means harm; its names and its URLs."""
+
+import json
+import random
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from handsight.objects import Facts, Library
+from handsight.objects.files.read import Shape
+from handsight.objects.files.write import ply_bytes
+from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_text, spoilt_value
+from tests.corpus.object_files import CORNERS, FACES
+
+HALF = [-1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+PLY = ply_bytes(Shape(CORNERS, FACES), 1.0)
+INFO: dict[str, object] = {
+    "1": {"diameter": 119.0, "size_x": 60.0, "size_y": 90.0, "size_z": 50.0, "symmetries_discrete": [HALF]},
+    "5": {"diameter": 119.0, "symmetries_continuous": [{"axis": [0.0, 0.0, 1.0], "offset": [0.0, 1.0, 0.0]}]},
+}
+FACTS: dict[str, object] = {
+    "version": 1,
+    "objects": {
+        "1": {
+            "name": "block",
+            "mass": 0.5,
+            "center_of_mass": [0.0, 0.01, 0.0],
+            "sigma_center_of_mass": 0.005,
+            "licence": "CC0",
+            "source": "made by hand",
+            "sha256": "0" * 64,
+            "bytes": len(PLY),
+        }
+    },
+}
+
+
+def opened(info: bytes, facts: bytes | None) -> None:
+    """All that is said of a library's objects; only numbers become names of files."""
+    with tempfile.TemporaryDirectory() as folder:
+        models = Path(folder, "models")
+        models.mkdir()
+        (models / "models_info.json").write_bytes(info)
+        if facts is not None:
+            (models / "handsight.json").write_bytes(facts)
+        library = Library(folder)
+        for entry in library.entries():
+            assert library.entry(entry.name) is not None
+            assert "/" not in entry.file
+            assert 1e-7 <= entry.diameter <= 1e7
+            for T in entry.symmetries.rotations:
+                check_pose(T)
+            for point, axis in entry.symmetries.axes:
+                assert np.isfinite([point, axis]).all()
+
+
+def text(value: object) -> bytes:
+    """As JSON, as far as that goes."""
+    return json.dumps(value, default=str).encode("utf-8", "replace")
+
+
+def documents_spoilt(rng: random.Random) -> None:
+    """With a value wrong in either, or their text or bytes damaged."""
+    info, facts = text(INFO), text(FACTS)
+    if rng.random() < 0.5:
+        changed = spoilt_value(INFO, rng) if rng.random() < 0.5 else None
+        info = text(changed) if changed is not None else info
+        facts = facts if changed is not None else text(spoilt_value(FACTS, rng))
+    elif rng.random() < 0.5:
+        info = spoilt_text(info.decode(), rng).encode("utf-8", "replace")
+    else:
+        facts = spoilt_bytes(facts, rng)
+    opened(info, None if rng.random() < 0.1 else facts)
+
+
+def facts_spoilt(rng: random.Random) -> None:
+    """What is said of an object, with a value or two wrong; what is taken can be written and read."""
+    given: dict[str, object] = {
+        "name": "block",
+        "mass": 0.5,
+        "center_of_mass": (0.0, 0.01, 0.0),
+        "licence": "CC0",
+    }
+    for _ in range(rng.choice([1, 1, 2])):
+        key = rng.choice(sorted(given))
+        given[key] = spoilt_value(given[key], rng)
+    facts = Facts(**given)  # type: ignore[arg-type]
+    record = {key: getattr(facts, key) for key in Facts.__struct_fields__ if getattr(facts, key) is not None}
+    objects = {"1": {**record, "sha256": "0" * 64, "bytes": 1}}
+    opened(text(INFO), json.dumps({"version": 1, "objects": objects}).encode())
+
+
+def read_from(data: bytes) -> Callable[[], None]:
+    """A library whose model's file is so."""
+
+    def read() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            Path(folder, "models_info.json").write_bytes(text(INFO))
+            Path(folder, "obj_000001.ply").write_bytes(data)
+            model = Library(folder).model("1")
+            assert model.closed
+            assert len(model.symmetries.rotations) == 2
+
+    return read
+
+
+def changed(**parts: object) -> Callable[[], None]:
+    """The documents with parts of the first object, of either of them, so."""
+    of_info = {key: value for key, value in parts.items() if key in ("diameter", "symmetries_discrete")}
+    info = {**INFO, "1": {**INFO["1"], **of_info}}  # type: ignore[dict-item]
+    record = {**FACTS["objects"]["1"], **{key: value for key, value in parts.items() if key not in of_info}}  # type: ignore[index]
+    return lambda: opened(text(info), text({"version": 1, "objects": {"1": record}}))
+
+
+def named(key: str) -> Callable[[], None]:
+    """The documents with an object so numbered."""
+    return lambda: opened(text({key: {"diameter": 1.0}}), None)
+
+
+DOORS = [
+    Door("a library's documents", documents_spoilt, 200),
+    Door("an object's facts", facts_spoilt, 100),
+]
+NUMBERS = "models_info.json: expected numbers of objects as keys, got"
+CASES = [
+    Case("a library as it was", lambda: opened(text(INFO), text(FACTS)), None),
+    Case("a BOP folder as it was", read_from(PLY), None),
+    Case("a model cut short", read_from(PLY[:-1]), "obj_000001.ply: expected 12 rows of 'face'"),
+    *(
+        Case(f"an object numbered {key!r:.20}", named(key), NUMBERS)
+        for key in ("../../etc/passwd", "", "-1", "01", "1.0", "1e3", "²", "١", " 1", "9" * 4000, "1\0", "true")
+    ),
+    Case("a name with a path", changed(name="../block"), "handsight.json: objects.1.name: expected up to 100 letters"),
+    Case("a name that a terminal obeys", changed(name="\x1b[2J"), "objects.1.name: expected up to 100 letters"),
+    Case("a name that is another's number", changed(name="5"), "objects.1.name: expected no number"),
+    Case("a checksum that is none", changed(sha256="../" * 20), "objects.1.sha256: expected 64 hexadecimal digits"),
+    Case("a model of 2 TB", changed(bytes=2 * 10**12), "objects.1.bytes: expected a whole number from 0 to 500000000"),
+    Case("a mass in grams", changed(mass=603), "objects.1.mass: expected kilograms, got 603 (grams?)"),
+    Case("an unknown key", changed(weight=1), "objects.1.weight: unknown key"),
+    Case("no diameter", changed(diameter=None), "models_info.json: 1.diameter: expected a"),
+    Case("a symmetry of 15 numbers", changed(symmetries_discrete=[HALF[1:]]), "1.symmetries_discrete[0]: expected 16 finite"),
+    Case("a symmetry that mirrors", changed(symmetries_discrete=[[1.0, *HALF[1:]]]), "1.symmetries_discrete[0]: expected a rigid"),
+    Case("10 000 symmetries", changed(symmetries_discrete=[HALF] * 10_000), "1.symmetries_discrete: expected at most 120"),
+    Case("a list in a list, 100 000 deep", lambda: opened(b"[" * 100_000, None), "models_info.json: expected JSON"),
+    Case("facts of another version", lambda: opened(text(INFO), b'{"version": 2}'), "handsight.json: version: expected 1, got 2"),
+    Case("two of a name", lambda: opened(text({"1": INFO["1"], "2": INFO["1"]}), text({
+        "version": 1, "objects": {"1": FACTS["objects"]["1"], "2": FACTS["objects"]["1"]}})),  # type: ignore[index]
+        "handsight.json: objects.2.name: expected a name of its own, got 'block', which is that of object 1"),
+    Case("a library with a null byte in its name", lambda: print(Library("a\0b")), "library: expected a folder or a URL, got 'a\\x00b'"),
+    Case("a library that is a number", lambda: print(Library(3)), "library: expected a folder or a URL, got '3'"),  # type: ignore[arg-type]
+]  # fmt: skip

@@ -1,0 +1,134 @@
+"""Symmetries of `models_info.json` are read as the groups they mean, however they are rounded."""
+
+import numpy as np
+import pytest
+
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel, Symmetries
+from handsight.objects.library.bop import ContinuousAxis, Info, info_of, symmetries_of
+from handsight.objects.symmetry import about
+
+X, Y, Z = np.eye(3)
+GROUPS = {
+    "half turn": [np.pi * Z],
+    "third": [2 * np.pi / 3 * Z],
+    "box": [np.pi * X, np.pi * Y],
+    "cube": [np.pi / 2 * Z, np.pi / 2 * X],
+    "icosahedron": [2 * np.pi / 3 * np.array([1, 1, 1]) / np.sqrt(3), np.pi * Z,
+                    2 * np.pi / 5 * np.array([0, 1, (1 + np.sqrt(5)) / 2]) / np.linalg.norm([0, 1, (1 + np.sqrt(5)) / 2])],
+    "prism of 30": [2 * np.pi / 30 * Z, np.pi * X],
+}  # fmt: skip
+
+
+def flat(T, digits):
+    """As files have it [mm], to so many digits behind the point."""
+    return tuple(np.round(se3.compose(T[:3, :3], 1e3 * T[:3, 3]), digits).reshape(-1).tolist())
+
+
+def farthest(of, expected):
+    """How far a rotation of a group is off the nearest of another."""
+    return max(np.abs(of.rotations - T).max(axis=(1, 2)).min() for T in expected.rotations)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 6, 15])
+@pytest.mark.parametrize("name", GROUPS)
+def test_a_group_of_few_digits_is_read_as_a_group(name, digits, rng):
+    turned = se3.rotation_exp(rng.normal(size=3))
+    made = Symmetries(rotations=about(rng.normal(size=3) * 0.02, np.array(GROUPS[name]) @ turned.T))
+    info = Info(diameter=200.0, symmetries_discrete=[flat(T, digits) for T in made.rotations[1:]])
+    found = symmetries_of(info)
+    assert len(found.rotations) == len(made.rotations)
+    # A digit behind the point of a millimetre is less than one of a sine.
+    assert farthest(found, made) < 3 * 10.0**-digits
+    for one in found.rotations[1:4]:  # closed and rigid to rounding
+        for other in found.rotations[:4]:
+            assert np.abs(found.rotations - one @ other).max(axis=(1, 2)).min() < 1e-12
+
+
+def test_turns_that_only_generate_a_group_are_read_as_it():
+    info = Info(
+        diameter=200.0,
+        symmetries_discrete=[flat(se3.compose(se3.rotation_exp(v), np.zeros(3)), 4) for v in GROUPS["cube"]],
+    )
+    assert len(symmetries_of(info).rotations) == 24
+
+
+@pytest.mark.parametrize("make", [ObjectModel.box, ObjectModel.cylinder, ObjectModel.sphere])
+def test_what_is_written_of_an_object_is_read_as_it_was(make, rng):
+    model = make(*{"box": ([0.06, 0.06, 0.14],), "cylinder": (0.03, 0.1), "sphere": (0.04,)}[make.__name__])
+    said = info_of(model)
+    info = Info(
+        diameter=said["diameter"],
+        symmetries_discrete=[tuple(row) for row in said["symmetries_discrete"]],
+        symmetries_continuous=[
+            ContinuousAxis(axis=tuple(line["axis"]), offset=tuple(line["offset"]))
+            for line in said["symmetries_continuous"]
+        ],
+    )
+    found = symmetries_of(info)
+    assert len(found.axes) == len(model.symmetries.axes)
+    assert found.round == model.symmetries.round
+    for (point, axis), (other, along) in zip(found.axes, model.symmetries.axes, strict=True):
+        np.testing.assert_allclose(point, other, atol=1e-12)
+        np.testing.assert_allclose(np.abs(axis @ along), 1, atol=1e-12)
+    assert len(found.rotations) == (1 if found.round else len(model.symmetries.rotations))
+    if not found.axes:
+        assert farthest(found, model.symmetries) < 1e-12
+
+
+def test_ends_that_are_alike_are_found_beside_an_axis_whatever_turn_says_so(rng):
+    for _ in range(20):
+        axis, point = rng.normal(size=3), rng.normal(size=3) * 0.05
+        axis /= np.linalg.norm(axis)
+        side = np.cross(axis, rng.normal(size=3))
+        flip = about(point, np.pi * side / np.linalg.norm(side)) @ about(point, rng.uniform(0, 6) * axis)
+        off = point + rng.normal() * 0.1 * axis  # any point of the axis
+        info = Info(
+            diameter=200.0,
+            symmetries_discrete=[flat(flip, 4), flat(about(point, 0.3 * axis), 4)],
+            symmetries_continuous=[ContinuousAxis(axis=tuple(axis), offset=tuple(1e3 * off))],
+        )
+        found = symmetries_of(info)
+        assert len(found.rotations) == 2
+        moved = found.rotations[1]
+        np.testing.assert_allclose(moved @ moved, np.eye(4), atol=1e-12)
+        np.testing.assert_allclose(se3.apply(moved, point[None])[0], point, atol=1e-3)
+
+
+def test_a_ball_is_read_of_two_axes():
+    axes = [ContinuousAxis(axis=(0, 0, 1.0), offset=(5.0, 0, 0)), ContinuousAxis(axis=(1.0, 0, 0))]
+    assert symmetries_of(Info(diameter=80.0, symmetries_continuous=axes)).round
+
+
+SHIFT = (1.0, 0, 0, 30, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+ALONG_Z = (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 30, 0, 0, 0, 1)
+QUARTER_ABOUT_X = (1.0, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1)
+MIRROR = (-1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+HALF = (-1.0, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+HALF_ELSEWHERE = (-1.0, 0, 0, 30, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+AXIS = [ContinuousAxis(axis=(0, 0, 1.0))]
+
+
+@pytest.mark.parametrize(
+    ("discrete", "continuous", "said"),
+    [
+        ([MIRROR], [], r"symmetries_discrete\[0\]: expected a rigid transform, got"),
+        ([HALF, (2.0, *HALF[1:])], [], r"symmetries_discrete\[1\]: expected a rigid transform"),
+        ([(*HALF[:15], 2.0)], [], r"symmetries_discrete\[0\]: expected a rigid transform"),
+        ([(*HALF[:3], 1e30, *HALF[4:])], [], r"symmetries_discrete\[0\]: expected metres within 1000"),
+        ([SHIFT], [], "symmetries_discrete: expected a finite group, got over 120 products"),
+        ([HALF, HALF_ELSEWHERE], [], "symmetries_discrete: expected a finite group"),
+        ([flat(about(np.zeros(3), Z), 6)], [], "symmetries_discrete: expected a finite group"),
+        ([HALF] * 121, [], "symmetries_discrete: expected at most 120, got 121"),
+        ([SHIFT], AXIS, r"symmetries_discrete\[0\]: expected a turn that keeps the continuous axis"),
+        ([QUARTER_ABOUT_X], AXIS, r"symmetries_discrete\[0\]: expected a turn that keeps the continuous axis"),
+        ([ALONG_Z], AXIS, r"symmetries_discrete\[0\]: expected a turn, got a shift along the continuous axis"),
+        ([], [ContinuousAxis(axis=(0, 0, 0.0))], r"axes\[0\]\.direction: expected a direction"),
+        ([], [ContinuousAxis(axis=(0, 0, 1.0), offset=(1e300, 0, 0))], r"symmetries_continuous\[0\]\.offset: expected metres"),
+        ([], [*AXIS, ContinuousAxis(axis=(0, 0, 1.0), offset=(9, 0, 0))], "axes: expected axes that cross"),
+    ],
+)  # fmt: skip
+def test_what_is_no_symmetry_is_refused(discrete, continuous, said):
+    with pytest.raises(InvalidInput, match=f"^{said}"):
+        symmetries_of(Info(diameter=100.0, symmetries_discrete=discrete, symmetries_continuous=continuous))

@@ -1,0 +1,188 @@
+"""Two writers lose nothing; an add that was cut short, by whatever, leaves the library as it was."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from handsight.errors import NotWritten
+from handsight.objects import Facts, Library
+from handsight.objects.library import store
+from handsight.objects.library.add import add, new_object
+from handsight.objects.library.folder import Folder
+from objects.libraries import block, bop
+
+RENAMES = 3
+"""Of an add: the model, handsight.json, models_info.json."""
+ADD = """
+import os, signal, sys
+from handsight.objects import Facts, Library
+place, file, prefix, count, dies_at = sys.argv[1:]
+renames, replace = [], os.replace
+def counted(a, b):
+    if "library" in str(b):
+        renames.append(b)
+        if len(renames) == int(dies_at):
+            os.kill(os.getpid(), signal.SIGKILL)
+    replace(a, b)
+os.replace = counted
+for k in range(int(count)):
+    Library(place).add(file, Facts(name=f"{prefix}{k}"))
+"""
+
+
+def adding(place, file, prefix, count=1, dies_at=0):
+    """A process that adds to a library."""
+    arguments = [sys.executable, "-c", ADD, *map(str, (place, file, prefix, count, dies_at))]
+    return subprocess.Popen(arguments, stderr=subprocess.PIPE)
+
+
+def names(library):
+    return sorted(entry.name for entry in library.entries())
+
+
+def test_writers_at_the_same_time_lose_nothing(tmp_path):
+    library, file, count = Library(tmp_path / "library"), block(tmp_path), 6
+    library.add(file, Facts(name="first"))
+    writers = {prefix: adding(library.place, file, prefix, count) for prefix in ("one", "two", "three")}
+    for writer in writers.values():
+        _, said = writer.communicate(timeout=300)
+        assert writer.returncode == 0, said.decode()
+    assert names(library) == sorted(["first", *(f"{prefix}{k}" for prefix in writers for k in range(count))])
+    assert [entry.number for entry in library.entries()] == list(range(1, 2 + 3 * count))
+    assert not list(library.wrong(library.entries()))
+
+
+def test_threads_at_the_same_time_lose_nothing(tmp_path):
+    library, file = Library(tmp_path / "library"), block(tmp_path)
+    threads = [
+        threading.Thread(target=lambda k=k: library.add(file, Facts(name=f"block {k}"))) for k in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(names(library)) == 8
+
+
+def test_whoever_reads_meanwhile_finds_each_object_with_all_that_is_known_of_it(tmp_path):
+    folder, library = Folder(tmp_path / "library"), Library(tmp_path / "library")
+    new = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
+    add(folder, new)
+
+    def write():
+        for k in range(60):
+            add(folder, new._replace(facts=new.facts | {"name": f"block {k}"}))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    reads, seen = 0, 0
+    while writer.is_alive():
+        entries = library.entries()
+        assert all(entry.facts is not None and entry.facts.mass == 0.5 for entry in entries)
+        assert len(entries) >= seen
+        for entry in entries[seen:]:
+            assert library.file(entry).exists()
+        reads, seen = reads + 1, len(entries)
+    writer.join()
+    assert reads > 10
+    assert len(library.entries()) == 61
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["new", "of others"])
+@pytest.mark.parametrize("dies_at", range(1, RENAMES + 1))
+def test_an_add_that_is_killed_before_it_is_done_is_invisible(tmp_path, dies_at, there):
+    library, file = Library(tmp_path / "library"), block(tmp_path)
+    if there:
+        bop(tmp_path / "library")
+    before = names(library) if there else []
+    killed = adding(library.place, file, "killed", dies_at=dies_at)
+    killed.communicate(timeout=300)
+    assert killed.returncode == -9
+    if there:
+        assert names(library) == before
+        assert not list(library.wrong(library.entries()))
+    # Its lock died with it, and what it left is in nobody's way.
+    entry = library.add(file, Facts(name="killed0", mass=0.1))
+    assert entry.facts.mass == 0.1
+    assert names(library) == sorted([*before, "killed0"])
+    assert not list(library.wrong(library.entries()))
+    # Nor may it be taken for what is known of an object that others number so.
+    documents = [
+        json.loads((tmp_path / f"library/models/{name}.json").read_text())
+        for name in ("handsight", "models_info")
+    ]
+    assert documents[0]["objects"].keys() <= documents[1].keys()
+
+
+@pytest.mark.parametrize("fails_at", range(1, RENAMES + 1))
+def test_a_full_disk_is_said_and_leaves_the_library_as_it_was(tmp_path, monkeypatch, fails_at):
+    library, file = Library(tmp_path / "library"), block(tmp_path)
+    library.add(file, Facts(name="first"))
+    documents = ["models_info.json", "handsight.json"]
+    before = [(tmp_path / "library/models" / name).read_bytes() for name in documents]
+    calls, fsync = [], os.fsync
+
+    def full(number):
+        calls.append(number)
+        if len(calls) == fails_at:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(number)
+
+    monkeypatch.setattr(store.os, "fsync", full)
+    with pytest.raises(
+        NotWritten, match=r"library/models/\w+\.\w+: cannot be written: No space left on device$"
+    ):
+        library.add(file, Facts(name="second"))
+    monkeypatch.undo()
+    assert names(library) == ["first"]
+    assert (tmp_path / "library/models/models_info.json").read_bytes() == before[0]
+    assert not list((tmp_path / "library/models").glob(".*.part"))
+    assert library.add(file, Facts(name="second")).name == "second"
+
+
+def test_a_file_that_the_system_refuses_to_grow_is_said(tmp_path):
+    resource = pytest.importorskip("resource", reason="no such limits on this system")
+    library, file = Library(tmp_path / "library"), block(tmp_path)
+    library.add(file, Facts(name="first"))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(NotWritten, match=r"obj_000002\.ply: cannot be written: File too large$"):
+            library.add(file, Facts(name="second"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert names(library) == ["first"]
+
+
+def test_a_lock_that_is_held_is_waited_for_and_then_told_of(tmp_path, monkeypatch):
+    library, file = Library(tmp_path), block(tmp_path)
+    monkeypatch.setattr(store, "LOCK_SECONDS", 0.2)
+    with (
+        store.locked(tmp_path / "models"),
+        pytest.raises(
+            NotWritten, match=r"models: cannot be written: another process has been adding to it for 0\.2 s$"
+        ),
+    ):
+        library.add(file, Facts(name="block"))
+    assert library.add(file, Facts(name="block")).number == 1
+
+
+def test_a_folder_without_locks_is_refused(tmp_path, monkeypatch):
+    def none(_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(store, "_take", none)
+    with pytest.raises(NotWritten, match="models: cannot be written: No locks available"):
+        Library(tmp_path / "library").add(block(tmp_path), Facts(name="block"))
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_to_is_said(tmp_path):
+    (tmp_path / "library").mkdir(mode=0o500)
+    with pytest.raises(NotWritten, match="cannot be written: Permission denied"):
+        Library(tmp_path / "library").add(block(tmp_path), Facts(name="block"))
