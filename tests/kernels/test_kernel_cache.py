@@ -194,6 +194,15 @@ mesh.evaluate(mesh.points_object)
 model.evaluate(model.points_object)
 hs.contacts_from_wrenches(np.eye(3), np.eye(3), hs.Ellipsoid((0.01, 0.01, 0.012)))
 hs.contact_from_wrench([0, 0, -1], [0, 0, 0], hs.Sphere(0.01))
+from handsight.vision.camera import PinholeCamera
+from handsight.vision.first_pose import first_pose
+from handsight.vision.hand_mask import hand_mask
+from handsight.vision.region import scene_of
+camera = PinholeCamera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
+wall = np.full((48, 64), 0.5, dtype=np.float32)
+hand_mask(camera, wall, model.sample(3)[0], np.array([[0, 1, 2]]), T)
+camera.project([[0, 0, 1.0]])
+assert len(first_pose(model, scene_of(camera, wall, wanted=wall > 0)).looks)
 later = {key: set(found) - set(warmed.get(key, ())) for key, found in signatures().items()}
 later = {key: found for key, found in later.items() if found}
 assert not later, later

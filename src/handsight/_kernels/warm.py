@@ -22,6 +22,7 @@ from handsight._kernels import (
     records,
     search,
     sensing,
+    sight_warm,
     spreading,
     winding,
 )
@@ -89,6 +90,11 @@ def _time() -> None:
     by_contact.warm(model, nodes)
 
 
+def _sight() -> None:
+    model, nodes, *_ = _ball()
+    sight_warm.warm(model, nodes)
+
+
 GROUPS: dict[str, Callable[[], None]] = {
     "corrections from a near pose": _corrections,
     "corrections from many starts": _starts,
@@ -97,6 +103,7 @@ GROUPS: dict[str, Callable[[], None]] = {
     "contact sensing": sensing.warm,
     "hands": _hands,
     "time": _time,
+    "sight": _sight,
 }
 
 

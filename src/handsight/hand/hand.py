@@ -12,7 +12,8 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
 from handsight.hand.description import read
-from handsight.hand.surface import HandSurface, spread, triangles_of
+from handsight.hand.shape import HandShape
+from handsight.hand.surface import HandSurface, seen_triangles, spread, triangles_of
 
 _WORLD = 0
 
@@ -140,6 +141,26 @@ class Hand:
             normals=normals,
             chains=chains(self._model, self._palm, with_points, self._name),
             middles=np.array([inside[body_of == i].mean(axis=0) for i in range(len(used))]).reshape(-1, 3),
+        )
+
+    def shape(self, *, without: Collection[str] = ()) -> HandShape:
+        """The shapes that are seen, else those that touch, of all links that move with the palm or hang on it.
+
+        `without`: bodies left out. No triangles where the file has no shapes. Raises InvalidInput.
+        """
+        left_out = {self._body(name, "without") for name in without}
+        parts = [(body, seen_triangles(self._model, body)) for body in self._links() if body not in left_out]
+        parts = [(body, triangles) for body, triangles in parts if len(triangles)]
+        bodies = [body for body, _ in parts]
+        corners = np.concatenate([np.zeros((0, 3, 3)), *(triangles for _, triangles in parts)]).reshape(-1, 3)
+        link = np.repeat(np.arange(len(parts)), [3 * len(triangles) for _, triangles in parts])
+        rows, where = np.unique(np.c_[link, corners], axis=0, return_inverse=True)
+        return HandShape(
+            bodies=tuple(str(self._model.body(i).name) for i in bodies),
+            vertices_body=np.ascontiguousarray(rows[:, 1:]),
+            body_of=rows[:, 0].astype(np.int64),
+            faces=where.reshape(-1, 3).astype(np.int64),
+            chains=chains(self._model, self._palm, bodies, self._name),
         )
 
     def _links(self) -> list[int]:

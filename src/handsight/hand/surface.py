@@ -121,11 +121,26 @@ def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Arra
 
 def triangles_of(model: Any, body: int) -> Array:
     """(f, 3, 3) the shapes of a body [m]: those that touch, else those that are seen."""
-    first = int(model.body_geomadr[body])
-    shapes = [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in SHAPES]
+    shapes = _shapes(model, body)
     touching = [g for g in shapes if model.geom_contype[g] or model.geom_conaffinity[g]]
+    return _in_body(model, touching or shapes)
+
+
+def seen_triangles(model: Any, body: int) -> Array:
+    """(f, 3, 3) the shapes of a body [m]: those that are seen, which touch nothing in most files, else all."""
+    shapes = _shapes(model, body)
+    seen = [g for g in shapes if not (model.geom_contype[g] or model.geom_conaffinity[g])]
+    return _in_body(model, seen or shapes)
+
+
+def _shapes(model: Any, body: int) -> list[int]:
+    first = int(model.body_geomadr[body])
+    return [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in SHAPES]
+
+
+def _in_body(model: Any, shapes: list[int]) -> Array:
     found = [np.zeros((0, 3, 3))]
-    for g in touching or shapes:
+    for g in shapes:
         R = se3.rotation_from_quaternion(model.geom_quat[g][[1, 2, 3, 0]])
         found.append(_corners(model, g) @ R.T + model.geom_pos[g])
     return np.concatenate(found)

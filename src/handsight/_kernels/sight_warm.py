@@ -1,0 +1,40 @@
+"""Sight's kernels compiled, or loaded, ahead of their first use."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels import depth_image, depth_term, look_score, pinhole, raster, votes
+from handsight._kernels.sight_records import CAMERA, LOOK, SEEN
+
+
+def warm(model: Any, nodes: Any) -> None:
+    """Calls each with a picture of few pixels; `model` (1,) MODEL and its nodes."""
+    camera, rays = np.zeros(1, dtype=CAMERA), np.empty((8, 8, 2), dtype=np.float32)
+    for name, value in (("fx", 8.0), ("fy", 8.0), ("cx", 3.5), ("cy", 3.5), ("reach2", np.inf)):
+        camera[name] = value
+    pinhole.rays(camera, rays)
+    rays.setflags(write=False)
+    pinhole.pixels_of(camera, np.ones((1, 3)), np.empty((1, 2)))
+    depth, labels = np.full((8, 8), np.inf, dtype=np.float32), np.full((8, 8), -1, dtype=np.int32)
+    corners, face = np.eye(3) + np.array([0, 0, 1.0]), np.arange(3)[None]
+    raster.draw(camera, corners, face, np.zeros(1, dtype=np.int64), depth, labels)
+    depth_image.label_parts(depth, np.isfinite(depth), labels)
+    seen, looks = np.zeros(2, dtype=SEEN), np.zeros(4, dtype=LOOK)
+    depth_image.look_at(rays, depth, labels, np.zeros((2, 2), dtype=np.int64), seen)
+
+    points, normals = (model["samples"][0, :4, k].copy() for k in range(2))
+    for array in (points, normals):
+        array.setflags(write=False)
+    cells, spins = np.empty((4, 4), dtype=np.int64), np.empty((4, 4))
+    votes.pairs_of(points, normals, 0.1, cells, spins)
+    pairs = np.zeros(votes.CELLS + 1, dtype=np.int64), np.zeros(1, dtype=np.int32), np.zeros(1)
+    voters, voted = np.stack([points, normals]), np.zeros((1, votes.PEAKS), dtype=LOOK)
+    votes.vote(pairs, voters, seen, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
+
+    sides = voters, np.eye(3), np.empty((3, 4), dtype=np.bool_)
+    visible = sides[2]
+    look_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
+    depth_term.settle_all(model, nodes, seen, np.array([1, 0.01, 0.01, 2]), looks)
+    limits = np.array([1e-4, 0.006, 0, 0, 0])
+    look_score.score_all(camera, (depth, labels), sides, np.ones(1), limits, looks)

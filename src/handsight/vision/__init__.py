@@ -1,0 +1,1 @@
+"""Sight: where an object is, from depth images."""

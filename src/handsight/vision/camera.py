@@ -1,0 +1,95 @@
+"""A depth camera: which ray each pixel looks along, and which pixel a point falls on."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from handsight import checks
+from handsight._kernels import pinhole, raster
+from handsight._kernels.sight_records import CAMERA
+from handsight.checks import Array, Indices
+from handsight.errors import InvalidInput
+
+LENSES = (0, 4, 5, 8)
+"""How many numbers a lens may have: none, plumb_bob without and with k3, rational polynomial."""
+MOST_PIXELS = 50_000_000
+STEEPER = 1.1
+"""A lens is believed so much beyond the steepest ray of the image; its polynomials may lead others back into it."""
+Depth = NDArray[np.float32]
+
+
+class Drawn(NamedTuple):
+    """A picture of triangles."""
+
+    depth: Depth
+    """(h, w) along the optical axis [m], infinite where there is none."""
+    labels: NDArray[np.int32]
+    """(h, w) of the nearest triangle, -1 where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class PinholeCamera:
+    """A camera's intrinsics. Optical frame: x right, y down, z forward; pixel centres at whole numbers."""
+
+    matrix: Array
+    """(3, 3) focal lengths and principal point [pixels]."""
+    size: tuple[int, int]
+    """(width, height) of its images [pixels]."""
+    lens: Array = field(default_factory=lambda: np.zeros(0))
+    """k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV and ROS' CameraInfo; none: images are rectified."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for what is no camera."""
+        K = checks.finite(self.matrix, "matrix", (3, 3))
+        if not (K[0, 0] > 0 and K[1, 1] > 0) or K[0, 1] or K[1, 0] or (K[2] != [0, 0, 1]).any():
+            raise InvalidInput(
+                f"matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {checks.brief(K)}"
+            )
+        width, height = (checks.whole(n, "size", MOST_PIXELS) for n in self.size)
+        if not 0 < width * height <= MOST_PIXELS:
+            raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
+        lens = checks.finite(self.lens, "lens", (None,))
+        if len(lens) not in LENSES:
+            raise InvalidInput(f"lens: expected {', '.join(map(str, LENSES))} numbers, got {len(lens)}")
+        for name, value in (("matrix", K), ("size", (width, height)), ("lens", lens)):
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def _optics(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
+        record = np.zeros(1, dtype=CAMERA)
+        row, rays = record[0], np.empty((self.size[1], self.size[0], 2), dtype=np.float32)
+        row["fx"], row["fy"] = self.matrix[0, 0], self.matrix[1, 1]
+        row["cx"], row["cy"] = self.matrix[0, 2], self.matrix[1, 2]
+        row["lens"][: len(self.lens)] = self.lens
+        steepest = pinhole.rays(record, rays)
+        row["reach2"] = STEEPER**2 * steepest if self.lens.any() else np.inf
+        rays.setflags(write=False)
+        return record, rays
+
+    @property
+    def record(self) -> NDArray[np.void]:
+        """(1,) CAMERA, as kernels take it."""
+        return self._optics[0]
+
+    @property
+    def rays(self) -> NDArray[np.float32]:
+        """(h, w, 2) x/z and y/z of each pixel; NaN where the lens leads no ray."""
+        return self._optics[1]
+
+    def project(self, points_camera: ArrayLike) -> Array:
+        """(n, 2) column and row of points (n, 3) [m] in the camera; NaN where they are not seen."""
+        points = checks.finite(points_camera, "points_camera", (None, 3))
+        pixels = np.empty((len(points), 2))
+        pinhole.pixels_of(self.record, points, pixels)
+        return pixels
+
+    def draw(self, vertices_camera: Array, faces: Indices, labels: Indices | None = None) -> Drawn:
+        """What the triangles `faces` (m, 3) of vertices (k, 3) [m] look like; `labels` (m,): of each."""
+        depth = np.full(self.size[::-1], np.inf, dtype=np.float32)
+        drawn = np.full(self.size[::-1], -1, dtype=np.int32)
+        named = np.zeros(len(faces), dtype=np.int64) if labels is None else labels
+        raster.draw(self.record, vertices_camera, faces, named, depth, drawn)
+        return Drawn(depth, drawn)

@@ -1,0 +1,174 @@
+"""An object's first pose from a picture: what votes, what settles, what is judged, and all of it together."""
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+import handsight as hs
+from handsight import se3
+from handsight._kernels import depth_term, look_score, votes
+from handsight._kernels.sight_records import LOOK, SEEN
+from handsight.vision.appearance import appearance_of
+from handsight.vision.first_pose import first_pose
+from handsight.vision.region import scene_of, table_plane
+from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
+
+
+@functools.cache
+def model():
+    return hs.ObjectModel.from_mesh(*letter())
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_pairs_are_the_same_wherever_they_are(seed):
+    rng = np.random.default_rng(seed)
+    points, normals = model().sample(40, seed % 1000)
+    T = se3.random(rng)
+    first, second = (np.empty((40, 40), dtype=np.int64) for _ in range(2))
+    spins = np.empty((2, 40, 40))
+    votes.pairs_of(points, normals, 0.11, first, spins[0])
+    votes.pairs_of(se3.apply(T, points), normals @ T[:3, :3].T, 0.11, second, spins[1])
+    # But for numbers at the border of two cells.
+    assert (first == second).mean() > 0.97
+    # All spins about one point's normal change by the same.
+    change = np.angle(np.exp(1j * (spins[1] - spins[0])))
+    for i in range(40):
+        there = (np.arange(40) != i) & (
+            np.abs((points - points[i]) @ normals[i]) < 0.9 * np.linalg.norm(points - points[i], axis=1)
+        )
+        around = np.exp(1j * change[i, there])
+        assert np.abs(around - around.mean()).max() < 1e-4
+
+
+def seen(points, normals, T):
+    rows = np.zeros(len(points), dtype=SEEN)
+    rows["point"], rows["normal"] = se3.apply(T, points), normals @ T[:3, :3].T
+    return rows
+
+
+def test_votes_for_a_whole_object_find_it():
+    rng = np.random.default_rng(0)
+    appearance, T = appearance_of(model()), se3.random(rng)
+    points, normals = model().sample(400, 3)
+    looks = np.zeros((20, votes.PEAKS), dtype=LOOK)
+    limits = np.array([model().diameter, 140])
+    votes.vote(appearance.pairs, appearance.voters, seen(points, normals, T), np.arange(20), limits, looks)
+    Ts = se3.compose(looks["rotation"], looks["position"])
+    places = se3.apply(Ts.reshape(-1, 4, 4), model().points_object)
+    off = np.abs(places - se3.apply(T, model().points_object)).max(axis=(1, 2)).reshape(20, votes.PEAKS)
+    # As coarse as cells are; some faces are like others.
+    assert (off.min(axis=1) < 0.15 * model().diameter).mean() > 0.6
+    assert (np.diff(looks["votes"], axis=1) <= 0).all()
+    np.testing.assert_allclose(np.linalg.det(Ts[..., :3, :3]), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_points_settle_where_least_squares_puts_them(fine):
+    """SciPy's minimum of the same residuals, each weighted by Tukey's biweight there."""
+    rng = np.random.default_rng(1)
+    truth, bound = se3.random(rng), 0.02
+    points, normals = model().sample(300, 5)
+    rows = seen(points + 5e-4 * rng.normal(size=points.shape), normals, truth)
+    start = truth @ se3.compose(
+        se3.rotation_exp(np.array([0.03, -0.02, 0.04])), np.array([2e-3, -1e-3, 2e-3])
+    )
+    look = np.zeros(1, dtype=LOOK)
+    look["rotation"], look["position"] = start[:3, :3], start[:3, 3]
+    depth_term.settle_all(*model().record[:2], rows, np.array([fine, bound, bound, 40]), look)
+    found = se3.compose(look["rotation"], look["position"])[0]
+
+    def distances(T):
+        return model().evaluate(se3.apply(se3.inverse(T), rows["point"]), fine=fine).distance
+
+    values = model().evaluate(se3.apply(se3.inverse(found), rows["point"]), fine=fine)
+    agrees = (values.gradient @ found[:3, :3].T * rows["normal"]).sum(axis=1) > depth_term.AGREES
+    weight = agrees * np.clip(1 - (values.distance / bound) ** 2, 0, None)
+
+    def residuals(x):
+        return weight * distances(
+            se3.compose(se3.rotation_exp(x[3:] / 0.05) @ found[:3, :3], found[:3, 3] + x[:3])
+        )
+
+    best = least_squares(residuals, np.zeros(6), x_scale=1e-3, xtol=1e-12, ftol=1e-12)
+    assert np.abs(best.x).max() < 2e-5
+
+
+def test_of_a_convex_object_all_that_faces_a_side_is_seen():
+    box = hs.ObjectModel.box((0.05, 0.08, 0.03))
+    samples, directions, visible = appearance_of(box).sides
+    np.testing.assert_array_equal(visible, directions @ samples[1].T > look_score.FACING)
+
+
+def test_what_is_behind_another_part_of_the_object_is_not_seen():
+    """From the side of the small block the foot of the tower is behind it; from above it is not."""
+    samples, directions, visible = appearance_of(model()).sides
+    faces_x = (samples[1][:, 0] > 0.9) & (np.abs(samples[0][:, 0] + 0.01) < 2e-3)  # the tower's side
+    behind = faces_x & (np.abs(samples[0][:, 1] + 0.01) < 0.01) & (samples[0][:, 2] < 0.05)
+    clear = faces_x & (samples[0][:, 2] > 0.06)
+    side = int(directions[:, 0].argmax())
+    assert behind.any()
+    assert clear.any()
+    assert not visible[side, behind].any()
+    assert visible[side, clear].all()
+
+
+def picture(seed, neighbours=1, distance=(0.4, 0.6)):
+    rng = np.random.default_rng([seed, 7])
+    box = hs.ObjectModel.box((0.05, 0.06, 0.04))
+    shapes = [letter(), *[(box.vertices + np.array([0, 0, 0.02]), box.faces)] * neighbours]
+    Ts, T_camera_table = on_table(rng, shapes), looking(rng, rng.uniform(*distance))
+    depth, labels = drawn(T_camera_table, shapes, Ts)
+    return T_camera_table @ Ts[0], noisy(depth, rng), labels, T_camera_table
+
+
+def test_the_table_is_found_and_nothing_where_there_is_none():
+    for seed in range(5):
+        _, depth, labels, T = picture(seed)
+        plane = table_plane(CAMERA, depth, np.ones(depth.shape, bool), extent=0.2)
+        expected = np.append(T[:3, 2], -T[:3, 2] @ T[:3, 3])
+        np.testing.assert_allclose(plane, expected, atol=0.02)
+        alone = np.where(labels == 0, depth, 0)
+        assert table_plane(CAMERA, alone, alone > 0, extent=0.2) is None
+
+
+def test_explained_pixels_are_those_of_the_silhouette():
+    for seed in range(4):
+        T, _, _, T_camera_table = picture(seed, neighbours=0)
+        depth, labels = drawn(T_camera_table, [letter()], [se3.inverse(T_camera_table) @ T])
+        scene = scene_of(CAMERA, np.where(np.isfinite(depth), depth, 0), wanted=labels == 0)
+        look, appearance = np.zeros(1, dtype=LOOK), appearance_of(model())
+        look["rotation"], look["position"] = T[:3, :3], T[:3, 3]
+        limits = np.array([appearance.sample_area, 0.006, *model().center_object])
+        image = scene.depth, scene.labels
+        look_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, look)
+        assert look["explained"][0] == pytest.approx((labels == 0).sum(), rel=0.15)
+        assert look["passed"][0] + look["hidden"][0] < 0.1 * look["expected"][0]
+
+
+@pytest.mark.slow
+def test_an_object_beside_another_is_found_without_a_guess():
+    """Twenty noisy pictures, the object on a table with a box about its size beside it."""
+    right = []
+    for seed in range(20):
+        T, depth, _, _ = picture(seed)
+        everywhere = np.ones(depth.shape, bool)
+        table = table_plane(CAMERA, depth, everywhere, extent=0.2)
+        found = first_pose(model(), scene_of(CAMERA, depth, wanted=everywhere, table=table))
+        off = np.linalg.norm(
+            se3.apply(found.Ts_camera_object[0], model().points_object) - se3.apply(T, model().points_object),
+            axis=1,
+        )
+        right.append(off.max() < 0.1 * model().diameter)
+        assert (np.diff(found.looks["score"]) <= 0).all()
+    assert sum(right) >= 19
+
+
+def test_where_nothing_is_there_is_no_pose():
+    depth = np.zeros((240, 320), np.float32)
+    scene = scene_of(CAMERA, depth, wanted=np.ones(depth.shape, bool))
+    assert first_pose(model(), scene).Ts_camera_object.shape == (0, 4, 4)
