@@ -97,7 +97,7 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=its_end,
-        env={**os.environ, "COLUMNS": "80"},
+        env={**os.environ, "COLUMNS": "80", "TERM": "xterm"},
     )
     os.close(its_end)
     said, interrupted = "", False

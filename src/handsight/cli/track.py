@@ -1,7 +1,6 @@
 """`handsight track`: what is shown of a recording meanwhile, what is written, what is said at the end."""
 
 import contextlib
-import itertools
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -80,8 +79,13 @@ def track(
     folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
         ended = run(recording, found, model, settings, watch)
-    for sentence in itertools.chain(ended.said, ended.sentences(), write(ended, found, model, folder)):
-        say(sentence)
+    wrote = list[str]()
+    try:
+        # Before anything is said: Ctrl-C while a terminal is being written to must not cost the results.
+        wrote.extend(write(ended, found, model, folder))
+    finally:
+        for sentence in (*ended.said, *ended.sentences(), *wrote):
+            say(sentence)
     if code := ended.exit_code:
         raise typer.Exit(code)
 
