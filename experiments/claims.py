@@ -90,9 +90,8 @@ def weights(options: report.Options) -> Rows:
                 method = hs.PaperMethod(w_n=w_n / 100)
                 estimate = hs.correct_pose(model, scene.contacts, vision=scene.vision, method=method)
                 rme, turn = scenes.contact_errors(model, scene, estimate.T_palm_object)
-                row = {"shape": shape, "w_n_cm": w_n, "trial": k, "rme_mm": 1000 * rme}
-                row |= {"mae_deg": float(np.rad2deg(turn)), **residuals_left(estimate)}
-                rows.append(row)
+                left = {"rme_mm": 1000 * rme, "mae_deg": float(np.rad2deg(turn)), **residuals_left(estimate)}
+                rows.append({"shape": shape, "w_n_cm": w_n, "trial": k, **left})
     return rows
 
 

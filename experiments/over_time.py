@@ -84,8 +84,11 @@ def runs(name: str, options: report.Options) -> Iterator[Row]:
 @report.or_skip
 def main() -> None:
     """Runs the experiment."""
-    options = report.options(__doc__, trials=10, quick_trials=2)
-    chosen = list(objects())[:2] if options.quick else list(objects())
+    arguments = report.parser(__doc__)
+    said = "an object; repeatable (default: all)"
+    arguments.add_argument("--only", action="append", choices=objects(), metavar="NAME", help=said)
+    options, given = report.parsed(arguments, trials=10, quick_trials=2)
+    chosen = given.only or (list(objects())[:2] if options.quick else list(objects()))
     rows: Rows = []
     table = []
     for name in chosen:

@@ -5,14 +5,16 @@ A form is a `msgspec.Struct`; its `__post_init__` may raise `ValueError("key: ex
 
 import re
 import types
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
 from handsight.checks import among, brief
+from handsight.errors import InvalidFile
 
 Path = tuple[str | int, ...]
 """Keys and places in lists, from the whole file to one value."""
+Form = TypeVar("Form")
 
 _KINDS = {
     "object": "keys and values",
@@ -34,6 +36,27 @@ def named(path: Path) -> str:
     """A path in words, as `contacts[2].point`; empty for the whole file."""
     steps = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in path]
     return "".join(steps).removeprefix(".")
+
+
+def in_form(data: bytes, form: type[Form], where: str) -> Form:
+    """A JSON document in a form; raises InvalidFile for what it is not, which begins with `where`."""
+    raw = plain(data, where)
+    try:
+        return msgspec.convert(raw, form)
+    except msgspec.ValidationError as error:
+        field, said = explain(error, form, raw)
+        raise InvalidFile(f"{where}: {named(field) or 'file'}: {said}") from None
+
+
+def plain(data: bytes, where: str) -> dict[str, Any]:
+    """A JSON document whose outermost is a mapping; raises InvalidFile, which begins with `where`."""
+    try:
+        raw = msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
+    if not isinstance(raw, dict):
+        raise InvalidFile(f"{where}: expected an object {{...}}, got {brief(raw)}")
+    return raw
 
 
 def explain(error: msgspec.ValidationError, form: Any, value: Any) -> tuple[Path, str]:

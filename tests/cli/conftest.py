@@ -15,11 +15,11 @@ def asked(monkeypatch, capsys, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def grasp():
+def grasp(simulated):
     """A short grasp of the can: its rig, and its samples."""
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
-    from handsight.simulation import Scenario, rig_of, simulate
+    from handsight.simulation import Scenario, rig_of
 
     scenario = Scenario(rate=20, motion="grasp")
-    return rig_of(scenario), list(simulate(scenario))
+    return rig_of(scenario), simulated(scenario)

@@ -68,9 +68,9 @@ def test_meshes_that_cannot_be_used_are_errors(tmp_path):
     with pytest.raises(InvalidObject, match=r"^flat\.off: expected a body with a volume, got none"):
         next(simulate(Scenario(object=str(flat))))
     wide = tmp_path / "wide.stl"
-    trimesh.creation.box((0.3, 0.3, 0.3)).export(wide)
+    trimesh.creation.box((0.3, 0.3, 0.1)).export(wide)
     with pytest.raises(
-        InvalidObject, match=r"^object: expected one that fits in the open hand, got 300 x 300 x 300 mm"
+        InvalidObject, match=r"^object: expected one that fits in the open hand, got 300 x 300 x 100 mm"
     ):
         next(simulate(Scenario(object=str(wide))))
 

@@ -86,10 +86,9 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: A
     rows = np.empty(len(evidence.outside), OUTSIDE)
     look(evidence, evidence.model.fine, mode, np.inf, rows)
     near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
-    slide.give, slide.level = GIVE * wavering(evidence, mode), 0.0
-    if slide.give > 0.0:
-        slide.level = posterior_cost(evidence, mode) - prior_cost(evidence.prior, mode) + slide.give
-    measure(near, mode, slide)
+    slide.give, here = GIVE * wavering(evidence, mode), posterior_cost(evidence, mode)
+    slide.level = here - prior_cost(evidence.prior, mode) + slide.give
+    measure(near, mode, slide, here + slide.give)
     for _ in range(ROUNDS):
         cell = lay_lattice(slide)
         others[:, 6] = 0.0

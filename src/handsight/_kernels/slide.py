@@ -144,21 +144,22 @@ def undented(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
 
 
 @inner
-def measure(evidence: Evidence, mode: Pose, slide: Any) -> None:
-    """Brings the places of a slide as close as they need be, by how far its cost lets each direction go.
+def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
+    """Brings the places of a slide as close as they need be, by how far its cost, `here` at the mode, lets each
+    direction go.
 
     Between where it has risen by RISE on one side and on the other there are 2.8 deviations of a Gaussian and 3.5 of
     an interval; all along several directions spreads wider than what is along one. A mode may lie in a corner, so each
     is followed from the middle of the one before, twice.
     """
-    radius, middle, six, here = evidence.model.radius, np.zeros(6), np.zeros(6), 0.0
-    for m in range(-1, slide.count * (SWEEPS if slide.count > 1 else 1)):
-        n, ends = max(m, 0) % slide.count, (0.0, 0.0)
-        for side in range(2 if m >= 0 else 1):
+    radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
+    for m in range(slide.count * (SWEEPS if slide.count > 1 else 1)):
+        n, ends = m % slide.count, (0.0, 0.0)
+        for side in range(2):
             length, near, far = slide.spacing[n], 0.0, 2 * radius
-            for _ in range(PROBES if m >= 0 else 1):
+            for _ in range(PROBES):
                 for i in range(6):
-                    six[i] = middle[i] + slide.along[i, n] * (0.0 if m < 0 else -length if side else length)
+                    six[i] = middle[i] + slide.along[i, n] * (-length if side else length)
                 pose = moved_to(evidence, mode, six)
                 rise = undented(evidence, slide, pose, posterior_cost(evidence, pose)) - here
                 if 0.5 * RISE < rise < 2 * RISE:
@@ -168,13 +169,10 @@ def measure(evidence: Evidence, mode: Pose, slide: Any) -> None:
                 else:
                     near = length
                 length = min(2 * length, 0.5 * (near + far))
-            if m < 0:
-                here = rise
             ends = ends[1], length
-        if m >= 0:
-            for i in range(6):
-                middle[i] += 0.5 * slide.along[i, n] * (ends[0] - ends[1])
-            slide.spacing[n] = 0.5 * (ends[0] + ends[1])
+        for i in range(6):
+            middle[i] += 0.5 * slide.along[i, n] * (ends[0] - ends[1])
+        slide.spacing[n] = 0.5 * (ends[0] + ends[1])
     for n in range(slide.count):
         slide.spacing[n] *= SPREAD[slide.count - 1] / PLACES[slide.count - 1]
 

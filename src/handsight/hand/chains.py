@@ -61,6 +61,13 @@ class Chains:
         return out
 
 
+def carried(points: Array, bodies: Indices, Ts: Array) -> Array:
+    """(k, 3) where points (k, 3), each fixed on one of the `bodies` (k,), are with these at their poses (t, 4, 4)."""
+    out = np.empty_like(points)
+    chain.carried(points, bodies, Ts, out)
+    return out
+
+
 def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
     """Raises InvalidInput where the position of one of the joints is missing or no finite number."""
     if not isinstance(joint_positions, Mapping):

@@ -3,11 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
-from handsight._kernels import chain
 from handsight.checks import Array, Indices
-from handsight.hand.chains import Chains
+from handsight.hand.chains import Chains, carried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +30,4 @@ class HandShape:
     def vertices_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """(k, 3) where the vertices are [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
         Ts, _ = self.chains.poses(joint_positions)
-        out = np.empty_like(self.vertices_body)
-        chain.carried(self.vertices_body, self.body_of, Ts, out)
-        return out
+        return carried(self.vertices_body, self.body_of, Ts)

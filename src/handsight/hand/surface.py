@@ -8,9 +8,8 @@ import numpy as np
 import trimesh
 
 from handsight import se3
-from handsight._kernels import chain
 from handsight.checks import Array, Indices
-from handsight.hand.chains import Chains
+from handsight.hand.chains import Chains, carried
 
 SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
@@ -46,20 +45,15 @@ class HandSurface:
         Needs the joints of every link that has points, fingers without a tip among them.
         """
         Ts, _ = self.chains.poses(joint_positions)
-        return self._carried(self.points_body, self.body_of, Ts)
+        return carried(self.points_body, self.body_of, Ts)
 
     def placed(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
         """The points (m, 3) as `points_palm`, and (b,) how far each link's middle moves per axis [m] when every joint
         is off by a radian, each for itself: root mean square."""
         Ts, axes = self.chains.poses(joint_positions)
         bodies = np.arange(len(self.bodies))
-        by_joint = self.chains.jacobians(self._carried(self.middles, bodies, Ts), bodies, axes)[:, :3]
-        return self._carried(self.points_body, self.body_of, Ts), np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
-
-    def _carried(self, points: Array, bodies: Indices, Ts: Array) -> Array:
-        out = np.empty_like(points)
-        chain.carried(points, bodies, Ts, out)
-        return out
+        by_joint = self.chains.jacobians(carried(self.middles, bodies, Ts), bodies, axes)[:, :3]
+        return carried(self.points_body, self.body_of, Ts), np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
 
 
 def spread(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:

@@ -10,13 +10,14 @@ import numpy as np
 
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
+from handsight.explain import plain
 from handsight.objects.files import read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
 from handsight.objects.files.write import ply_bytes
 from handsight.objects.library.bop import MM, info_of
 from handsight.objects.library.facts import VERSION, Facts
 from handsight.objects.library.folder import Folder
-from handsight.objects.library.index import FACTS, INFO, Documents, entries, plain
+from handsight.objects.library.index import FACTS, INFO, Documents, entries
 from handsight.objects.library.store import locked, new_file
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries

@@ -3,13 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
-
-import msgspec
+from typing import NamedTuple
 
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.explain import explain, named
+from handsight.explain import Form, in_form, plain
 from handsight.objects.library.bop import MM, Info, symmetries_of
 from handsight.objects.library.facts import VERSION, Document, Record
 from handsight.objects.symmetry import Symmetries
@@ -18,8 +16,6 @@ INFO, FACTS = "models_info.json", "handsight.json"
 LARGEST_DOCUMENT = 20_000_000
 """Bytes; what is known of ten thousand objects."""
 LARGEST_NUMBER = 10**9
-
-Form = TypeVar("Form")
 
 
 class NoLibrary(InvalidFile):
@@ -91,27 +87,6 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
         owners[entry.name] = number
         made.append(entry)
     return tuple(made)
-
-
-def in_form(data: bytes, form: type[Form], where: str) -> Form:
-    """A JSON document in a form; raises InvalidFile for what it is not, which begins with `where`."""
-    raw = plain(data, where)
-    try:
-        return msgspec.convert(raw, form)
-    except msgspec.ValidationError as error:
-        field, said = explain(error, form, raw)
-        raise InvalidFile(f"{where}: {named(field) or 'file'}: {said}") from None
-
-
-def plain(data: bytes, where: str) -> dict[str, Any]:
-    """A JSON document whose outermost is a mapping; raises InvalidFile, which begins with `where`."""
-    try:
-        raw = msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
-    if not isinstance(raw, dict):
-        raise InvalidFile(f"{where}: expected an object {{...}}, got {checks.brief(raw)}")
-    return raw
 
 
 def _records(data: bytes, where: str) -> dict[str, Record]:

@@ -18,7 +18,7 @@ from handsight.errors import HandsightError, InvalidFile, MissingExtra
 from handsight.files import written
 from handsight.objects.files.read import LARGEST_FILE
 from handsight.objects.library.index import FACTS, INFO, LARGEST_DOCUMENT, Documents, Entry, NoLibrary
-from handsight.objects.library.store import check_content, new_file
+from handsight.objects.library.store import check_content, check_sha256, new_file
 
 SECONDS = 30
 """Without a byte, after which a server is taken for dead."""
@@ -80,9 +80,8 @@ class Remote:
         if data is None:
             raise InvalidFile(f"{where}: cannot be read: no such file")
         found = hashlib.sha256(data).hexdigest()
-        if entry.facts and found != entry.facts.sha256:
-            said = f"expected the SHA-256 {entry.facts.sha256[:12]}…, got {found[:12]}…: changed since it was added"
-            raise InvalidFile(f"{where}: {said}")
+        if entry.facts:
+            check_sha256(where, entry.facts.sha256, found)
         path = _by_content(found, entry.file)
         with new_file(path) as file:
             file.write(data)

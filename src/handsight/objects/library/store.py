@@ -94,6 +94,11 @@ def check_content(path: Path, sha256: str | None, size: int | None) -> None:
                 digest.update(chunk)
         except OSError as error:
             raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from None
-    if (found := digest.hexdigest()) != sha256:
+    check_sha256(path, sha256, digest.hexdigest())
+
+
+def check_sha256(name: str | Path, sha256: str, found: str) -> None:
+    """Raises InvalidFile, which begins with the name, where a file's SHA-256 is not what it was when it was added."""
+    if found != sha256:
         said = f"expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
-        raise InvalidFile(f"{path}: {said}")
+        raise InvalidFile(f"{name}: {said}")
