@@ -30,6 +30,8 @@ class PoseMeasurement:
     """In what the pose is given: the rig's camera (optical frame), the world or the palm."""
     covariance: Array | None = None
     """(6, 6) of (δp [m], δθ [rad]) along the frame's axes; None: vision does not say, the rig does."""
+    stamp: float | None = None
+    """When what it is seen in was taken [s], as the observation's; None: at the observation's."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
@@ -40,6 +42,8 @@ class PoseMeasurement:
             covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
             object.__setattr__(self, "covariance", covariance)
             covariance.setflags(write=False)
+        if self.stamp is not None:
+            object.__setattr__(self, "stamp", _seconds(self.stamp, "vision.stamp"))
         self.T_frame_object.setflags(write=False)
 
 
@@ -66,6 +70,8 @@ class Observation:
     """(h, w, 3) red, green, blue; an image that arrived since the last observation."""
     depth: NDArray[np.float32] | None = None
     """(h, w) along the optical axis [m], NaN where there is none."""
+    image_stamp: float | None = None
+    """When the images were taken [s], of the same clock; None: at `stamp`."""
 
 
 def checked(observation: Observation) -> Observation:
@@ -77,15 +83,23 @@ def checked(observation: Observation) -> Observation:
         raise InvalidInput(f"observation: expected an Observation, got {type(observation).__name__}")
     stamp, vision, T = observation.stamp, observation.vision, observation.T_world_palm
     if type(stamp) is not float or not -LATEST <= stamp <= LATEST:
-        stamp = float(checks.finite(stamp, "observation.stamp", ()))
-        if abs(stamp) > LATEST:
-            expected = f"expected seconds within {LATEST:g}"
-            raise InvalidInput(f"observation.stamp: {expected}, got {stamp:g} (milliseconds or nanoseconds?)")
+        stamp = _seconds(stamp, "observation.stamp")
     if vision is not None and not isinstance(vision, PoseMeasurement):
         came = type(vision).__name__
         raise InvalidInput(f"observation.vision: expected a PoseMeasurement or None, got {came}")
     if T is not None:
         T = se3.check(T, "observation.T_world_palm")
         T.setflags(write=False)
-    joints, wrenches = observation.joint_positions, observation.wrenches
-    return Observation(stamp, joints, wrenches, vision, T, observation.color, observation.depth)
+    joints, wrenches, taken = observation.joint_positions, observation.wrenches, observation.image_stamp
+    if taken is not None:
+        taken = _seconds(taken, "observation.image_stamp")
+    return Observation(stamp, joints, wrenches, vision, T, observation.color, observation.depth, taken)
+
+
+def _seconds(stamp: float, name: str) -> float:
+    """A stamp as a float; raises InvalidInput where it is none."""
+    seconds = float(checks.finite(stamp, name, ()))
+    if abs(seconds) > LATEST:
+        expected = f"expected seconds within {LATEST:g}"
+        raise InvalidInput(f"{name}: {expected}, got {seconds:g} (milliseconds or nanoseconds?)")
+    return seconds

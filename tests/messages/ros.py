@@ -142,6 +142,26 @@ class Messages:
             data=raw,
         )
 
+    def info(self, stamp, K, size, lens=(), model="plumb_bob", **cut):
+        """`cut`: x_offset, y_offset, width, height of the part that comes, binning_x, binning_y."""
+        roi = {name: cut.get(name, 0) for name in ("x_offset", "y_offset", "height", "width")}
+        matrices = {
+            "k": np.ravel(K),
+            "d": np.array(lens, dtype=float),
+            "r": np.eye(3).ravel(),
+            "p": np.zeros(12),
+        }
+        return self.make(
+            "sensor_msgs/msg/CameraInfo",
+            header=self.header(stamp, "camera"),
+            width=size[0],
+            height=size[1],
+            distortion_model=model,
+            **{name.upper() if self.ros == 1 else name: value for name, value in matrices.items()},
+            **{name: cut.get(name, 0) for name in ("binning_x", "binning_y")},
+            roi=self.make("sensor_msgs/msg/RegionOfInterest", **roi, do_rectify=False),
+        )
+
     def compressed(self, stamp, data, described):
         return self.make(
             "sensor_msgs/msg/CompressedImage",

@@ -75,6 +75,8 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             T_mount_camera=se3.random(rng),
             intrinsics=np.array([[500.5 + a, 0, 320.25], [0, 501.5 + b, 240.75], [0, 0, 1]]),
             size=(640, 480),
+            lens=np.array([a, -b, c, -c, b][: 4 + seed % 2]),
+            depth_camera="stereo",
             sigma_position=a,
             sigma_rotation=b,
             sigma_position_constant=c,

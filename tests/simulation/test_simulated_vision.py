@@ -4,7 +4,7 @@ import pytest
 from handsight import se3
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation import Nuisances, Scenario, looking, model_of, render, rendering, rig_of, simulate
-from handsight.simulation.camera import EDGE, FAR, LOOKS_AT, NEAR, STEP, displacement, kinect
+from handsight.simulation.camera import LOOKS_AT, displacement
 from simulation.simulated import NONE, only, samples
 
 
@@ -86,29 +86,6 @@ def test_depth_images_show_the_object_where_it_is():
     assert abs(np.nanmedian(off[bare])) < 1e-4
     greener = sample.observation.color[v, u][bare].astype(float)
     assert np.mean(greener[:, 1] > greener[:, 0]) > 0.8
-
-
-def test_depth_of_a_kinect_is_noisy_quantised_and_lost_behind_edges():
-    rng = np.random.default_rng(0)
-    wall = np.full((200, 300), 1.5, dtype=np.float32)
-    wall[60:120, 100:180] = 0.9
-    depth = kinect(wall, 1.0, rng)
-    for z, part in ((1.5, depth[130:]), (0.9, depth[62:118, 102:178])):
-        values = part[np.isfinite(part)]
-        sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2
-        assert np.std(values) == pytest.approx(np.hypot(sigma, STEP * z * z / np.sqrt(12)), rel=0.1)
-        assert 0 < np.isnan(part).mean() < 0.01
-    near = np.unique(depth[62:118, 102:178])
-    np.testing.assert_allclose(np.diff(near[np.isfinite(near)]), STEP * 0.9**2, rtol=0.1)
-    assert np.isnan(depth[62:118, 98:100]).all(), "behind the left edge"
-    assert np.isnan(depth[62:118, 180]).all(), "behind the right edge"
-    assert np.isfinite(depth[62:118, 100]).mean() > 0.95, "the edge itself"
-    assert EDGE < 0.6
-
-
-def test_depth_beyond_its_range_is_none_and_without_noise_exact():
-    depth = np.array([[NEAR / 2, 1.0, 2 * FAR]], dtype=np.float32)
-    np.testing.assert_array_equal(kinect(depth, 0.0, np.random.default_rng(0)), [[np.nan, 1.0, np.nan]])
 
 
 def test_a_picture_shows_the_object_and_a_second_one_where_it_is_told():

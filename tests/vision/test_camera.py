@@ -1,12 +1,17 @@
 """A camera's rays are those that its pixels are hit by, through any lens; its drawings are what rays meet."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight.errors import InvalidInput
+from handsight.rig import Camera
+from handsight.rig.rig import DepthCamera
 from handsight.vision.camera import PinholeCamera
+from handsight.vision.depth_noise import PRESETS
 
 MATRIX = np.array([[300.0, 0, 158.0], [0, 310, 121.0], [0, 0, 1]])
 BARREL = (-0.28, 0.07, 2e-4, 1.6e-5, 0.0)
@@ -82,3 +87,55 @@ def test_drawings_are_what_rays_meet(seed):
     assert same.mean() > 0.98
     of_label = np.where(met < 0, np.inf, z[np.arange(len(rays)), met])
     np.testing.assert_allclose(of_label[same], expected[same], rtol=1e-3)
+
+
+@pytest.mark.parametrize("lens", [(), BARREL, RATIONAL])
+def test_points_of_a_depth_image_fall_on_their_pixels_at_their_depth(lens):
+    camera = PinholeCamera(MATRIX, (320, 240), np.array(lens))
+    depth = np.random.default_rng(1).uniform(0.2, 3, (240, 320)).astype(np.float32)
+    depth[::7, ::5], depth[1, 1], depth[2, 2], depth[3, 3] = np.nan, 0, np.inf, -1
+    points = camera.points(depth)
+    known = np.isfinite(depth) & (depth > 0) & np.isfinite(camera.rays[..., 0])
+    assert points.dtype == np.float32
+    assert np.isnan(points[~known]).all()
+    np.testing.assert_array_equal(points[known][:, 2], depth[known])
+    rows, columns = np.nonzero(known)
+    np.testing.assert_allclose(camera.project(points[known]), np.stack([columns, rows], axis=1), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("depth", "message"),
+    [
+        (np.ones((320, 240)), r"depth: expected shape \(240, 320\) as the camera's, got \(320, 240\)"),
+        (np.ones((240, 320, 1)), r"got \(240, 320, 1\)"),
+        (
+            np.full((240, 320), 900, np.uint16),
+            r"depth: expected metres as floats, got uint16 \(millimetres\?\)",
+        ),
+    ],
+)
+def test_depth_of_another_size_or_kind_is_said(depth, message):
+    with pytest.raises(InvalidInput, match=message):
+        PinholeCamera(MATRIX, (320, 240)).points(depth)
+
+
+def test_a_rigs_camera_is_one_with_its_lens():
+    made = PinholeCamera.of(Camera(intrinsics=MATRIX, size=(320, 240), lens=np.array(BARREL)))
+    np.testing.assert_array_equal(made.matrix, MATRIX)
+    np.testing.assert_array_equal(made.lens, BARREL)
+    assert made.size == (320, 240)
+    with pytest.raises(InvalidInput, match="^camera: expected one with intrinsics in the rig, got no camera"):
+        PinholeCamera.of(None)
+    with pytest.raises(
+        InvalidInput, match="^camera: expected one with intrinsics in the rig, got one without"
+    ):
+        PinholeCamera.of(Camera())
+
+
+def test_each_kind_of_depth_camera_that_a_rig_may_have_is_known():
+    assert sorted(PRESETS) == sorted(get_args(DepthCamera))
+    said = "depth_camera: expected one of structured_light, time_of_flight, stereo, got 'stero'; the nearest valid one is 'stereo'"
+    with pytest.raises(InvalidInput, match=f"^{said}"):
+        Camera(depth_camera="stero")
+    with pytest.raises(InvalidInput, match="^lens: expected 0, 4, 5, 8 numbers, got 3"):
+        Camera(lens=np.zeros(3))

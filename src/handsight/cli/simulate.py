@@ -30,6 +30,9 @@ def simulate(
         str, typer.Option(help="grasp: close and hold; manipulate: then move, lift and turn the object.")
     ] = "manipulate",
     images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
+    depth_camera: Annotated[
+        str, typer.Option(help="How the camera measures depth: structured_light, time_of_flight or stereo.")
+    ] = "structured_light",
     nuisance: Annotated[
         list[str] | None,
         typer.Option(
@@ -50,9 +53,12 @@ def simulate(
     from handsight.simulation import Scenario, read_grasp
 
     announce_compiling()
-    chosen: Any = motion  # the scenario says which there are
+    chosen: dict[str, Any] = {
+        "motion": motion,
+        "depth_camera": depth_camera,
+    }  # the scenario says which there are
     scenario = Scenario(
-        object=object, seed=seed, motion=chosen, images=images, nuisances=nuisances(nuisance or [])
+        object=object, seed=seed, images=images, nuisances=nuisances(nuisance or []), **chosen
     )
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     _recordable(path)

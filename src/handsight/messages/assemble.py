@@ -1,7 +1,7 @@
 """Measurements in order of stamp to Observations."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,14 +69,23 @@ class ObservationAssembler:
         positions: dict[str, float] = {}
         for joints in sorted(self._joints.values(), key=lambda each: each.stamp):
             positions.update(joints.value)
-        vision = {role: each.value for role, each in self._vision.items() if self._is_fresh(each, stamp)}
+        fresh = {role: each for role, each in self._vision.items() if self._is_fresh(each, stamp)}
+        vision = {role: each.value for role, each in fresh.items()}
+        if "vision" in fresh:
+            vision["vision"] = replace(vision["vision"], stamp=fresh["vision"].stamp)
+        image = fresh.get("depth", fresh.get("color"))
         self._vision.clear()
         world, palm = (self._rig.frames[role].lstrip("/") for role in ("world", "palm"))
         T_world_palm = self.tree.lookup(world, palm, stamp)
         self._report.observations += 1
         self._report.placed += T_world_palm is not None
         observation = Observation(
-            stamp, positions, wrenches=self._wrenches(stamp), T_world_palm=T_world_palm, **vision
+            stamp,
+            positions,
+            wrenches=self._wrenches(stamp),
+            T_world_palm=T_world_palm,
+            image_stamp=None if image is None else image.stamp,
+            **vision,
         )
         self._units.put(observation)
         return observation

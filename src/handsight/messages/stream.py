@@ -45,6 +45,7 @@ class ObservationStream:
                 self.report.topics[name] = topic
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
+        self._depth_size: tuple[int, ...] | None = None
         self._fast, self._order = FastCdrReader(), ReorderBuffer(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
@@ -67,6 +68,8 @@ class ObservationStream:
                 self.intrinsics = measurement.value
                 topic.used += 1
             else:
+                if topic.role == "depth":
+                    self._depth_size = measurement.value.shape[1::-1]
                 if topic.role == "joints" and len(self._joint_names) < MAX_NAMES:
                     self._joint_names.update(measurement.value)
                 found += self._assembled(self._order.put(measurement))
@@ -82,8 +85,28 @@ class ObservationStream:
         return [done for each in ordered if (done := self._assembler.put(each)) is not None]
 
     def lacks(self) -> list[str]:
-        """What the rig needs and was not heard, a sentence each; empty: nothing.
+        """What the rig needs and was not heard, or of another size, a sentence each; empty: nothing.
 
         Topics are known from the beginning where they were given, joints and frames after the first observations.
         """
-        return missing(self._rig, self.report, self._assembler.tree.frames, self._joint_names)
+        lacking = missing(self._rig, self.report, self._assembler.tree.frames, self._joint_names)
+        return lacking + self._of_other_sizes()
+
+    def _of_other_sizes(self) -> list[str]:
+        topics, camera, told = self._rig.topics, self._rig.camera, self.intrinsics
+        of_rig = None if camera is None else camera.size
+        pairs = (
+            (f"depth images on {topics.depth}", self._depth_size, told and told.size, "CameraInfo says"),
+            (
+                f"depth images on {topics.depth}",
+                self._depth_size,
+                None if told else of_rig,
+                "the rig's camera has",
+            ),
+            (f"camera info on {topics.camera_info}", told and told.size, of_rig, "the rig's camera has"),
+        )
+        return [
+            f"{what}: expected {expected[0]} x {expected[1]} pixels as {who}, got {came[0]} x {came[1]}"
+            for what, came, expected, who in pairs
+            if came is not None and expected is not None and tuple(came) != tuple(expected)
+        ]

@@ -26,7 +26,16 @@ from handsight.rig.form_parts import (
     Text,
     Vector,
 )
-from handsight.rig.rig import FARTHEST, LARGEST_HELD, LONGEST_LINK, Camera, Finger, ObjectEntry
+from handsight.rig.rig import (
+    FARTHEST,
+    LARGEST_HELD,
+    LONGEST_LINK,
+    Camera,
+    DepthCamera,
+    Finger,
+    ObjectEntry,
+    check_lens,
+)
 
 VERSION = 1
 HEAVIEST = 2.0
@@ -167,6 +176,15 @@ class CameraForm(Form):
     noise: VisionNoiseForm | None = None
     constant_error: VisionNoiseForm | None = None
     intrinsics: IntrinsicsForm | None = None
+    lens: list[float] | None = None
+    """k1, k2, p1, p2[, k3[, k4, k5, k6]]."""
+    depth_camera: DepthCamera | None = None
+
+    def __post_init__(self) -> None:
+        if self.lens is not None:
+            check_lens(self.lens, "lens")
+        if self.lens and self.intrinsics is None:
+            raise ValueError("lens: expected intrinsics beside it, got none")
 
     def camera(self) -> Camera:
         """The part of the rig."""
@@ -176,6 +194,8 @@ class CameraForm(Form):
             T_mount_camera=(self.pose or PoseForm()).matrix(),
             intrinsics=None if k is None else np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]]),
             size=None if k is None else (int(k.width), int(k.height)),
+            lens=np.array(self.lens or [], dtype=np.float64),
+            depth_camera=self.depth_camera or "structured_light",
             **(self.noise or VisionNoiseForm()).sigmas(),
             **{f"{name}_constant": value for name, value in constant.items()},
         )

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from itertools import combinations
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from handsight import checks, se3
 from handsight.checks import Array
@@ -28,6 +29,10 @@ LARGEST_HELD = 5.0
 """Side, radius or height of what is in a hand [m]."""
 SAME_POSE = 1e-9
 """Two fingertips so alike [m] are one."""
+DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
+"""How a camera measures depth; what is wrong with it then, `handsight.vision.depth_noise` knows."""
+LENSES = (0, 4, 5, 8)
+"""How many numbers a lens may have: none, plumb_bob without and with k3, rational polynomial."""
 
 
 class Shared(InvalidInput):
@@ -81,6 +86,10 @@ class Camera:
     """(3, 3) of its images [pixels]; None: it gives poses only."""
     size: tuple[int, int] | None = None
     """(width, height) of its images [pixels]."""
+    lens: Array = field(default_factory=lambda: np.zeros(0))
+    """k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV and ROS' CameraInfo; none: its images are rectified."""
+    depth_camera: DepthCamera = "structured_light"
+    """How it measures depth, where it does."""
     sigma_position: float = 0.005
     """Of a seen pose, from one to the next [m]."""
     sigma_rotation: float = np.deg2rad(3.0)
@@ -91,8 +100,13 @@ class Camera:
     """[rad]"""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for what is no pose or no standard deviation."""
+        """Raises InvalidInput for what is no pose, no standard deviation, no lens or no kind of depth camera."""
         se3.check(self.T_mount_camera, "T_mount_camera")
+        object.__setattr__(self, "lens", check_lens(self.lens, "lens"))
+        kinds = get_args(DepthCamera)
+        if self.depth_camera not in kinds:
+            came = f"{checks.brief(self.depth_camera)!r}{checks.among(str(self.depth_camera), kinds)}"
+            raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
         _check_sigmas(self, *(name for name in Camera.__slots__ if name.startswith("sigma")))
 
 
@@ -209,6 +223,14 @@ class Rig:
         if not isinstance(path, str | Path):
             raise InvalidInput(f"path: expected a path, got {checks.brief(path)}")
         return load(Path(path))
+
+
+def check_lens(value: ArrayLike, name: str) -> Array:
+    """A lens' numbers as an array (n,); raises InvalidInput for another count of them."""
+    lens = checks.finite(value, name, (None,))
+    if len(lens) not in LENSES:
+        raise InvalidInput(f"{name}: expected {', '.join(map(str, LENSES))} numbers, got {len(lens)}")
+    return lens
 
 
 def shared(rig: Rig) -> tuple[FieldPath, str] | None:

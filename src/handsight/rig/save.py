@@ -94,12 +94,14 @@ camera:
   pose: {pose_text(camera.T_mount_camera)}   # of its optical frame (x right, y down, z forward)
   noise: {_sigmas(camera.sigma_position, camera.sigma_rotation)}   # of a seen pose, each time anew
   constant_error: {_sigmas(camera.sigma_position_constant, camera.sigma_rotation_constant)}   # of its calibration
+  depth_camera: {camera.depth_camera}   # structured_light, time_of_flight or stereo: how it measures depth
 """
     if camera.intrinsics is None or camera.size is None:
         return lines
     sizes = (*camera.size, *camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
     intrinsics = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), sizes, strict=True))
-    return lines + _lines({"intrinsics": intrinsics})
+    lens = camera.lens if len(camera.lens) else None
+    return lines + _lines({"intrinsics": intrinsics, "lens": lens})
 
 
 def _sigmas(position: float, rotation: float) -> str:

@@ -94,10 +94,7 @@ class Hold:
 
 def body_of(vertices: Array) -> Body:
     """The hull (k, 3) [m] by its extreme vertices: a smooth one within a hundredth of its size of the whole."""
-    k = np.arange(FINE) + 0.5
-    z, turn = 1 - 2 * k / FINE, np.pi * (1 + np.sqrt(5)) * k
-    r = np.sqrt(1 - z * z)
-    directions = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    directions = se3.directions(FINE)
     kept = vertices[np.unique(np.argmax(vertices @ np.vstack([directions, np.eye(3), -np.eye(3)]).T, axis=0))]
     hull = ConvexHull(kept)
     corners = kept[hull.simplices]

@@ -54,9 +54,8 @@ class Renderer:
         color, buffer = self._pixels()
         planes = self._scene.model.vis.map  # in multiples of the scene's extent, which is 1
         # The buffer holds 1 at the near plane and 0 at the far one, even in 1 / z.
-        span = planes.zfar - planes.znear
-        z: Array = planes.znear * planes.zfar / (planes.znear + buffer.astype(np.float64) * span)
-        return color, z.astype(np.float32)
+        near, far = np.float32(planes.znear), np.float32(planes.zfar)
+        return color, near * far / (near + buffer * (far - near))
 
     def draw(
         self,

@@ -55,6 +55,7 @@ def rig_of(scenario: Scenario) -> Rig:
             T_mount_camera=BELIEVED_CAMERA,
             intrinsics=INTRINSICS,
             size=IMAGE_SIZE,
+            depth_camera=scenario.depth_camera,
             sigma_position=usual.vision_position,
             sigma_rotation=usual.vision_rotation,
             sigma_position_constant=usual.camera_height,

@@ -12,6 +12,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
+from handsight.rig.rig import DepthCamera
 
 Motion = Literal["grasp", "manipulate"]
 Phase = Literal["close", "hold", "move"]
@@ -110,6 +111,8 @@ class Scenario:
     """Observations per second; 500 must be a multiple of it."""
     images: bool = False
     """Whether the camera's images come too, 30 a second."""
+    depth_camera: DepthCamera = "structured_light"
+    """How the camera measures depth, and so what is wrong with it."""
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
 
     def __post_init__(self) -> None:
@@ -124,6 +127,9 @@ class Scenario:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
         if self.motion not in get_args(Motion):
             raise InvalidInput(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
+        if self.depth_camera not in get_args(DepthCamera):
+            kinds = ", ".join(get_args(DepthCamera))
+            raise InvalidInput(f"depth_camera: expected one of {kinds}, got {self.depth_camera!r:.80}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
         if not isinstance(self.images, bool):

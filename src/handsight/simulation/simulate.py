@@ -10,13 +10,14 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
 from handsight.observation import Observation, PoseMeasurement
-from handsight.simulation.camera import BELIEVED_CAMERA, displacement, kinect
+from handsight.simulation.camera import BELIEVED_CAMERA, displacement, spoil
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
 from handsight.simulation.world import World
+from handsight.vision.depth_noise import PRESETS
 
 VISION_PER_SECOND, IMAGES_PER_SECOND = 10.0, 30.0
 
@@ -40,6 +41,7 @@ class Sensors:
         self._T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(n, seed)
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
+        self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
         self._samples = 0
         self._angles = list(world.scene.joints.values())
         self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
@@ -60,7 +62,7 @@ class Sensors:
         if self._renderer is not None and self._due(IMAGES_PER_SECOND):
             T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
-            depth = kinect(exact, n.depth_noise, self._grain)
+            depth = spoil(exact, self._depth_noise, self._grain, int(self.scenario.seed))
         self._samples += 1
         # A load bends the tip, which the joints do not tell: it is as if they were turned the other way.
         joints = self.world.data.qpos[self._angles] + self._offsets - self._bent()

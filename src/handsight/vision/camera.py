@@ -12,9 +12,9 @@ from handsight._kernels import pinhole, raster
 from handsight._kernels.sight_records import CAMERA
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
+from handsight.rig import Camera
+from handsight.rig.rig import check_lens
 
-LENSES = (0, 4, 5, 8)
-"""How many numbers a lens may have: none, plumb_bob without and with k3, rational polynomial."""
 MOST_PIXELS = 50_000_000
 STEEPER = 1.1
 """A lens is believed so much beyond the steepest ray of the image; its polynomials may lead others back into it."""
@@ -51,11 +51,17 @@ class PinholeCamera:
         width, height = (checks.whole(n, "size", MOST_PIXELS) for n in self.size)
         if not 0 < width * height <= MOST_PIXELS:
             raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
-        lens = checks.finite(self.lens, "lens", (None,))
-        if len(lens) not in LENSES:
-            raise InvalidInput(f"lens: expected {', '.join(map(str, LENSES))} numbers, got {len(lens)}")
+        lens = check_lens(self.lens, "lens")
         for name, value in (("matrix", K), ("size", (width, height)), ("lens", lens)):
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, camera: Camera | None) -> "PinholeCamera":
+        """A rig's camera; raises InvalidInput where the rig has none, or none of which images are known."""
+        if camera is None or camera.intrinsics is None or camera.size is None:
+            came = "no camera" if camera is None else "one without"
+            raise InvalidInput(f"camera: expected one with intrinsics in the rig, got {came}")
+        return cls(camera.intrinsics, camera.size, camera.lens)
 
     @cached_property
     def _optics(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
@@ -78,6 +84,26 @@ class PinholeCamera:
     def rays(self) -> NDArray[np.float32]:
         """(h, w, 2) x/z and y/z of each pixel; NaN where the lens leads no ray."""
         return self._optics[1]
+
+    def check_depth(self, depth: ArrayLike, name: str = "depth") -> Depth:
+        """A depth image (h, w) [m] of this camera as float32; raises InvalidInput for another size or whole numbers."""
+        image, (width, height) = np.asarray(depth), self.size
+        if image.shape != (height, width):
+            raise InvalidInput(f"{name}: expected shape {(height, width)} as the camera's, got {image.shape}")
+        if image.dtype.kind != "f":
+            raise InvalidInput(f"{name}: expected metres as floats, got {image.dtype} (millimetres?)")
+        return image.astype(np.float32, copy=False)
+
+    def points(self, depth: ArrayLike) -> NDArray[np.float32]:
+        """(h, w, 3) points in the camera [m] of a depth image (h, w) [m], NaN where it has none."""
+        z = self.check_depth(depth)
+        points = np.empty((*z.shape, 3), dtype=np.float32)
+        with np.errstate(invalid="ignore"):
+            points[..., 2] = np.where((z > 0) & (z < np.inf), z, np.float32(np.nan))
+        np.multiply(self.rays, points[..., 2:], out=points[..., :2])
+        if self.lens.any():  # a pixel without a ray has no point
+            points[np.isnan(points[..., 0])] = np.nan
+        return points
 
     def project(self, points_camera: ArrayLike) -> Array:
         """(n, 2) column and row of points (n, 3) [m] in the camera; NaN where they are not seen."""

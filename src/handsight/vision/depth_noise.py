@@ -1,0 +1,152 @@
+"""What a depth camera does to a depth: noise, a bias that stays, and pixels without any."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.rig.rig import DepthCamera
+
+AXIAL = "axial"
+SIZES = ("step", "lateral", "smooth", "offset")
+SHARES = ("correlated", "edges", "dropouts")
+LARGEST = 100.0
+"""Of any number of it, in its unit; no camera is off by as much."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthNoise:
+    """A kind of depth camera's errors along its optical axis, at depth z [m]; each sigma is one standard deviation.
+
+    Noise comes anew with each image. Smooth bias and offset are constant for one camera, as its calibration left them.
+    """
+
+    axial: tuple[float, float, float]
+    """Noise of a pixel: sigma a + b z + c z² [m], rounding to steps in it."""
+    step: float = 0.0
+    """Between neighbouring depths at 1 m [m]; it grows with z², for what is rounded is disparity. 0: none."""
+    correlated: float = 0.0
+    """Share of the noise's variance, rounding aside, that neighbouring pixels have in common."""
+    correlation: float = 5.0
+    """Distance at which their correlation has fallen to 1/e [pixels]."""
+    lateral: float = 0.0
+    """By how much a pixel looks beside itself, along each axis: sigma, before it is a whole number [pixels]."""
+    smooth: float = 0.0
+    """Constant bias that changes over the image: sigma at 1 m [m]; it grows with z²."""
+    smooth_length: float = 40.0
+    """Distance at which its correlation has fallen to 1/e [pixels]."""
+    offset: float = 0.0
+    """Constant bias of the whole image: sigma [m]."""
+    edges: float = 0.0
+    """Share of the pixels without depth among those within `edge_width` of something nearer."""
+    edge_width: int = 2
+    """[pixels]"""
+    dropouts: float = 0.0
+    """Share of the pixels without depth elsewhere."""
+    nearest: float = 0.0
+    """What is nearer has no depth [m]."""
+    farthest: float = LARGEST
+    """[m]"""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for what is no size, share or range."""
+        checks.finite(self.axial, AXIAL, (3,))
+        for name in (*SIZES, *SHARES, "correlation", "smooth_length", "nearest", "farthest", "edge_width"):
+            value, most = (
+                float(checks.finite(getattr(self, name), name, ())),
+                1.0 if name in SHARES else LARGEST,
+            )
+            if not 0 <= value <= most:
+                raise InvalidInput(f"{name}: expected a number from 0 to {most:g}, got {value:g}")
+        checks.whole(self.edge_width, "edge_width", int(LARGEST))
+        if not self.nearest < self.farthest:
+            raise InvalidInput(
+                f"farthest: expected more than nearest, {self.nearest:g}, got {self.farthest:g}"
+            )
+
+    def sigma(self, z: ArrayLike) -> Array:
+        """Standard deviation of a pixel's depth z [m] from image to image, of z's shape."""
+        depth, (a, b, c) = np.asarray(z, dtype=np.float64), self.axial
+        return np.asarray(np.maximum(a + depth * (b + depth * c), 0.0))
+
+    def bias(self, z: ArrayLike) -> Array:
+        """Standard deviation of what is wrong with it in each image alike [m]: no number of images or pixels of one
+        place takes it away."""
+        return np.hypot(self.offset, self.smooth * np.square(np.asarray(z, dtype=np.float64)))
+
+    def times(self, amount: float) -> "DepthNoise":
+        """The same with errors of `amount` times the size, and as many times the pixels lost; 0: exact in its range.
+
+        Raises InvalidInput.
+        """
+        amount = float(checks.finite(amount, "amount", ()))
+        if amount < 0:
+            raise InvalidInput(f"amount: expected a number of at least 0, got {amount:g}")
+        sizes = {name: amount * getattr(self, name) for name in SIZES}
+        shares = {name: min(amount * getattr(self, name), 1.0) for name in ("edges", "dropouts")}
+        axial = (amount * self.axial[0], amount * self.axial[1], amount * self.axial[2])
+        return dataclasses.replace(self, axial=axial, **sizes, **shares)
+
+
+STRUCTURED_LIGHT = DepthNoise(
+    axial=(0.0, 0.0, 2.85e-3 * (0.35**2 + 0.25**2 + 1 / 12) ** 0.5),
+    step=2.85e-3,
+    correlated=0.35**2 / (0.35**2 + 0.25**2),
+    correlation=5.0,
+    lateral=0.5,
+    smooth=1.5e-3,
+    offset=1e-3,
+    edges=0.6,
+    dropouts=0.005,
+    nearest=0.4,
+    farthest=4.0,
+)
+"""A Kinect: disparity in eighths of a pixel, 2.85 mm at 1 m (Barron and Malik, CVPR 2013; Handa and others, ICRA 2014),
+with noise of .35 of a step over 5 pixels and .25 white. That is 1.5 mm z², as Khoshelham and Oude Elberink (Sensors
+2012) measured. Nguyen, Izadi and Lovell (3DIMPVT 2012) measured 1.2 + 1.9 (z - .4)² mm about planes fitted to the
+image, the smooth bias in it: so do both here, within a third from .65 to 1.4 m; nearer than that theirs is larger."""
+
+TIME_OF_FLIGHT = DepthNoise(
+    axial=(1.5e-3, -0.5e-3, 0.3e-3),
+    correlated=0.5,
+    correlation=3.0,
+    lateral=0.5,
+    smooth=2e-3,
+    offset=4e-3,
+    edges=0.6,
+    dropouts=0.005,
+    nearest=0.5,
+    farthest=4.5,
+)
+"""A Kinect v2: 1.5 - 0.5 z + 0.3 z² mm (Fankhauser and others, ICAR 2015, facing the camera). Its successor's distances
+are off by up to 11 mm (Tölgyessy and others, Sensors 2021); their smooth part and the edges are assumed, and light that
+comes by way of other surfaces is not in it."""
+
+STEREO = DepthNoise(
+    axial=(0.0, 0.0, 0.08 / (425 * 0.05)),
+    step=1 / 32 / (425 * 0.05),
+    correlated=0.8,
+    correlation=8.0,
+    lateral=0.5,
+    smooth=3e-3,
+    offset=1e-3,
+    edges=0.6,
+    edge_width=3,
+    dropouts=0.01,
+    nearest=0.28,
+    farthest=6.0,
+)
+"""An active stereo camera as the RealSense D435: .08 pixels of disparity, z² · .08 px / (f B), at f = 425 px and
+B = 5 cm, in steps of 1/32 pixel. How far neighbours share their noise (the window that is matched), bias and edges are
+assumed."""
+
+PRESETS: Mapping[DepthCamera, DepthNoise] = MappingProxyType(
+    {"structured_light": STRUCTURED_LIGHT, "time_of_flight": TIME_OF_FLIGHT, "stereo": STEREO}
+)
+"""By the names that a rig has for them."""

@@ -1,0 +1,94 @@
+"""Depth, colour and intrinsics from files: PNG, JPEG, and a small JSON."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from handsight import checks
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.explain import in_form
+from handsight.files import read_bytes
+from handsight.rig.rig import check_lens
+from handsight.vision import pixels
+from handsight.vision.camera import MOST_PIXELS, Depth, PinholeCamera
+from handsight.vision.pixels import MILLIMETRE, Color
+
+LARGEST_IMAGE, LARGEST_CAMERA = 200_000_000, 100_000
+"""Bytes."""
+FINEST_SCALE, COARSEST_SCALE = 1e-7, 1.0
+"""Metres that one step of a depth image can be."""
+Pixels = Annotated[float, Meta(gt=0, le=1e6)]
+Side = Annotated[int, Meta(gt=0, le=MOST_PIXELS)]
+
+
+class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
+    """What a camera's file says [pixels]."""
+
+    fx: Pixels
+    fy: Pixels
+    cx: float
+    cy: float
+    width: Side
+    height: Side
+    lens: list[float] = []
+
+    def __post_init__(self) -> None:
+        check_lens(self.lens, "lens")
+
+
+def read_camera(path: str | Path) -> PinholeCamera:
+    """The camera of a JSON file: fx, fy, cx, cy, width, height [pixels], and `lens` where images are not rectified.
+
+    `lens`: k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV. Raises InvalidFile with the file's name and the key.
+    """
+    form = in_form(read_bytes(path, LARGEST_CAMERA), CameraForm, str(path))
+    K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
+    try:
+        return PinholeCamera(K, (form.width, form.height), np.array(form.lens))
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+
+
+def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: PinholeCamera | None = None) -> Depth:
+    """Depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
+
+    `scale`: metres of a step; of a BOP scene a thousandth of its `depth_scale`. `camera`: that the image must be of the
+    size of. Raises InvalidFile for what is no such image, for one of another size or without any depth, and where the
+    median depth (below 2 cm or beyond 20 m) says that the unit is another; InvalidInput for the scale; MissingExtra.
+    """
+    unit = checks.positive(scale, "scale")
+    if not FINEST_SCALE <= unit <= COARSEST_SCALE:
+        expected = f"expected metres from {FINEST_SCALE:g} to {COARSEST_SCALE:g}"
+        raise InvalidInput(f"scale: {expected}, got {unit:g} (millimetres?)")
+    data = read_bytes(path, LARGEST_IMAGE)
+    try:
+        depth = pixels.metres(_of_size(pixels.sixteen_bits(data), camera), unit)
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+    if np.isnan(depth).all():
+        raise InvalidFile(f"{path}: expected depth, got none at any pixel")
+    return depth
+
+
+def read_color(path: str | Path, *, camera: PinholeCamera | None = None) -> Color:
+    """Red, green, blue (h, w, 3) of a PNG or JPEG; `camera`: that it must be of the size of.
+
+    Raises InvalidFile, MissingExtra.
+    """
+    data = read_bytes(path, LARGEST_IMAGE)
+    try:
+        return _of_size(pixels.color(data), camera)
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+
+
+def _of_size(image: NDArray[Any], camera: PinholeCamera | None) -> NDArray[Any]:
+    height, width = image.shape[:2]
+    if camera is not None and (width, height) != camera.size:
+        expected, across = camera.size
+        raise InvalidInput(f"expected {expected} x {across} pixels as the camera's, got {width} x {height}")
+    return image

@@ -1,0 +1,79 @@
+"""Depth and colour images as bytes and whole numbers hold them, to metres and red, green, blue."""
+
+import io
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight.checks import FARTHEST
+from handsight.errors import InvalidInput, MissingExtra
+from handsight.vision.camera import Depth
+
+Color = NDArray[np.uint8]
+
+MAX_PIXELS = 20_000_000
+"""Of a compressed image, before it is unpacked; a kilobyte may hold as many."""
+NEAREST, FARTHEST_MEDIAN = 0.02, 20.0
+"""Between them lies the median of what a depth camera sees [m]; beyond them the unit is another."""
+MILLIMETRE = 1e-3
+
+
+def metres(pixels: NDArray[Any], scale: float = MILLIMETRE) -> Depth:
+    """Depth (h, w) [m], NaN where there is none; of whole numbers, `scale` metres each and 0 for none, or of metres.
+
+    Raises InvalidInput where the median says that the unit is another.
+    """
+    whole = pixels.dtype.kind in "iu"
+    unit = scale if whole else 1.0
+    depth = pixels.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        depth[~((depth > 0) & (depth < (np.inf if whole else FARTHEST)))] = np.nan
+    sample = depth[::4, ::4]
+    known = sample[~np.isnan(sample)]
+    median = float(np.median(known)) if known.size else np.nan
+    if unit * median < NEAREST or unit * median > FARTHEST_MEDIAN:
+        guess = "another unit?" if whole or median < NEAREST else "millimetres?"
+        raise InvalidInput(f"expected depth in {_called(unit)}, got a median of {median:.4g} ({guess})")
+    return depth * np.float32(unit) if whole else depth
+
+
+def _called(unit: float) -> str:
+    names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
+    return names.get(unit, f"units of {1e3 * unit:g} mm")
+
+
+def color(data: bytes) -> Color:
+    """Red, green, blue (h, w, 3) of the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
+    return _opened(data, lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
+
+
+def sixteen_bits(data: bytes) -> NDArray[np.uint16]:
+    """The numbers (h, w) of the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
+    return _opened(data, _sixteen_bits)
+
+
+def _sixteen_bits(image: Any) -> NDArray[np.uint16]:
+    if not image.mode.startswith("I"):
+        raise InvalidInput(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
+    return np.asarray(image).astype(np.uint16)
+
+
+def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
+    try:
+        from PIL import Image
+    except ImportError:
+        raise MissingExtra("images need pillow: pip install 'handsight[vision]'") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise InvalidInput(f"expected at most {MAX_PIXELS} pixels, got {image.size}")
+                return read(image)
+    except InvalidInput:
+        raise
+    except Exception as error:  # pillow's plugins raise many kinds; each says that the bytes are no image
+        raise InvalidInput(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None

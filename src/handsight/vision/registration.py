@@ -1,0 +1,65 @@
+"""Colour where depth is: each depth pixel's colour, from a camera that stands elsewhere."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import se3
+from handsight.checks import Indices, Mask
+from handsight.errors import InvalidInput
+from handsight.vision.camera import PinholeCamera
+from handsight.vision.pixels import Color
+
+BEHIND = 0.01
+"""What lies farther behind the nearest surface there is hidden from the colour camera [m]."""
+
+
+class Registered(NamedTuple):
+    """What a depth image's pixels look like."""
+
+    color: Color
+    """(h, w, 3) red, green, blue of each depth pixel; 0 where the colour camera does not see it."""
+    seen: Mask
+    """(h, w) whether it does."""
+
+
+def register_color(
+    depth: ArrayLike,
+    camera: PinholeCamera,
+    color: Color,
+    color_camera: PinholeCamera,
+    T_color_depth: ArrayLike,
+) -> Registered:
+    """The colour of each pixel of a depth image (h, w) [m] of `camera`.
+
+    `color` (H, W, 3) of `color_camera`, which has the depth camera's frame at `T_color_depth` (4, 4). A pixel without
+    depth has no colour, nor has one that is hidden from the colour camera by what the depth image shows: its surface,
+    drawn from there, edges closed as if the near side went on to the far one. What only the colour camera sees may
+    still lend its colour to what is behind it. Raises InvalidInput for images of another size than their cameras'.
+    """
+    image, (width, height) = np.asarray(color), color_camera.size
+    if image.shape != (height, width, 3) or image.dtype != np.uint8:
+        expected = f"bytes of shape {(height, width, 3)} as its camera's"
+        raise InvalidInput(f"color: expected {expected}, got {image.dtype} of {image.shape}")
+    points = camera.points(depth)
+    known = np.isfinite(points[..., 2])
+    flat = np.nan_to_num(points.astype(np.float64)).reshape(-1, 3)
+    placed = se3.apply(se3.check(T_color_depth, "T_color_depth"), flat)
+    surface = color_camera.draw(placed, _faces(known)).depth
+    pixels = np.full((placed.shape[0], 2), np.nan)
+    pixels[known.ravel()] = color_camera.project(placed[known.ravel()])
+    columns, rows = np.rint(np.nan_to_num(pixels, nan=-1)).astype(np.int64).T
+    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    columns, rows = columns.clip(0, width - 1), rows.clip(0, height - 1)
+    seen &= placed[:, 2] < surface[rows, columns] + BEHIND
+    found = np.where(seen[:, None], image[rows, columns], np.uint8(0))
+    return Registered(found.reshape(*known.shape, 3), seen.reshape(known.shape))
+
+
+def _faces(known: Mask) -> Indices:
+    """(m, 3) triangles between neighbouring pixels (h, w) that are all known, by their places in the image."""
+    places = np.arange(known.size).reshape(known.shape)
+    a, b, c, d = places[:-1, :-1], places[:-1, 1:], places[1:, :-1], places[1:, 1:]
+    faces = np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
+    return faces[known.ravel()[faces].all(axis=1)]
