@@ -179,3 +179,11 @@ def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) ->
         rotation_from_quaternion(unit(quaternion_xyzw, "quaternion_xyzw", (4,))),
         finite(position, "position", (3,)),
     )
+
+
+def directions(n: int) -> Array:
+    """(n, 3) unit vectors, evenly around (a Fibonacci lattice)."""
+    k = np.arange(n) + 0.5
+    z, angle = 1 - 2 * k / n, np.pi * (1 + np.sqrt(5)) * k
+    r = np.sqrt(1 - z * z)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])

@@ -203,6 +203,10 @@ wall = np.full((48, 64), 0.5, dtype=np.float32)
 hand_mask(camera, wall, model.sample(3)[0], np.array([[0, 1, 2]]), T)
 camera.project([[0, 0, 1.0]])
 assert len(first_pose(model, scene_of(camera, wall, wanted=wall > 0)).looks)
+from handsight.vision import DepthTracker
+T[2, 3] = 0.5
+follower = DepthTracker(model, camera, start=T)
+follower.update(0.0, wall, hand=wall < 0, table=np.array([0, 0, -1.0, 0.6]))
 later = {key: set(found) - set(warmed.get(key, ())) for key, found in signatures().items()}
 later = {key: found for key, found in later.items() if found}
 assert not later, later

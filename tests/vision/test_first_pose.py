@@ -12,8 +12,9 @@ import handsight as hs
 from handsight import se3
 from handsight._kernels import depth_term, look_score, votes
 from handsight._kernels.sight_records import LOOK, SEEN
+from handsight.objects.symmetry import nearest
 from handsight.vision.appearance import appearance_of
-from handsight.vision.first_pose import first_pose
+from handsight.vision.first_pose import distinct, first_pose
 from handsight.vision.region import scene_of, table_plane
 from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
 
@@ -51,6 +52,12 @@ def seen(points, normals, T):
     return rows
 
 
+def looks_at(Ts):
+    looks = np.zeros(len(Ts), dtype=LOOK)
+    looks["pose"]["rotation"], looks["pose"]["position"] = Ts[:, :3, :3], Ts[:, :3, 3]
+    return looks
+
+
 def test_votes_for_a_whole_object_find_it():
     rng = np.random.default_rng(0)
     appearance, T = appearance_of(model()), se3.random(rng)
@@ -58,7 +65,7 @@ def test_votes_for_a_whole_object_find_it():
     looks = np.zeros((20, votes.PEAKS), dtype=LOOK)
     limits = np.array([model().diameter, 140])
     votes.vote(appearance.pairs, appearance.voters, seen(points, normals, T), np.arange(20), limits, looks)
-    Ts = se3.compose(looks["rotation"], looks["position"])
+    Ts = se3.compose(looks["pose"]["rotation"], looks["pose"]["position"])
     places = se3.apply(Ts.reshape(-1, 4, 4), model().points_object)
     off = np.abs(places - se3.apply(T, model().points_object)).max(axis=(1, 2)).reshape(20, votes.PEAKS)
     # As coarse as cells are; some faces are like others.
@@ -78,9 +85,9 @@ def test_points_settle_where_least_squares_puts_them(fine):
         se3.rotation_exp(np.array([0.03, -0.02, 0.04])), np.array([2e-3, -1e-3, 2e-3])
     )
     look = np.zeros(1, dtype=LOOK)
-    look["rotation"], look["position"] = start[:3, :3], start[:3, 3]
+    look["pose"]["rotation"], look["pose"]["position"] = start[:3, :3], start[:3, 3]
     depth_term.settle_all(*model().record[:2], rows, np.array([fine, bound, bound, 40]), look)
-    found = se3.compose(look["rotation"], look["position"])[0]
+    found = se3.compose(look["pose"]["rotation"], look["pose"]["position"])[0]
 
     def distances(T):
         return model().evaluate(se3.apply(se3.inverse(T), rows["point"]), fine=fine).distance
@@ -96,6 +103,80 @@ def test_points_settle_where_least_squares_puts_them(fine):
 
     best = least_squares(residuals, np.zeros(6), x_scale=1e-3, xtol=1e-12, ftol=1e-12)
     assert np.abs(best.x).max() < 2e-5
+
+
+@pytest.mark.parametrize("kind", ["letter", "box", "can", "ball"])
+def test_poses_that_go_on_are_apart_modulo_symmetry(kind):
+    """One after another, by the nearest of all equivalents."""
+    rng = np.random.default_rng(0)
+    thing = {
+        "letter": model,
+        "box": lambda: hs.ObjectModel.box((0.04, 0.06, 0.1)),
+        "can": lambda: hs.ObjectModel.cylinder(0.03, 0.1),
+        "ball": lambda: hs.ObjectModel.sphere(0.04),
+    }[kind]()
+    group, far = thing.symmetries.rotations, 0.4
+    Ts = se3.random(rng, 60, spread=0.02)
+    Ts = np.concatenate([Ts, Ts @ group[rng.integers(len(group), size=60)]])
+    looks, worth = looks_at(Ts), rng.normal(size=len(Ts))
+    centers = se3.compose(np.eye(3), thing.center_object)
+    expected = []
+    for k in np.argsort(-worth):
+        near = nearest(thing.symmetries, np.tile(Ts[k], (len(expected), 1, 1)), Ts[expected], thing.radius)
+        delta = se3.difference(near @ centers, Ts[expected] @ centers)
+        shift, turn = (np.linalg.norm(delta[:, half], axis=1) for half in (slice(3), slice(3, 6)))
+        if (np.hypot(shift, thing.radius * turn) > far * thing.diameter).all():
+            expected.append(k)
+    np.testing.assert_array_equal(distinct(thing, looks, worth, 200, far), expected)
+    np.testing.assert_array_equal(distinct(thing, looks, worth, 5, far), expected[:5])
+
+
+def test_points_are_close_by_their_distance():
+    T = se3.random(np.random.default_rng(2))
+    points, normals = model().sample(100, 4)
+    rows = seen(points + 0.004 * np.random.default_rng(3).normal(size=(100, 3)), normals, T)
+    look = looks_at(T[None])
+    depth_term.closeness(*model().record[:2], rows, np.array([0.003]), look)
+    distance = model().evaluate(se3.apply(se3.inverse(T), rows["point"])).distance
+    assert look["close"][0] == pytest.approx(np.clip(1 - (distance / 0.003) ** 2, 0, None).sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("count", [60, 2000])
+def test_what_points_say_counts_the_errors_that_they_share(count):
+    """Against the whole covariance matrix of the points' depths; of many points some stand for all."""
+    rng = np.random.default_rng(4)
+    T = se3.compose(se3.random(rng)[:3, :3], np.array([0.05, -0.02, 0.6]))
+    points, normals = model().sample(2 * count, 6)
+    facing = np.flatnonzero((se3.apply(T, points) * (normals @ T[:3, :3].T)).sum(axis=1) < 0)
+    facing = rng.permutation(facing)[:count]  # as seen points are
+    points, normals = points[facing], normals[facing]
+    rows, look, bound = (
+        seen(points + 3e-4 * rng.normal(size=points.shape), normals, T),
+        looks_at(T[None]),
+        0.006,
+    )
+    errors, told = (
+        np.array([[4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, bound]]),
+        np.empty((1, 2, 6, 6)),
+    )
+    depth_term.inform_all(*model().record[:2], rows, errors, look, told)
+    P = rows["point"]
+    values = model().evaluate(se3.apply(se3.inverse(T), P))
+    g = values.gradient @ T[:3, :3].T
+    weight = np.clip(1 - (values.distance / bound) ** 2, 0, None) ** 2
+    weight *= (g * rows["normal"]).sum(axis=1) > depth_term.AGREES
+    lever = np.c_[g, np.cross(P - se3.apply(T, model().center_object[None]), g)]
+    scale = np.repeat([1, model().radius], 3)
+    A = (lever * weight[:, None]).T @ lever / np.outer(scale, scale)
+    slopes = P[:, :2] / P[:, 2:]
+    apart2 = ((slopes[:, None] - slopes) ** 2).sum(axis=-1)
+    C = 4e-6 * np.eye(len(P)) + 2e-6 * np.exp(-apart2 / 0.01**2) + 3e-6 * np.exp(-apart2 / 0.08**2) + 1e-6
+    pulls = lever * (weight * (g * P).sum(axis=1) / P[:, 2])[:, None] / scale
+    S = pulls.T @ C @ pulls
+    told /= np.outer(scale, scale)
+    np.testing.assert_allclose(told[0, 0], A, atol=1e-3 * np.abs(A).max())
+    within = 1e-3 if count < depth_term.PAIRED else 0.15
+    np.testing.assert_allclose(told[0, 1], S, atol=within * np.abs(S).max())
 
 
 def test_of_a_convex_object_all_that_faces_a_side_is_seen():
@@ -142,12 +223,27 @@ def test_explained_pixels_are_those_of_the_silhouette():
         depth, labels = drawn(T_camera_table, [letter()], [se3.inverse(T_camera_table) @ T])
         scene = scene_of(CAMERA, np.where(np.isfinite(depth), depth, 0), wanted=labels == 0)
         look, appearance = np.zeros(1, dtype=LOOK), appearance_of(model())
-        look["rotation"], look["position"] = T[:3, :3], T[:3, 3]
+        look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
         limits = np.array([appearance.sample_area, 0.006, *model().center_object])
         image = scene.depth, scene.labels
         look_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, look)
         assert look["explained"][0] == pytest.approx((labels == 0).sum(), rel=0.15)
         assert look["passed"][0] + look["hidden"][0] < 0.1 * look["expected"][0]
+
+
+def test_nothing_is_under_the_table():
+    """Beside itself the object would be seen past, if it is above the table, and cannot be where it is below."""
+    T, depth, _, T_camera_table = picture(0, neighbours=0)
+    plane = np.append(T_camera_table[:3, 2], -T_camera_table[:3, 2] @ T_camera_table[:3, 3])
+    scene, appearance = scene_of(CAMERA, depth, wanted=depth > 0, table=plane), appearance_of(model())
+    limits = np.array([appearance.sample_area, 0.006, *model().center_object])
+    lifts = [T_camera_table[:3, :3] @ [0.08, 0.08, height] for height in (0.05, -0.12)]
+    looks = looks_at(np.stack([T] + [se3.compose(np.eye(3), lift) @ T for lift in lifts]))
+    image = scene.depth, scene.labels
+    look_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, looks)
+    share = looks["passed"] / looks["expected"]
+    assert share[0] < 0.15
+    assert share[1:].min() > 0.8
 
 
 @pytest.mark.slow
@@ -164,7 +260,7 @@ def test_an_object_beside_another_is_found_without_a_guess():
             axis=1,
         )
         right.append(off.max() < 0.1 * model().diameter)
-        assert (np.diff(found.looks["score"]) <= 0).all()
+        assert (np.diff(found.weights) <= 0).all()
     assert sum(right) >= 19
 
 

@@ -7,20 +7,22 @@ in the camera.
 
 from typing import Any
 
+import numpy as np
+
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose
-from handsight._kernels.dense6 import factor, solve
+from handsight._kernels.dense6 import factor, in_metres, solve
 from handsight._kernels.field import field_at
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.search import rotation_exp
 from handsight._kernels.simd import local
+from handsight._kernels.symmetry import pose_of, store_pose
 from handsight._kernels.vec3 import (
     Vec3,
     add,
     cross,
     dot,
     matmul,
-    matrix,
     mul,
     norm,
     scale,
@@ -33,6 +35,8 @@ AGREES = 0.3
 """The least cosine of a point's normal with the surface's."""
 LONGEST_SHIFT, LONGEST_TURN = 0.15, 0.5
 """Of one step [diameters, rad]."""
+PAIRED = 100
+"""Points whose errors are compared with each other's, for the others too."""
 DAMPING = 1e-3
 """Of a step, by the mean information: what points do not see stays."""
 
@@ -70,21 +74,18 @@ def settle(model: Any, nodes: Any, seen: Any, rung: Any, look: Any) -> None:
     """Moves a LOOK by Gauss-Newton steps to where points lie on the surface; rung: as of `settle_all`."""
     field = model.fine if rung[0] else model.coarse
     u, radius, steps = local(UNCERTAINTY), model.radius, int(rung[3])
-    R, p = matrix(look.rotation), vector(look.position)
+    R, p = pose_of(look.pose)
     for step in range(steps):
-        bound = rung[1] + (rung[2] - rung[1]) * (step / max(steps - 1, 1))
+        bound = max(rung[1] + (rung[2] - rung[1]) * (step / max(steps - 1, 1)), look.bound)
         about = add(mul(R, vector(model.center)), p)
         if not _equations((nodes, field), seen, (R, p), about, bound, u) > 0:
             break
+        in_metres(u.matrix, radius, u.matrix)
         trace = 0.0
         for i in range(6):
-            for j in range(i + 1):
-                u.matrix[i, j] *= (1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius)
             u.values[i] *= 1.0 if i < 3 else 1 / radius
             trace += u.matrix[i, i]
-        for i in range(6):
-            u.matrix[i, i] += DAMPING / 6 * trace
-        if not factor(u.matrix, 6, 1e-12 * trace, u.factor):
+        if not factor(u.matrix, 6, DAMPING / 6 * trace, u.factor):
             break
         solve(u.factor, 6, u.values, u.column)
         shift = (u.column[0], u.column[1], u.column[2])
@@ -94,17 +95,102 @@ def settle(model: Any, nodes: Any, seen: Any, rung: Any, look: Any) -> None:
         E = rotation_exp(turn)
         R, about = matmul(E, R), add(about, shift)
         p = sub(about, mul(R, vector(model.center)))
-    for i in range(3):
-        look.position[i] = p[i]
-        for j in range(3):
-            look.rotation[i, j] = R[i][j]
+    store_pose((R, p), look.pose)
 
 
 @entry
 def settle_all(model: Any, nodes: Any, seen: Any, rung: Any, looks: Any) -> None:
     """Moves LOOK (k,) to where SEEN (n,) lie on the surface.
 
-    rung: whether on the fine field, Tukey's bound at first and at last [m], steps.
+    rung: whether on the fine field, Tukey's bound at first and at last [m], steps; no bound is less than a look's own.
     """
     for k in range(len(looks)):
         settle(model[0], nodes, seen, rung, looks[k])
+
+
+@entry
+def closeness(model: Any, nodes: Any, seen: Any, within: Any, looks: Any) -> None:
+    """Fills in how many of SEEN (n,) lie on the surface of LOOK (k,), each by how near, within so far (k,) [m]."""
+    for k in range(len(looks)):
+        R, p = pose_of(looks[k].pose)
+        close = 0.0
+        for n in range(len(seen)):
+            point = tmul(R, sub(vector(seen[n].point), p))
+            ratio = field_at(nodes, model[0].fine, point)[0] / within[k]
+            close += max(1 - ratio * ratio, 0.0)
+        looks[k].close = close
+
+
+@inner
+def _pulls(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, told: tuple[Any, Any]) -> int:
+    """How many points count, and how their depths pull the object by (τ, ω).
+
+    told: `values`, the sum of pulls, `wider`, of their squares; (m, 8) slopes x/z and y/z and pull of those first.
+    """
+    nodes, field = surface
+    R, p = pose
+    u, rows = told
+    count = 0
+    u.values[:] = 0.0
+    u.wider[:] = 0.0
+    for n in range(len(seen)):
+        P = vector(seen[n].point)
+        distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
+        ratio = distance / bound
+        g, normal = mul(R, gradient), vector(seen[n].normal)
+        if not ratio * ratio < 1 or (dot(normal, g) < AGREES and normal != (0.0, 0.0, 0.0)):
+            continue
+        pull, lever = (1 - ratio * ratio) ** 2 * dot(g, P) / P[2], g + cross(sub(P, about), g)
+        for i in range(6):
+            u.values[i] += pull * lever[i]
+            for j in range(6):
+                u.wider[i, j] += pull * lever[i] * pull * lever[j]
+        if count < len(rows):
+            rows[count, 0], rows[count, 1] = P[0] / P[2], P[1] / P[2]
+            for i in range(6):
+                rows[count, 2 + i] = pull * lever[i]
+        count += 1
+    return count
+
+
+@inner
+def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
+    """The covariance of the sum of all points' pulls; what neighbours share by a few. error: as of `inform_all`."""
+    u, rows = told
+    few = min(count, len(rows))
+    pairs = count * (count - 1) / max(few * (few - 1), 1)
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = (error[0] + error[1] + error[2]) * u.wider[i, j] + error[3] * u.values[i] * u.values[
+                j
+            ]
+    for n in range(few):
+        for m in range(n):
+            du, dv = rows[n, 0] - rows[m, 0], rows[n, 1] - rows[m, 1]
+            apart = du * du + dv * dv
+            shared = pairs * (error[1] * np.exp(-apart * error[4]) + error[2] * np.exp(-apart * error[5]))
+            for i in range(6):
+                for j in range(6):
+                    out[i, j] += shared * (rows[n, 2 + i] * rows[m, 2 + j] + rows[m, 2 + i] * rows[n, 2 + j])
+
+
+@entry
+def inform_all(model: Any, nodes: Any, seen: Any, errors: Any, looks: Any, out: Any) -> None:
+    """Fills in what SEEN (n,) say of each LOOK (k,) by (δp, δθ) of the object's centre along the camera's axes.
+
+    `out` (k, 2, 6, 6): the information of independent points of a standard deviation of 1 m, by their weights, and the
+    covariance of their pulls. errors (k, 7) of depth: variances of a pixel's own noise, of what neighbours share, of a
+    smooth bias and of the whole image's [m²], one over the squared lengths of the second and the third [slopes], and
+    Tukey's least bound [m].
+    """
+    u, rows = local(UNCERTAINTY), np.empty((PAIRED, 8))
+    for k in range(len(looks)):
+        pose, bound = pose_of(looks[k].pose), max(errors[k, 6], looks[k].bound)
+        about = add(mul(pose[0], vector(model[0].center)), pose[1])
+        surface = nodes, model[0].fine
+        looks[k].weight = _equations(surface, seen, pose, about, bound, u)
+        for i in range(6):
+            for j in range(6):
+                out[k, 0, i, j] = u.matrix[max(i, j), min(i, j)]
+        count = _pulls(surface, seen, pose, about, bound, (u, rows))
+        _spread((u, rows), count, errors[k], out[k, 1])

@@ -11,7 +11,8 @@ import numpy as np
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.field import field_at
 from handsight._kernels.pinhole import project
-from handsight._kernels.vec3 import add, dot, matrix, mul, norm, scale, tmul, vector
+from handsight._kernels.symmetry import pose_of
+from handsight._kernels.vec3 import add, dot, mul, norm, scale, tmul, vector
 
 FACING = 0.12
 """Least cosine between a sample's normal and the way to the camera for it to be seen."""
@@ -23,8 +24,8 @@ UNKNOWN = 0.5
 """What a pixel without depth counts for that the object would fill."""
 LEAST_EXPECTED = 30.0
 """[pixels]"""
-HAND, OUT = -2, -1
-"""Labels of pixels that are the hand's, and that are of no part that is looked at."""
+TABLE, HAND, OUT = -3, -2, -1
+"""Labels of pixels that are the table's, the hand's, and of no part that is looked at."""
 
 
 @entry
@@ -77,10 +78,10 @@ def _add(
     if off < -bound and label == HAND:
         return
     look.expected += pixels
-    if off < -bound:
-        look.hidden += pixels
-    elif off > bound:
+    if off > bound or (off < -bound and label == TABLE):  # nothing is under the table
         look.passed += pixels
+    elif off < -bound:
+        look.hidden += pixels
     elif label >= 0:
         worth = pixels * (1 - (off / bound) ** 2)
         look.explained += worth
@@ -107,20 +108,20 @@ def _score(sizes: Any, explained: Any, look: Any) -> None:
 def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, looks: Any) -> None:
     """Fills in the score of LOOK (k,), and what it is made of.
 
-    image: depth (h, w) [m] and labels (h, w) of parts, `HAND` or `OUT`. sides: samples and normals (2, m, 3),
-    directions (d, 3), visible (d, m). sizes: pixels of each part (p,). limits: area of a sample [m²], bound of what
-    is explained [m], the object's centre (3).
+    image: depth (h, w) [m] and labels (h, w) of parts, `TABLE`, `HAND` or `OUT`. sides: samples and normals (2, m, 3),
+    directions (d, 3), visible (d, m). sizes: pixels of each part (p,). limits: area of a sample [m²], least bound of
+    what is explained [m], the object's centre (3).
     """
     samples, directions, visible = sides
     height, width = image[0].shape
     explained, center = np.empty(len(sizes)), (limits[2], limits[3], limits[4])
     density = limits[0] * camera[0].fx * camera[0].fy
     for k in range(len(looks)):
-        look, R = looks[k], matrix(looks[k].rotation)
-        p = vector(look.position)
+        look = looks[k]
+        R, p = pose_of(look.pose)
         middle = add(mul(R, center), p)
         side = _nearest(directions, scale(tmul(R, middle), -1 / max(norm(middle), 1e-9)))
-        explained[:] = 0.0
+        explained[:], bound = 0.0, max(limits[1], look.bound)
         look.expected = look.explained = look.passed = look.hidden = look.rms = 0.0
         for m in range(samples.shape[1]):
             if visible[side, m]:
@@ -129,5 +130,5 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, look
                 cosine = -dot(mul(R, vector(samples[1, m])), P) / norm(P)
                 if cosine > 0 and -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
                     sample = u, v, P[2], density * cosine / (P[2] * P[2])
-                    _add(image, sample, limits[1], look, explained)
+                    _add(image, sample, bound, look, explained)
         _score(sizes, explained, look)

@@ -12,16 +12,17 @@ MOST_ROTATIONS = 121
 """Elements of the largest discrete symmetry group that kernels know."""
 
 
-def _record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
+def record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
+    """A structured type, aligned as compiled code has it."""
     return np.dtype(list(fields), align=True)
 
 
-POSE = _record(("rotation", "f8", (3, 3)), ("position", "f8", (3,)))
+POSE = record(("rotation", "f8", (3, 3)), ("position", "f8", (3,)))
 
 # Kinds of field. An exact one has its half sizes (box), radius and half height (cylinder) or radius (sphere) in
 # `origin`, and no nodes. A sheet is a grid around a surface that has no inside: its signs are sides.
 GRID, BOX, CYLINDER, SPHERE, SHEET = 0, 1, 2, 3, 4
-FIELD = _record(
+FIELD = record(
     ("kind", "i8"),
     ("origin", "f8", (3,)),
     ("cell", "f8"),
@@ -36,7 +37,7 @@ FIELD = _record(
 
 # What of the symmetries kernels know: none, finitely many, an axis through the origin (and finitely many).
 NO_SYMMETRY, DISCRETE, AXIS, OTHER_SYMMETRY = 0, 1, 2, 3
-SYMMETRY = _record(
+SYMMETRY = record(
     ("kind", "i8"),
     ("axes", "i8"),  # how many continuous axes
     ("pivot", "f8", (3,)),  # a point that all of them go through
@@ -46,7 +47,7 @@ SYMMETRY = _record(
 )
 
 # How far the fine field is off the surface, place by place: four variances at each node of a grid.
-FIELD_ERROR = _record(
+FIELD_ERROR = record(
     ("least_distance", "f8"),
     ("least_normal", "f8"),
     ("inverse_cell", "f8"),  # 0: the same everywhere
@@ -56,7 +57,7 @@ FIELD_ERROR = _record(
 )
 
 # One object. Its grids' nodes are an array of their own, float32.
-MODEL = _record(
+MODEL = record(
     ("coarse", FIELD),
     ("fine", FIELD),
     ("radius", "f8"),
@@ -74,7 +75,7 @@ MODEL = _record(
     ("scan", "f4", (7, SAMPLES)),  # squared length, point, normal
 )
 
-CONTACT = _record(
+CONTACT = record(
     ("point", "f8", (3,)),
     ("normal", "f8", (3,)),
     ("has_normal", "i8"),
@@ -83,10 +84,10 @@ CONTACT = _record(
     ("covariance", "f8", (6, 6)),  # of (point, normal)
     ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
 )
-PRIOR = _record(("pose", POSE), ("covariance", "f8", (6, 6)))
+PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
 # What cannot be inside the object: a point of the hand, those of one link in a row; or a plane and all behind it,
 # `point` any of its points.
-OUTSIDE = _record(
+OUTSIDE = record(
     ("point", "f8", (3,)),
     ("sigma", "f8"),
     ("is_plane", "i8"),
@@ -98,7 +99,7 @@ OUTSIDE = _record(
 )
 
 # What a correction works out of a contact.
-TERM = _record(
+TERM = record(
     ("contact", CONTACT),
     ("variance_point", "f8"),  # mean, per axis
     ("variance_normal", "f8"),  # mean, per tangent axis
@@ -110,7 +111,7 @@ TERM = _record(
 
 # A prior as evidence about an object so symmetric: vision's, or the weak one on the position that blind answers take.
 NO_PRIOR, VISION_PRIOR, WEAK_PRIOR = 0, 1, 2
-PRIOR_TERM = _record(
+PRIOR_TERM = record(
     ("kind", "i8"),
     ("has_axis", "i8"),
     ("pivot_object", "f8", (3,)),
@@ -121,7 +122,7 @@ PRIOR_TERM = _record(
 )
 
 # One descent among many: where it is, and how it ended.
-DESCENT = _record(
+DESCENT = record(
     ("pose", POSE),
     ("set", "i8"),  # of contacts that count for it
     ("cost", "f8"),  # squared residuals
@@ -132,7 +133,7 @@ DESCENT = _record(
     ("gain", "f8"),  # the most that χ² falls, to first order, when one contact is left out
 )
 
-ANSWER = _record(
+ANSWER = record(
     ("pose", POSE),
     ("T_palm_object", "f8", (4, 4)),
     ("information", "f8", (6, 6)),
@@ -157,20 +158,20 @@ ANSWER = _record(
 
 # One problem of a batch and its answer: the prior, the contacts (from `first` on, before `last`), and, if `follows`, a
 # pose near by that was right.
-PROBLEM = _record(
+PROBLEM = record(
     ("prior", PRIOR), ("first", "i8"), ("last", "i8"), ("follows", "i8"), ("start", POSE), ("answer", ANSWER)
 )
 
 # Room for the nodes that a spline reads, z fastest.
-NODES = _record(("values", "f4", (64,)))
+NODES = record(("values", "f4", (64,)))
 
 # Room for a descent: normal equations, and what is solved with them.
-WORKSPACE = _record(
+WORKSPACE = record(
     ("now", "f8", (7, 8)), ("next", "f8", (7, 8)), ("factor", "f8", (6, 6)), ("step", "f8", (6,))
 )
 
 # Room for what is worked out of a pose's uncertainty.
-UNCERTAINTY = _record(
+UNCERTAINTY = record(
     ("by_touch", "f8", (6, 6)),
     ("equations", "f8", (7, 8)),
     ("matrix", "f8", (6, 6)),
@@ -184,7 +185,7 @@ UNCERTAINTY = _record(
 )
 
 # Along what a mode is integrated: columns of (s, radius θ), straight along the object.
-SLIDE = _record(
+SLIDE = record(
     ("count", "i8"),  # of directions along, of those across
     ("count_across", "i8"),
     ("along", "f8", (6, 3)),
@@ -197,7 +198,7 @@ SLIDE = _record(
     ("level", "f8"),  # below which places are therefore alike
 )
 # Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
-SUMS = _record(
+SUMS = record(
     ("best", "f8"),  # largest log weight yet
     ("total", "f8"),
     ("first", "f8", (6,)),
@@ -205,10 +206,10 @@ SUMS = _record(
     ("within", "f8", (6, 6)),
 )
 # One of them: where on the lattice, and the coordinates across.
-PLACE = _record(("index", "i8", (3,)), ("aside", "f8", (6,)))
+PLACE = record(("index", "i8", (3,)), ("aside", "f8", (6,)))
 
 # A joint on the way from a base to a body: its axis and a point on it, in the base, when all joints are at their zero.
-CHAIN_JOINT = _record(
+CHAIN_JOINT = record(
     ("axis", "f8", (3,)),
     ("point", "f8", (3,)),
     ("zero", "f8"),  # its position there

@@ -1,14 +1,9 @@
 """The fixed-size values of sight, as NumPy structured types. All SI, pixels where said."""
 
-import numpy as np
-
-
-def _record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
-    return np.dtype(list(fields), align=True)
-
+from handsight._kernels.records import POSE, record
 
 # A camera: pixels from rays, pixel centres at whole numbers.
-CAMERA = _record(
+CAMERA = record(
     ("fx", "f8"),
     ("fy", "f8"),
     ("cx", "f8"),
@@ -18,22 +13,42 @@ CAMERA = _record(
 )
 
 # A point of a depth image.
-SEEN = _record(
+SEEN = record(
     ("point", "f8", (3,)),  # in the camera
     ("normal", "f8", (3,)),  # towards it; zero: none
     ("part", "i8"),  # of the image's connected parts
 )
 
 # Where an object is thought to be in the camera, and what the image says of it; pixels are areas.
-LOOK = _record(
-    ("rotation", "f8", (3, 3)),
-    ("position", "f8", (3,)),
+LOOK = record(
+    ("pose", POSE),
     ("votes", "f8"),
     ("score", "f8"),
+    ("bound", "f8"),  # what it explains lies within this [m]
+    ("close", "f8"),  # pixels of points that lie on its surface, each by how near
+    ("weight", "f8"),  # of the points that say how certain it is
     ("expected", "f8"),  # pixels that the object would fill, not behind the hand
     ("explained", "f8"),
-    ("passed", "f8"),  # where the camera sees past it
+    ("passed", "f8"),  # where the camera sees past it, or the table before it
     ("hidden", "f8"),  # by what is not the hand
     ("unexplained", "f8"),  # of the parts that it lies on
     ("rms", "f8"),  # of the explained ones' distances [m]
+)
+
+# A node of a volume that depth images are fused into.
+VOXEL = record(
+    ("sum", "f4"),  # of weighted distances to the surface, along the rays, positive before it
+    ("weight", "f4"),
+    ("views", "f4"),  # how many had the surface near by
+    ("passed", "f4"),  # how many looked through
+)
+
+# Where in a depth image an object that is followed is looked for.
+WINDOW = record(
+    ("rows", "i8", (2,)),  # the first, and past the last
+    ("columns", "i8", (2,)),
+    ("step", "i8"),  # between pixels that are looked at
+    ("within", "f8"),  # of the surface [m]
+    ("plane", "f8", (4,)),  # n·P + offset = 0, n towards the camera
+    ("plane_within", "f8"),  # [m]
 )

@@ -4,8 +4,20 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels import depth_image, depth_term, look_score, pinhole, raster, votes
-from handsight._kernels.sight_records import CAMERA, LOOK, SEEN
+from handsight._kernels import (
+    apart,
+    depth_image,
+    depth_term,
+    hand_scan,
+    hand_term,
+    look_score,
+    near_points,
+    pinhole,
+    raster,
+    volume,
+    votes,
+)
+from handsight._kernels.sight_records import CAMERA, LOOK, SEEN, VOXEL, WINDOW
 
 
 def warm(model: Any, nodes: Any) -> None:
@@ -36,5 +48,28 @@ def warm(model: Any, nodes: Any) -> None:
     visible = sides[2]
     look_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
     depth_term.settle_all(model, nodes, seen, np.array([1, 0.01, 0.01, 2]), looks)
+    depth_term.closeness(model, nodes, seen, np.full(4, 0.01), looks)
+    depth_term.inform_all(model, nodes, seen, np.ones((4, 7)), looks, np.empty((4, 2, 6, 6)))
+    group, order = (np.eye(4)[None], np.zeros((0, 3))), np.arange(4)
+    apart.apart(group, np.ones(5), looks, order, np.empty(4, dtype=np.int64))
     limits = np.array([1e-4, 0.006, 0, 0, 0])
     look_score.score_all(camera, (depth, labels), sides, np.ones(1), limits, looks)
+    volume.fuse(camera, depth, np.ones((3, 4)), 0.01, np.zeros((2, 2, 2), dtype=VOXEL))
+    window, image = np.zeros(1, dtype=WINDOW), (rays, depth, labels)
+    window["step"] = 1
+    near_points.leave_out_plane(image, window)
+    near_points.near_points((model, nodes), image, window, looks[:1], seen)
+    _warm_hand(camera, rays, depth)
+
+
+def _warm_hand(camera: Any, rays: Any, depth: Any) -> None:
+    """Each kernel of the seen hand, with one of three points."""
+    cells, corner = np.empty((8, 8, 4), dtype=np.float32), np.array([-0.5, -0.5, 0.125])
+    hand_scan.cells_of(camera, rays, depth, corner, cells)
+    hand, looks = np.ones((2, 3, 3)), np.zeros(2, dtype=LOOK)
+    found = np.empty((1, 1, 2))
+    hand_scan.scan(cells, np.append(corner, 0.01), hand, np.ones((1, 3)), np.eye(3)[None], found)
+    image = depth, rays, cells, corner
+    hand_term.settle_all(camera, image, hand, np.ones(3), np.array([0.02, 0.01, 2, 0.1]), looks)
+    hand_term.judge_all(camera, image, hand, np.array([1e-4, 0.01]), looks)
+    hand_term.rows_of(camera, image, hand, looks["pose"][:1].copy(), 0.01, np.empty((3, 8)))

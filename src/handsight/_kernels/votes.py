@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import entry, inner
+from handsight._kernels.search import rotation_exp
+from handsight._kernels.symmetry import store_pose
 from handsight._kernels.vec3 import (
     Mat33,
     Vec3,
@@ -124,13 +126,9 @@ def vote(table: Any, model: Any, seen: Any, references: Any, limits: Any, looks:
             look = looks[n, peak]
             look.votes = votes[best_i, best_s]
             angle = 2 * np.pi * (best_s + 0.5) / SPINS
-            c, s = np.cos(angle), np.sin(angle)
-            spun = matmul(back, ((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)))
+            spun = matmul(back, rotation_exp((angle, 0.0, 0.0)))
             R = matmul(spun, about_normal(vector(normals[best_i])))
             p = sub(vector(reference.point), mul(R, vector(points[best_i])))
-            for a in range(3):
-                look.position[a] = p[a]
-                for b in range(3):
-                    look.rotation[a, b] = R[a][b]
+            store_pose((R, p), look.pose)
             for s in range(SPINS):
                 votes[best_i, s] = 0.0

@@ -51,13 +51,34 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     geometry = compute()
     try:
         write(path, name, msgspec.msgpack.encode(geometry, enc_hook=_packed))
-        _forget_oldest(path.parent)
+        _forget_oldest(path.parent, "field-*")
     except OSError as error:
-        if str(path.parent) not in _warned:
-            _warned.add(str(path.parent))
-            why = f"distance fields cannot be cached there ({error.strerror or error}); each run builds them"
-            warnings.warn(f"{path.parent}: {why}", ObjectWarning, stacklevel=2)
+        _tell(path.parent, f"distance fields cannot be cached there ({error.strerror or error})")
     return geometry
+
+
+def remembered_bits(
+    name: str, shape: tuple[int, int], compute: Callable[[], NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """As `remembered`, of a mask of that shape."""
+    path = cache_folder() / f"bits-{name}"
+    with contextlib.suppress(Exception):
+        packed = np.frombuffer(read(path, name), dtype=np.uint8)
+        if len(packed) == -(-shape[0] * shape[1] // 8):
+            return np.unpackbits(packed, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
+    bits = compute()
+    try:
+        write(path, name, np.packbits(bits).tobytes())
+        _forget_oldest(path.parent, "bits-*")
+    except OSError as error:
+        _tell(path.parent, f"what objects look like cannot be cached there ({error.strerror or error})")
+    return bits
+
+
+def _tell(folder: Path, why: str) -> None:
+    if str(folder) not in _warned:
+        _warned.add(str(folder))
+        warnings.warn(f"{folder}: {why}; each run builds them", ObjectWarning, stacklevel=3)
 
 
 def _packed(array: NDArray[Any]) -> msgspec.msgpack.Ext:
@@ -142,8 +163,8 @@ def _numbers_fit(geometry: Geometry) -> bool:
     )
 
 
-def _forget_oldest(folder: Path) -> None:
+def _forget_oldest(folder: Path, kind: str) -> None:
     """Other processes may do the same at the same time."""
     with contextlib.suppress(OSError):
-        for old in sorted(folder.glob("field-*"), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
+        for old in sorted(folder.glob(kind), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
             old.unlink()

@@ -184,6 +184,12 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
     return cloud_geometry(points, normals)
 
 
+def _with_told(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
+    from handsight.objects.scans.told import with_told
+
+    return with_told(geometry, points, sigmas)
+
+
 def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
     shape = shape_of(file, data)
     with np.errstate(over="ignore"):  # told below
@@ -191,6 +197,8 @@ def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
     try:
         if shape.faces is None:
             geometry = _of_points(*_checked_points(points, shape.normals))
+            if shape.sigmas is not None:
+                geometry = _with_told(geometry, points, scale * shape.sigmas)
         else:
             geometry = _of_mesh(_checked_mesh(points, shape.faces))
     except (InvalidObject, InvalidInput) as error:

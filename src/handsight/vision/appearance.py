@@ -6,9 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight import se3
 from handsight._kernels import look_score, votes
 from handsight.checks import Array
-from handsight.objects import ObjectModel
+from handsight.objects import ObjectModel, cache
 
 SAMPLES = 600
 """Surface points by which a pose is judged; the model's own 256 vote."""
@@ -31,9 +32,9 @@ class Appearance:
     """That each sample stands for [m²]."""
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
 def appearance_of(model: ObjectModel) -> Appearance:
-    """The appearance of an object, kept for the next time."""
+    """The appearance of an object; what takes long is kept on disk beside its fields."""
     points, normals = model.points_object, model.normals_object
     cells, spins = np.empty((len(points),) * 2, dtype=np.int64), np.empty((len(points),) * 2)
     votes.pairs_of(points, normals, model.diameter, cells, spins)
@@ -42,15 +43,18 @@ def appearance_of(model: ObjectModel) -> Appearance:
     starts = np.searchsorted(cells.reshape(-1)[order], np.arange(votes.CELLS + 1))
     pairs = starts, (order // len(points)).astype(np.int32), spins.reshape(-1)[order]
     places, facing = model.sample(SAMPLES)
-    directions = _around(DIRECTIONS)
-    visible = np.empty((DIRECTIONS, SAMPLES), dtype=np.bool_)
-    look_score.visible_sets(*model.record[:2], places, facing, directions, visible)
+    directions = se3.directions(DIRECTIONS)
+    surface = model.surface
+    # Sheets and exact fields differ where vertices and faces do not.
+    name = cache.key(
+        f"visible 1 {type(model.fine).__name__}", places, facing, surface.vertices, surface.faces
+    )
+
+    def visible_sets() -> NDArray[np.bool_]:
+        visible = np.empty((DIRECTIONS, SAMPLES), dtype=np.bool_)
+        look_score.visible_sets(*model.record[:2], places, facing, directions, visible)
+        return visible
+
+    visible = cache.remembered_bits(name, (DIRECTIONS, SAMPLES), visible_sets)
     sides = np.stack([places, facing]), directions, visible
     return Appearance(pairs, np.stack([points, normals]), sides, model.area / SAMPLES)
-
-
-def _around(n: int) -> Array:
-    """(n, 3) unit vectors, evenly around (a Fibonacci lattice)."""
-    k = np.arange(n) + 0.5
-    z, angle = 1 - 2 * k / n, np.pi * (1 + 5**0.5) * k
-    return np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)

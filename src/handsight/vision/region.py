@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import depth_image
-from handsight._kernels.look_score import HAND, OUT
+from handsight._kernels.look_score import HAND, OUT, TABLE
 from handsight._kernels.sight_records import SEEN
 from handsight.checks import Array, Mask
 from handsight.vision.camera import Depth, PinholeCamera
@@ -26,7 +26,7 @@ class Scene:
     depth: Depth
     """(h, w) [m]; 0 where there is none."""
     labels: NDArray[np.int32]
-    """(h, w) number of the connected part, `HAND`, or `OUT`."""
+    """(h, w) number of the connected part, `TABLE`, `HAND`, or `OUT`."""
     sizes: Array
     """(p,) pixels of each part."""
 
@@ -44,12 +44,15 @@ def scene_of(
         height = known * (camera.rays[..., 0] * n[0] + camera.rays[..., 1] * n[1] + n[2]) + np.float32(
             table[3]
         )
-        here = here & (height > TABLE_WITHIN * np.maximum(known * known, 1))
+        within = TABLE_WITHIN * np.maximum(known * known, 1)
+        here, on_table = here & (height > within), (known > 0) & (np.abs(height) <= within)
     labels = np.empty(known.shape, dtype=np.int32)
     count = depth_image.label_parts(known, here, labels)
     sizes = np.bincount(labels[labels >= 0], minlength=max(count, 1))
     numbers = np.where(sizes >= LEAST_PART, np.cumsum(sizes >= LEAST_PART) - 1, OUT)
     labels = np.where(labels >= 0, numbers[labels], OUT).astype(np.int32)
+    if table is not None:
+        labels[on_table] = TABLE
     if hand is not None:
         labels[hand] = HAND
     return Scene(camera, known, labels, sizes[sizes >= LEAST_PART].astype(np.float64))

@@ -79,6 +79,17 @@ def ply_shape(data: bytes) -> tuple[Array, Array | None, Indices | None]:
     return points, _three(tables["vertex"], ("nx", "ny", "nz")), None
 
 
+def ply_sigmas(data: bytes) -> Array | None:
+    """(k,) what a cloud says its points may be off by, in a property `sigma`, or None; raises BadText."""
+    order, elements, at = _header(data)
+    if [each.name for each in elements[:1]] != ["vertex"] or any(each.name == "face" for each in elements):
+        return None
+    if not elements[0].rows or "sigma" not in {each.name for each in elements[0].properties}:
+        return None
+    column = (_Binary(data, at, order) if order else _Words(data[at:])).table(elements[0])["sigma"]
+    return None if column.counts is not None else np.asarray(column.values, dtype=np.float64)
+
+
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
     """Order of bytes (empty: words), elements, and where the header ends."""
     order, elements = None, list[_Element]()

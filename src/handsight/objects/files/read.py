@@ -17,7 +17,7 @@ from handsight.checks import Array, Indices
 from handsight.errors import InvalidFile
 from handsight.files import read_bytes
 from handsight.objects.files.pcd import pcd_columns
-from handsight.objects.files.ply import ply_shape
+from handsight.objects.files.ply import ply_shape, ply_sigmas
 from handsight.objects.files.text import BadText, number_rows, obj_shape, off_shape, stl_shape
 
 LARGEST_FILE = 500_000_000
@@ -36,6 +36,8 @@ class Shape:
     normals: Array | None = None
     """(k, 3) of a cloud, of any length; None: not in the file."""
     remarks: tuple[str, ...] = ()
+    sigmas: Array | None = None
+    """(k,) how far a cloud's points may be off, together with their neighbours; None: the file does not say."""
 
 
 def read_shape(path: str | os.PathLike[str]) -> Shape:
@@ -73,11 +75,14 @@ def _finite_rows(shape: Shape) -> Shape:
     good = np.isfinite(shape.vertices).all(axis=1)
     if shape.normals is not None:
         good &= np.isfinite(shape.normals).all(axis=1) & (shape.normals != 0).any(axis=1)
+    if shape.sigmas is not None:
+        good &= np.isfinite(shape.sigmas) & (shape.sigmas >= 0)
     if good.all():
         return shape
     remark = f"{int((~good).sum())} points that are not finite, or have no normal, were dropped"
     normals = None if shape.normals is None else shape.normals[good]
-    return Shape(shape.vertices[good], None, normals, (*shape.remarks, remark))
+    sigmas = None if shape.sigmas is None else shape.sigmas[good]
+    return Shape(shape.vertices[good], None, normals, (*shape.remarks, remark), sigmas)
 
 
 def _stl(data: bytes) -> Shape:
@@ -94,7 +99,7 @@ def _stl(data: bytes) -> Shape:
 
 def _ply(data: bytes) -> Shape:
     vertices, normals, faces = ply_shape(data)
-    return Shape(vertices, faces, normals)
+    return Shape(vertices, faces, normals, sigmas=ply_sigmas(data))
 
 
 def _off(data: bytes) -> Shape:

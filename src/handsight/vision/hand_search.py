@@ -1,0 +1,148 @@
+"""Where in a depth image a hand may be, given a belief that is off: turns and shifts, tried in steps."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import se3
+from handsight._kernels import hand_scan
+from handsight._kernels.sight_records import LOOK
+from handsight.checks import Array, Indices, Mask
+from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.hand_look import PlacedHand
+
+CELL, MOST_CELLS = 0.005, 160
+"""Of the image as the search has it, at the hand [m]; how many there are to a side at most."""
+SHIFT, LAYER, TURN = 0.025, 0.10, float(np.deg2rad(12))
+"""Between poses that are tried: across and along the way to the camera [m], and turns [rad]."""
+WITHIN = 2.6
+"""Sigmas of the belief that are searched."""
+BIN = 0.010
+"""Distances that are told apart there [m]."""
+SCANNED, AROUND, KEPT, LOOKED_AT = 80, 48, 40, (300, 30)
+"""Points in the search; poses that are looked around of; that go on; how many of all, and around each, are compared."""
+COMPARED = 8
+"""Points of the hand by which poses are told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A depth image as the kernels take it, with the cells around where the hand may be."""
+
+    camera: PinholeCamera
+    depth: Depth
+    cells: NDArray[np.float32]
+    corner: Array
+
+    @property
+    def arrays(self) -> tuple[Depth, NDArray[np.float32], NDArray[np.float32], Array]:
+        return self.depth, self.camera.rays, self.cells, self.corner
+
+
+def picture_of(
+    camera: PinholeCamera, depth: Depth, hand: PlacedHand, T: Array, sigma: float
+) -> Picture | None:
+    """None where the hand cannot be in the image."""
+    middle, reach = se3.apply(T, hand.middle[None])[0], WITHIN * sigma + hand.radius
+    nearest = max(middle[2] - reach, 0.1)
+    if not middle[2] > -reach:
+        return None
+    known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    far = max(middle[2], 0.1)
+    size, half = CELL / far, reach / max(nearest, 0.5 * far)
+    count = min(int(2 * half / size) + 1, MOST_CELLS)
+    size = 2 * half / count
+    corner = np.array([middle[0] / far - half, middle[1] / far - half, size])
+    cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
+    hand_scan.cells_of(camera.record, camera.rays, known, corner, cells)
+    return Picture(camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
+
+
+def searched(
+    picture: Picture, hand: PlacedHand, T: Array, sigmas: tuple[float, float], there: Mask
+) -> NDArray[np.void]:
+    """LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around them."""
+    rows = np.flatnonzero(there)
+    looks = _tried(
+        picture,
+        hand,
+        rows[:SCANNED],
+        T,
+        (_turns(WITHIN * sigmas[1]), _shifts(WITHIN * sigmas[0])),
+        (BIN, LOOKED_AT[0]),
+    )
+    looks = distinct(hand, looks, SHIFT, AROUND)
+    finer = _turns(TURN / 2, TURN / 2), np.zeros((1, 3))
+    around = [
+        _tried(picture, hand, rows[: 2 * SCANNED], near, finer, (BIN / 2, LOOKED_AT[1]))
+        for near in poses_of(looks)
+    ]
+    return distinct(hand, np.concatenate([looks[:0], *around]), SHIFT / 2, KEPT)
+
+
+def _tried(
+    picture: Picture,
+    hand: PlacedHand,
+    rows: Indices,
+    T: Array,
+    steps: tuple[Array, Array],
+    fine: tuple[float, int],
+) -> NDArray[np.void]:
+    """LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points `rows`."""
+    rotations = steps[0] @ T[:3, :3]
+    middles = se3.apply(T, hand.middle[None])[0] + steps[1]
+    points = np.stack([hand.skin[0, rows] - hand.middle, hand.skin[1, rows]])
+    found = np.empty((len(rotations), len(middles), 2))
+    corner = np.append(picture.corner, fine[0])
+    hand_scan.scan(picture.cells, corner, points, middles, rotations, found)
+    scores = found[..., 0].reshape(-1)
+    best = np.argpartition(-scores, min(fine[1], len(scores) - 1))[: fine[1]]
+    best = best[np.isfinite(scores[best])]
+    r, s = np.divmod(best, len(middles))
+    looks = np.zeros(len(best), dtype=LOOK)
+    looks["score"], looks["pose"]["rotation"] = scores[best], rotations[r]
+    c = middles[s] * (1 + found[r, s, 1] / middles[s, 2])[:, None]
+    looks["pose"]["position"] = c - rotations[r] @ hand.middle
+    return looks
+
+
+@lru_cache(maxsize=16)
+def _turns(reach: float, step: float = TURN) -> Array:
+    """(r, 3, 3) turns so far apart, up to `reach`; none but 0 where that is less than half a step."""
+    count = max(int(np.ceil(reach / step - 0.5)), 0)
+    steps = step * np.arange(-count, count + 1)
+    turns = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.linalg.norm(turns, axis=1) <= reach + 0.8 * step
+    return np.stack([se3.rotation_exp(turn) for turn in turns[inside]])
+
+
+def _shifts(reach: float, step: float = SHIFT) -> Array:
+    """(s, 3) shifts, so close together across the way to the camera, in layers along it."""
+    count, layers = (max(int(np.ceil(reach / each - 0.5)), 0) for each in (step, LAYER))
+    across, along = step * np.arange(-count, count + 1), LAYER * np.arange(-layers, layers + 1)
+    shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.linalg.norm(shifts[:, :2], axis=1) <= reach + step / 2
+    return np.asarray(shifts[inside & (np.linalg.norm(shifts, axis=1) <= reach + LAYER / 2)])
+
+
+def poses_of(looks: NDArray[np.void]) -> Array:
+    return se3.compose(looks["pose"]["rotation"], looks["pose"]["position"])
+
+
+def distinct(hand: PlacedHand, looks: NDArray[np.void], apart: float, most: int) -> NDArray[np.void]:
+    """The best first, each at least so far [m] from all better ones, by its points' root mean square."""
+    looks = looks[np.argsort(-looks["score"], kind="stable")]
+    places = se3.apply(poses_of(looks), hand.skin[0, :COMPARED]).reshape(len(looks), 3 * COMPARED)
+    taken = np.zeros(len(looks), dtype=bool)
+    kept = list[int]()
+    for k in range(len(looks)):
+        if taken[k]:
+            continue
+        kept.append(k)
+        if len(kept) == most:
+            break
+        away = places - places[k]
+        taken |= np.einsum("ki,ki->k", away, away) < COMPARED * apart**2
+    return looks[kept]

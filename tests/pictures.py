@@ -1,0 +1,88 @@
+"""Folders of drawn depth images, as a user or the BOP benchmark lays them out."""
+
+import json
+
+import numpy as np
+from PIL import Image
+
+import handsight as hs
+from handsight import se3
+from handsight.objects.files.read import Shape
+from handsight.objects.files.write import ply_bytes
+from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
+
+K = CAMERA.matrix
+INTRINSICS = {
+    "fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2],
+    "width": CAMERA.size[0], "height": CAMERA.size[1],
+}  # fmt: skip
+"""As a camera's file has them."""
+
+
+def picture(seed, *, empty=False, shape=letter):
+    """Depth (h, w) [m] of a letter, or another shape, on a table, or of the table alone, and T_camera_object (4, 4)."""
+    rng = np.random.default_rng([seed, 11])
+    T, Ts = looking(rng, 0.45), on_table(rng, [shape()])
+    depth, _ = drawn(T, [] if empty else [shape()], Ts[:0] if empty else Ts)
+    return noisy(depth, rng), T @ Ts[0]
+
+
+def brick():
+    """Vertices and faces of another object that stands on a table."""
+    model = hs.ObjectModel.box((0.09, 0.055, 0.035))
+    return model.vertices - [0, 0, model.bounds_object[0, 2]], model.faces
+
+
+def write_mesh(path, scale=1.0, shape=letter):
+    """The letter's mesh, or another shape's; `scale`: units of the file in a metre."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    vertices, faces = shape()
+    path.write_bytes(ply_bytes(Shape(vertices, faces), scale))
+    return path
+
+
+def write_depth(path, depth, step=1e-3):
+    """A PNG of 16 bits; `step`: metres of a number."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.round(depth / step).astype(np.uint16)).save(path)
+    return path
+
+
+def write_color(path, size=CAMERA.size):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full((*size[::-1], 3), 90, np.uint8)).save(path)
+    return path
+
+
+def folder_of(folder, depths):
+    """depth/NAME.png with colour and the camera, the letter's mesh beside."""
+    for k, depth in enumerate(depths):
+        write_depth(folder / "frames/depth" / f"{k:04d}.png", depth)
+        write_color(folder / "frames/rgb" / f"{k:04d}.png")
+    (folder / "frames/camera.json").write_text(json.dumps(INTRINSICS))
+    write_mesh(folder / "letter.ply")
+    return folder / "frames"
+
+
+def bop_of(folder, depths, shapes=None, step=1e-4):
+    """A BOP data set: its models, a letter of number 3 unless told, and a split with one scene."""
+    infos = {}
+    for number, shape in (shapes or {3: letter}).items():
+        write_mesh(folder / f"models/obj_{number:06d}.ply", 1000.0, shape)
+        vertices, _ = shape()
+        diameter = 1e3 * float(np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max())
+        infos[str(number)] = {"diameter": diameter}
+    (folder / "models/models_info.json").write_text(json.dumps(infos))
+    scene = folder / "test/000048"
+    for k, depth in enumerate(depths):
+        write_depth(scene / "depth" / f"{k:06d}.png", depth, step)
+    write_color(scene / "rgb/000000.png")
+    cameras = {str(k): {"cam_K": K.ravel().tolist(), "depth_scale": 1e3 * step} for k in range(len(depths))}
+    (scene / "scene_camera.json").write_text(json.dumps(cameras))
+    return scene
+
+
+def off_mm(T, T_true):
+    """How far the letter's points are off at most [mm]."""
+    points, _ = letter()
+    return 1e3 * np.linalg.norm(se3.apply(T, points) - se3.apply(T_true, points), axis=1).max()

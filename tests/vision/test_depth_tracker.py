@@ -1,0 +1,301 @@
+"""An object followed from image to image: where it is, when it is lost, and when its pose is not known."""
+
+import functools
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight._kernels import near_points
+from handsight._kernels.sight_records import LOOK, SEEN, WINDOW
+from handsight.errors import InvalidInput, InvalidTransform
+from handsight.vision import DepthTracker
+from handsight.vision.depth_tracker import LONGEST, SEARCH_EVERY
+from sight_scenes import CAMERA, drawn, letter, looking, noisy
+from sight_sequences import jug
+
+DT = 1 / 30
+
+
+@functools.cache
+def model():
+    return hs.ObjectModel.from_mesh(*letter())
+
+
+class Table:
+    """A camera before a table on which the letter stands, or another shape, or nothing."""
+
+    def __init__(self, seed, shape=None):
+        self.rng = np.random.default_rng(seed)
+        self.T_camera_table = looking(self.rng, self.rng.uniform(0.4, 0.55))
+        n = self.T_camera_table[:3, 2]
+        self.plane = np.append(n, -n @ self.T_camera_table[:3, 3])
+        self.shape = letter() if shape is None else shape
+
+    def depth(self, *Ts):
+        return noisy(drawn(self.T_camera_table, [self.shape] * len(Ts), Ts).depth, self.rng)
+
+    def tracker(self, T, **options):
+        return DepthTracker(model(), CAMERA, start=self.T_camera_table @ T, **options)
+
+    def off(self, sighting, T):
+        """How far the object's surface is off at most [m]."""
+        there = se3.apply(self.T_camera_table @ T, model().points_object)
+        return np.linalg.norm(
+            se3.apply(sighting.T_camera_object, model().points_object) - there, axis=1
+        ).max()
+
+
+def at(x=0.0, y=0.0, turn=0.0):
+    return se3.compose(se3.rotation_exp(np.array([0, 0, turn])), np.array([x, y, 0]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_stands_still_stays(seed):
+    table = Table(seed)
+    tracker = table.tracker(at(0.004, -0.003, 0.05))
+    for k in range(12):
+        sighting = tracker.update(k * DT, table.depth(at()), table=table.plane)
+        assert sighting.state == "tracking", sighting.reason
+        assert sighting.reason == ""
+        assert table.off(sighting, at()) < 3e-3
+        np.testing.assert_array_equal(sighting.covariance, sighting.covariance.T)
+        assert np.linalg.eigvalsh(sighting.covariance).min() > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_moves_is_followed(seed):
+    """0.3 m/s and 1.5 rad/s, back and forth."""
+    table, tracker, errors = Table(seed), None, []
+    for k in range(45):
+        T = at(0.06 * np.sin(5 * k * DT), 0.02 * np.sin(3 * k * DT), 0.4 * np.sin(3.7 * k * DT))
+        tracker = tracker or table.tracker(T)
+        sighting = tracker.update(k * DT, table.depth(T), table=table.plane)
+        assert sighting.state == "tracking", sighting.reason
+        errors.append(table.off(sighting, T))
+    assert np.median(errors) < 2e-3
+    assert max(errors) < 6e-3
+
+
+def test_regions_hold_the_truth_as_often_as_they_say_or_oftener():
+    inside = []
+    for seed in range(4):
+        table = Table(seed)
+        tracker = table.tracker(at())
+        for k in range(10):
+            T = at(0.1 * k * DT)
+            sighting = tracker.update(k * DT, table.depth(T), table=table.plane)
+            off = se3.difference(table.T_camera_table @ T, sighting.T_camera_object)
+            inside.append(off @ np.linalg.solve(sighting.covariance, off) < 12.6)
+    assert np.mean(inside) > 0.9
+
+
+def test_it_finds_the_object_by_itself_and_again_elsewhere():
+    table = Table(4)
+    tracker = DepthTracker(model(), CAMERA)
+    assert table.off(tracker.update(0.0, table.depth(at()), table=table.plane), at()) < 3e-3
+    far = at(0.08, 0.05, 2.0)
+    for k in range(1, 12):
+        sighting = tracker.update(k * DT, table.depth(far), table=table.plane)
+        assert sighting.state == "lost" or table.off(sighting, far) < 4e-3
+    assert sighting.state == "tracking"
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_an_empty_table_is_never_tracked(given):
+    for seed in range(4):
+        table = Table(seed)
+        plane = table.plane if given else None
+        tracker = table.tracker(at())
+        assert tracker.update(0.0, table.depth(at()), table=plane).state == "tracking"
+        for k in range(1, 10):
+            sighting = tracker.update(k * DT, table.depth(), table=plane)
+            assert sighting.state != "tracking"
+        assert sighting.state == "lost"
+        assert sighting.reason
+        assert sighting.T_camera_object is None
+        assert sighting.covariance is None
+
+
+def test_behind_a_hand_it_is_expected_and_then_followed_again():
+    table = Table(2)
+    tracker = table.tracker(at())
+    hand, states = np.ones(CAMERA.size[::-1], dtype=bool), []
+    for k in range(40):
+        depth = table.depth(at())
+        if 10 <= k < 30:
+            sighting = tracker.update(k * DT, np.full_like(depth, 0.2), hand=hand, table=table.plane)
+        else:
+            sighting = tracker.update(k * DT, depth, table=table.plane)
+            assert sighting.state == "tracking"
+            assert table.off(sighting, at()) < 3e-3
+        states.append(sighting.state)
+    assert states[10] == "uncertain"
+    assert "tracking" not in states[10:30]
+    assert states[29] == "lost"
+
+
+def test_in_a_grip_it_rides_with_the_palm():
+    """Farther, from one image to the next, than it could be followed."""
+    table, palm = Table(3), se3.random(np.random.default_rng(1))
+    for gripped in (True, False):
+        tracker = table.tracker(at())
+        for k, T in enumerate([at(), at(), at(0.07, 0.03, 0.9)]):
+            there = table.T_camera_table @ T
+            depth = table.depth(T)
+            sighting = tracker.update(
+                k * DT, depth, table=table.plane, T_camera_palm=there @ palm, gripped=gripped
+            )
+            tracker._searched = k * DT  # it is not to be found, but to be followed
+        assert (sighting.state == "tracking" and table.off(sighting, T) < 3e-3) == gripped
+
+
+def test_in_a_grip_that_hides_all_of_it_it_stays_known_for_longer():
+    table = Table(3)
+    hidden = np.zeros(CAMERA.size[::-1], dtype=np.float32)
+    lasted = []
+    for gripped in (True, False):
+        tracker = table.tracker(at())
+        palm = table.T_camera_table
+        states = []
+        for k in range(40):
+            depth = table.depth(at()) if k < 5 else hidden
+            states.append(
+                tracker.update(k * DT, depth, table=table.plane, T_camera_palm=palm, gripped=gripped).state
+            )
+        lasted.append(states.count("uncertain"))
+    assert lasted[0] > 2 * lasted[1] > 0
+
+
+def test_a_jug_whose_handle_is_not_seen_is_uncertain_for_good_and_a_can_is_not():
+    can = hs.ObjectModel.cylinder(0.05, 0.12)
+    shapes = {"jug": jug(), "can": (can.vertices + np.array([0, 0, 0.06]), can.faces)}
+    for name, shape in shapes.items():
+        table, followed = Table(5, shape), hs.ObjectModel.from_mesh(*shape)
+        eye = se3.inverse(table.T_camera_table)[:3, 3]
+        away = at(turn=np.arctan2(eye[1], eye[0]) + np.pi)  # the handle behind the body
+        tracker = DepthTracker(followed, CAMERA, start=table.T_camera_table @ away)
+        states = [tracker.update(k * DT, table.depth(away), table=table.plane).state for k in range(60)]
+        assert set(states[5:]) == {"uncertain" if name == "jug" else "tracking"}, name
+
+
+def test_a_late_image_is_answered_and_changes_nothing():
+    table = Table(6)
+    first, second = table.tracker(at()), table.tracker(at())
+    images = [table.depth(at(0.1 * k * DT)) for k in range(8)]
+    for k in range(6):
+        first.update(k * DT, images[k], table=table.plane)
+        second.update(k * DT, images[k], table=table.plane)
+    late = first.update(3 * DT, images[3], table=table.plane)
+    assert late.stamp == 3 * DT
+    assert late.state == "tracking"
+    after = [tracker.update(6 * DT, images[6], table=table.plane) for tracker in (first, second)]
+    np.testing.assert_array_equal(after[0].T_camera_object, after[1].T_camera_object)
+
+
+@pytest.mark.parametrize("jump", [0.0, 3.0, -3.0])
+def test_equal_and_jumping_stamps_are_borne(jump):
+    table = Table(7)
+    tracker = table.tracker(at())
+    for k in range(5):
+        tracker.update(k * DT, table.depth(at(0.2 * k * DT)), table=table.plane)
+    assert abs(jump) > LONGEST or not jump
+    for k in range(5):
+        there = at(0.2 * 4 * DT)
+        sighting = tracker.update(4 * DT + jump + k * DT * bool(jump), table.depth(there), table=table.plane)
+        assert sighting.state == "tracking"
+        assert np.isfinite(sighting.covariance).all()
+        assert table.off(sighting, there) < 5e-3
+
+
+def test_images_without_depth_say_nothing_and_are_no_end():
+    table = Table(8)
+    nothing = np.full(CAMERA.size[::-1], np.nan, dtype=np.float32)
+    blind = DepthTracker(model(), CAMERA)
+    assert blind.update(0.0, nothing).state == "lost"
+    tracker = table.tracker(at())
+    for k in range(30):
+        depth = table.depth(at()) if k % 15 < 8 else nothing
+        sighting = tracker.update(k * DT, depth, table=table.plane)
+        assert (sighting.state == "tracking") == (k % 15 < 8 and True)
+
+
+def test_it_does_not_matter_how_an_image_is_stored():
+    table = Table(9)
+    depth = table.depth(at())
+    fixed = depth.copy()
+    fixed.setflags(write=False)
+    with_nan = np.where(depth > 0, depth, np.nan)
+    kinds = [depth, fixed, with_nan, depth.astype(np.float64), np.asfortranarray(depth)]
+    answers = [table.tracker(at(0.003)).update(0.0, d, table=table.plane) for d in kinds]
+    for answer in answers[1:]:
+        np.testing.assert_array_equal(answer.T_camera_object, answers[0].T_camera_object)
+
+
+def test_where_to_begin_may_be_told():
+    table = Table(1)
+    tracker = table.tracker(at())
+    tracker.update(0.0, table.depth(at()), table=table.plane)
+    there = at(0.08, 0.05, 2.0)
+    tracker._searched = 0.0
+    told = table.T_camera_table @ there
+    assert DT < SEARCH_EVERY
+    assert tracker.update(DT, table.depth(there), table=table.plane).state == "lost"
+    sighting = tracker.update(2 * DT, table.depth(there), table=table.plane, expected=told)
+    assert sighting.state == "tracking"
+    assert table.off(sighting, there) < 3e-3
+
+
+def test_wrong_input_is_told():
+    table = Table(0)
+    tracker, small = DepthTracker(model(), CAMERA), np.ones((24, 32), np.float32)
+    with pytest.raises(InvalidInput, match="depth: expected 320 x 240 pixels, got 32 x 24"):
+        tracker.update(0.0, small)
+    with pytest.raises(InvalidInput, match="hand: expected 320 x 240 pixels, got 32 x 24"):
+        tracker.update(0.0, table.depth(at()), hand=small > 0)
+    with pytest.raises(InvalidInput, match="stamp: expected"):
+        tracker.update(np.nan, table.depth(at()))
+    with pytest.raises(InvalidInput, match="table: expected"):
+        tracker.update(0.0, table.depth(at()), table=np.zeros(3))
+    for name in ("expected", "T_camera_palm"):
+        with pytest.raises(InvalidTransform, match=f"{name}: "):
+            tracker.update(0.0, table.depth(at()), **{name: np.zeros((4, 4))})
+    with pytest.raises(InvalidTransform, match="start: "):
+        DepthTracker(model(), CAMERA, start=np.zeros((4, 4)))
+
+
+def test_points_near_the_surface_are_those_that_are():
+    """Each pixel's, one by one."""
+    table = Table(3)
+    T, depth = table.T_camera_table @ at(0.004), table.depth(at())
+    labels = np.zeros(depth.shape, dtype=np.int32)
+    labels[:, 150:] = -1
+    window, look = np.zeros(1, dtype=WINDOW), np.zeros(1, dtype=LOOK)
+    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    window["rows"], window["columns"], window["step"], window["within"] = (40, 220), (60, 300), 1, 0.01
+    seen = np.zeros(30_000, dtype=SEEN)
+    image = CAMERA.rays, depth, labels
+    count = near_points.near_points(model().record[:2], image, window, look, seen)
+    box = (slice(40, 220), slice(60, 150))
+    z = depth[box].astype(np.float64)
+    points = np.concatenate([CAMERA.rays[box] * z[..., None], z[..., None]], axis=2)[z > 0]
+    near = np.abs(model().evaluate(se3.apply(se3.inverse(T), points), fine=False).distance) < 0.01
+    assert count == near.sum() > 1000
+    np.testing.assert_allclose(seen["point"][:count], points[near], atol=1e-6)
+    few = np.zeros(100, dtype=SEEN)
+    assert near_points.near_points(model().record[:2], image, window, look, few) == 100
+    places = (few["point"][:, None] == seen["point"][None, :count]).all(axis=2).argmax(axis=1)
+    assert set(np.diff(places)) <= {count // 100, count // 100 + 1}
+
+
+def test_what_is_on_the_plane_is_left_out():
+    table = Table(3)
+    depth = table.depth(at())
+    labels = np.zeros(depth.shape, dtype=np.int32)
+    window = np.zeros(1, dtype=WINDOW)
+    window["rows"], window["columns"] = (0, 240), (0, 320)
+    window["plane"], window["plane_within"] = table.plane, 0.01
+    near_points.leave_out_plane((CAMERA.rays, depth, labels), window)
+    points = np.concatenate([CAMERA.rays * depth[..., None], depth[..., None]], axis=2)
+    np.testing.assert_array_equal(labels < 0, points @ table.plane[:3] + table.plane[3] <= 0.01)
