@@ -34,6 +34,12 @@ class CameraCalibration:
     turned: float
     """How far the palm turned in the mount while the object was held [rad]."""
 
+    def away_from(self, T_mount_camera: Array) -> tuple[float, float]:
+        """How far another pose of the camera puts what is at the pivot from there [m], and turns it [rad]."""
+        E = T_mount_camera @ se3.inverse(self.T_mount_camera)
+        shift = se3.apply(E, self.pivot[None])[0] - self.pivot
+        return float(np.linalg.norm(shift)), float(np.linalg.norm(se3.rotation_log(E[:3, :3])))
+
 
 def calibrate_camera(
     observations: Iterable[Observation], rig: Rig, model: ObjectModel

@@ -11,6 +11,7 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig, Table
+from handsight.tracking.seen_camera import HandView, SeenCamera
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]
@@ -38,6 +39,8 @@ class VisionUpdate:
         """What vision's bias is constant in; known with the first measurement."""
         self.unplaced = self.rejected = 0
         """Measurements without a T_world_palm to place them, and those beyond the gate."""
+        self.seen_camera = SeenCamera()
+        """What the hand in its images says of the camera's constant error."""
         self._rejected_in_a_row = 0
         self._last: tuple[Array, Array, Array] | None = None
         """The last measurement and its covariance in the mount, and the palm there."""
@@ -67,6 +70,16 @@ class VisionUpdate:
         # Else nothing is known, or nothing that this can be believed with.
         return updated if updated is not None and updated.is_near else self.afresh()
 
+    def hand_seen(self, view: HandView, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
+        """The smoother after the hand was seen; the same one where that says nothing new."""
+        before, self.seen_camera = self.seen_camera, self.seen_camera.seen(view)
+        new = self.seen_camera.believed[len(before.believed) :]
+        if self.seen_camera.believed == before.believed or smoother is None:
+            return smoother
+        if self.seen_camera.believed[:-1] != before.believed:  # what it was taken for is wrong
+            return self.afresh() or smoother
+        return smoother.informed(*new[-1].bias(smoother.pivot))
+
     def afresh(self) -> PoseBiasSmoother | None:
         """What the last measurement says on its own, in the palm of then; None where there was none."""
         if self._last is None:
@@ -76,9 +89,9 @@ class VisionUpdate:
         begun = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
         return self._gated(begun, *self._last)
 
-    def in_palm(self, observation: Observation, T_world_palm: Array | None) -> Array | None:
+    def in_palm(self, observation: Observation | None, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""
-        seen = observation.vision
+        seen = None if observation is None else observation.vision
         if seen is None:
             return None
         T_mount_palm = np.eye(4) if self._mount_of(seen) == "palm" else T_world_palm
@@ -90,7 +103,10 @@ class VisionUpdate:
         # A camera without a constant error has next to none: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
-        return PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
+        smoother = PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
+        for measured in self.seen_camera.biases(pivot):
+            smoother = smoother.informed(*measured)
+        return smoother
 
     def _mount_of(self, seen: PoseMeasurement) -> Mount:
         if seen.frame == "camera":

@@ -92,7 +92,7 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
         del held[len(held) - (tracker.undone - undone) :]
         if tracker.late == late:
             passed = max(0.0, tracker.stamp - (held[-1].stamp if held else settled))
-            step = None if estimate is None else _step(tracker, estimate, observation)
+            step = None if estimate is None else _step(tracker, estimate)
             held.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
         while len(held) > tracker.unconfirmed:
             settled = held[0].stamp
@@ -110,13 +110,13 @@ def _passed_over(observation: Observation, last: float, tally: Tally) -> float:
     return stamp
 
 
-def _step(tracker: Tracker, estimate: PoseEstimate, observation: Observation) -> Step:
+def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
     return Step(
         stamp=tracker.stamp,
         estimate=estimate,
         state=tracker.state,
         reason=tracker.reason,
-        T_palm_object_vision=tracker.vision.in_palm(observation, tracker.T_world_palm),
+        T_palm_object_vision=tracker.vision.in_palm(tracker.looked, tracker.T_world_palm),
         T_world_palm=tracker.T_world_palm,
         fingers=tracker.fingertips.fingers,
         sigma=tracker.sigma,

@@ -43,6 +43,8 @@ class TrackerSettings:
     """How many points of the hand's other links, none of which can be inside the object, are used; 0: none.
 
     There are none where the hand's file has no shapes, nor where an observation lacks the joints of some link."""
+    images: bool = True
+    """Whether depth images are looked at, where the rig's camera has intrinsics; its poses are then left out."""
     uncertain_position: float = 0.015
     """Largest standard deviation of the position [m] that counts as tracking."""
     lost_after: float = 10.0

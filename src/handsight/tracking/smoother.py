@@ -183,6 +183,16 @@ class PoseBiasSmoother:
         new = (T_mount_palm, T_mount_object, covariance, self.process_noise)
         return self._solved(self._merged(np.array([new], dtype=MEASUREMENT)))
 
+    def informed(self, T_measured_true: Array, covariance: Array) -> "PoseBiasSmoother":
+        """After the bias itself was measured: (4, 4) as `PoseAndBias` has it; `covariance` (6, 6) along the mount's
+        axes."""
+        H = np.eye(12)[6:]
+        innovation = se3.difference(T_measured_true, self.prior.T_measured_true)
+        prior = self.prior.updated(H, innovation, covariance)
+        if not len(self.measurements):
+            return replace(self, prior=prior, solved=prior.inflated(self.solved_noise))
+        return replace(self, prior=prior)._solved(self.measurements)
+
     def mahalanobis2(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> float:
         """Squared Mahalanobis distance (χ², six degrees of freedom) of a measurement from its prediction."""
         now = self.now

@@ -18,6 +18,7 @@ from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargins, Solve
+from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import Correction, propagated, sigma_of_point, walked
@@ -74,7 +75,10 @@ class Track:
         self.fingertips = FingertipContacts((), None, {})
         self.T_world_palm: Array | None = None
         self.estimate: PoseEstimate | None = None
+        self.looked: Observation | None = None
+        """The last one, with what its image says as its vision."""
         self.vision = VisionUpdate(self.rig, self.model)
+        self._images = ImageVision(self.rig, self.model, on=self.settings.images)
         self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
@@ -100,7 +104,7 @@ class Track:
         self.fingertips = self._sensors.contacts(observation, self._offsets)
         self._predict(observation.T_world_palm, stamp)
         before, touched = self.smoother, self.fingertips.contacts
-        self.smoother = self.vision.update(observation, before, self.T_world_palm)
+        self.smoother = self._seen(observation, before)
         vision = self.smoother is not before
         if self.smoother is not None and not self.smoother.is_near:
             # The palm has gone so far that it is in no hand.
@@ -122,17 +126,6 @@ class Track:
         self.state, self.reason = self._judged(self.estimate)
         return self.estimate
 
-    def vision_bias(self) -> tuple[Array, Array] | None:
-        """Vision's constant bias (6,) and its covariance (6, 6), by vision and contacts together.
-
-        See `PoseAndBias.vision_bias`. None before there were both.
-        """
-        if self.smoother is None or self._correction is None or self.vision.mount is None:
-            return None
-        estimate = self._correction.estimate
-        state = self.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
-        return state.vision_bias, state.covariance[6:, 6:]
-
     @property
     def joint_offsets(self) -> JointOffsets:
         """The joints' constant errors, by all grips so far: for the tracker of the next object in this hand."""
@@ -146,16 +139,6 @@ class Track:
         )
 
     @property
-    def links(self) -> tuple[str, ...]:
-        """Links of the hand whose shapes keep the object out."""
-        return self._hand.links
-
-    @property
-    def link_margins(self) -> dict[str, float]:
-        """By link that would be inside the object though contacts fit: how much smaller it is than its shape [m]."""
-        return self._margins.known
-
-    @property
     def sigma(self) -> float:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
         last = self._correction
@@ -165,6 +148,17 @@ class Track:
         if self.estimate is None:
             return math.inf
         return sigma_of_point(self.estimate, self.model, self.model.center_object)
+
+    def _seen(self, observation: Observation, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
+        """The smoother after what vision says: of an image that is looked at, else a pose of another's."""
+        rides = self.estimate.T_palm_object if self.estimate is not None and self._grasp.grasped else None
+        looked = self._images.look(observation, self.vision.seen_camera, rides)
+        self.looked = looked.observation
+        if looked.hand is not None:
+            smoother = self.vision.hand_seen(looked.hand, smoother)
+        # What is held has gone with the palm since it was seen, else it stayed in the world.
+        T = looked.then.T_world_palm if looked.then is not None and self._grasp.grasped else None
+        return self.vision.update(looked.observation, smoother, self.T_world_palm if T is None else T)
 
     def _predict(self, T_world_palm: Array | None, stamp: float) -> None:
         """Propagates the smoother to `stamp`, and through what has become of the grasp since."""
@@ -287,7 +281,7 @@ class Track:
             return "lost", f"the contacts have fitted no pose for {now - self._fits_at:.1f} s"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object where it is believed to be"
-        if self._correction is None:
+        if self._correction is None and not self.vision.seen_camera.believed:
             return "uncertain", "nothing is touched: the pose is vision's"
         sigma = self.sigma
         if sigma > self.settings.uncertain_position:

@@ -5,6 +5,7 @@ from typing import Any
 
 from handsight import checks
 from handsight._kernels.warm import warm_tracker
+from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -23,7 +24,7 @@ MOST_UNCONFIRMED = 3
 MOST_LEFT_OUT = 100
 """So many observations in a row, late or wrong, may be left out before the object counts as lost."""
 
-Snapshot = tuple[dict[str, Any], ...]
+Snapshot = tuple[tuple[object, dict[str, Any]], ...]
 """What a tracker knew: its attributes, and those of its parts that change."""
 
 
@@ -109,6 +110,32 @@ class Tracker(Track):
             self.reason = "; ".join(filter(None, (self._why, self.reason)))
         return estimate
 
+    def vision_bias(self) -> tuple[Array, Array] | None:
+        """Vision's constant bias (6,) and its covariance (6, 6), by vision and contacts together.
+
+        See `PoseAndBias.vision_bias`. None before there were both.
+        """
+        if self.smoother is None or self._correction is None or self.vision.mount is None:
+            return None
+        estimate = self._correction.estimate
+        state = self.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
+        return state.vision_bias, state.covariance[6:, 6:]
+
+    @property
+    def images(self) -> dict[str, int]:
+        """What has become of depth images: how many were `looked_at`, and so on; empty where there were none."""
+        return self._images.counts
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Links of the hand whose shapes keep the object out."""
+        return self._hand.links
+
+    @property
+    def link_margins(self) -> dict[str, float]:
+        """By link that would be inside the object though contacts fit: how much smaller it is than its shape [m]."""
+        return self._margins.known
+
     @property
     def unconfirmed(self) -> int:
         """How many of the last observations were jumps ahead that the next may yet take back."""
@@ -119,7 +146,7 @@ class Tracker(Track):
         while (
             self._earlier
             and stamp < self.stamp - MAX_JUMP
-            and abs(stamp - self._earlier[-1][0]["stamp"]) < self.stamp - stamp
+            and abs(stamp - self._earlier[-1][0][1]["stamp"]) < self.stamp - stamp
         ):
             counts = self.late, self.undone + 1, self.refused
             self._restore(self._earlier[-1])
@@ -146,12 +173,11 @@ class Tracker(Track):
 
     def _snapshot(self) -> Snapshot:
         """All that is known now: what an update changes it binds anew, and never changes in place."""
-        vision, grasp, memory = self.vision, self._grasp, self._memory
-        return vars(self).copy(), vars(vision).copy(), vars(grasp).copy(), vars(memory).copy()
+        eye = self._images.eye
+        seeing = () if eye is None else (eye, eye.tracker)
+        parts = self, self.vision, self._grasp, self._memory, self._images, *seeing
+        return tuple((part, vars(part).copy()) for part in parts)
 
     def _restore(self, snapshot: Snapshot) -> None:
-        own, vision, grasp, memory = snapshot
-        vars(self).update(own)
-        vars(self.vision).update(vision)
-        vars(self._grasp).update(grasp)
-        vars(self._memory).update(memory)
+        for part, values in snapshot:
+            vars(part).update(values)

@@ -1,0 +1,150 @@
+"""Depth images as measurements of vision: where the object is in the camera, and where the camera is, by the hand."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array, Mask
+from handsight.objects import ObjectModel
+from handsight.observation import Observation, PoseMeasurement
+from handsight.rig import Camera, Rig
+from handsight.tracking.past import Instant, Past
+from handsight.tracking.seen_camera import HandView, SeenCamera
+from handsight.vision import PinholeCamera, SeenHand
+from handsight.vision.camera import Depth
+from handsight.vision.depth_noise import PRESETS
+from handsight.vision.depth_tracker import DepthTracker, Sighting
+from handsight.vision.own_hand import OwnHand
+
+ERR_TOGETHER = 1.0
+"""Images so far apart err each by itself; nearer ones share what smoothing, bias and the side they show do [s]."""
+LOOK_AGAIN = 0.5
+"""Between looks for a hand that was seen [s]: its joints go on telling where it is."""
+FOUND_SIGMAS = 0.01, float(np.deg2rad(3.0))
+"""How far the palm may be off in the next image, once it was seen [m, rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looked:
+    """What an observation says once its depth image was looked at."""
+
+    observation: Observation
+    """With the pose that the image gives as its vision; with none where the object is not seen."""
+    hand: HandView | None
+    """The hand in the image; None where it was not looked for, or is hardly seen."""
+    then: Instant | None
+    """Joints and palm when what vision says was seen."""
+
+
+class ImageVision:
+    """A rig's depth camera: follows one object, finds the hand, and leaves it out of what may be the object."""
+
+    def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
+        """Whether it is `on`: else, and without the camera's intrinsics, observations stay as they are."""
+        self._rig, self._model, self._past = rig, model, Past()
+        self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
+        self.eye: Eye | None = None
+        """What looks, from the first depth image on."""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What has become of the images so far; empty where none was looked at."""
+        eye = self.eye
+        if eye is None:
+            return {}
+        return {
+            "looked_at": eye.images,
+            "object_seen": eye.poses,
+            "hand_sought": eye.searches,
+            "hand_seen": eye.hands,
+        }
+
+    def look(self, observation: Observation, seen: SeenCamera, T_palm_object: Array | None) -> Looked:
+        """What an observation says; `seen`: what earlier images have said of the camera.
+
+        T_palm_object: (4, 4) of an object that rides in the hand; None where nothing holds it. Raises InvalidInput for
+        images that are none of the camera's.
+        """
+        self._past.put(Instant(observation.stamp, observation.joint_positions, observation.T_world_palm))
+        camera, hand = self._rig.camera, None
+        if self._on and camera is not None and observation.depth is not None:
+            self.eye = self.eye or Eye(self._rig, camera, self._model)
+            stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
+            then = self._past.at(stamp)
+            if then is not None:
+                vision, hand = self.eye.look(stamp, observation.depth, then, seen, T_palm_object)
+                observation = replace(observation, vision=vision)
+        elif self.eye is not None and observation.vision is not None and observation.vision.frame == "camera":
+            observation = replace(observation, vision=None)  # the same camera says more in its images
+        vision = observation.vision
+        return Looked(observation, hand, None if vision is None else self._past.at(vision.stamp))
+
+
+class Eye:
+    """Looks at depth images."""
+
+    def __init__(self, rig: Rig, camera: Camera, model: ObjectModel) -> None:
+        """The rig's camera must have intrinsics."""
+        self._mounted = camera
+        self._camera = PinholeCamera.of(camera)
+        self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
+        self._hand = OwnHand(rig)
+        sizes = camera.sigma_position_constant, camera.sigma_rotation_constant
+        self._sigmas = max(sizes[0], FOUND_SIGMAS[0]), max(sizes[1], FOUND_SIGMAS[1])
+        self._posed = self._looked = -np.inf
+        self.sighting: Sighting | None = None
+        """The last one."""
+        self.images = self.poses = self.searches = self.hands = 0
+        """How many images were looked at and in how many the object was seen; how often the hand was looked for, and
+        seen."""
+
+    def look(
+        self, stamp: float, depth: Depth, then: Instant, seen: SeenCamera, T_palm_object: Array | None
+    ) -> tuple[PoseMeasurement | None, HandView | None]:
+        """Where the object is in the camera, and the hand, each if it is seen."""
+        image = self._camera.check_depth(depth, "observation.depth")
+        self.images += 1
+        view, mask, T_camera_palm = self._see_hand(stamp, image, then, seen)
+        expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
+        self.sighting = sighting = self.tracker.update(
+            stamp,
+            image,
+            hand=mask,
+            T_camera_palm=T_camera_palm,
+            gripped=expected is not None,
+            expected=expected,
+        )
+        if sighting.T_camera_object is None or sighting.covariance is None:
+            return None, view
+        self.poses += 1
+        # So many images tell no more than one.
+        alike = max(1.0, ERR_TOGETHER / max(stamp - self._posed, 1e-3))
+        self._posed = stamp
+        return PoseMeasurement(sighting.T_camera_object, "camera", alike * sighting.covariance, stamp), view
+
+    def _see_hand(
+        self, stamp: float, depth: Depth, then: Instant, seen: SeenCamera
+    ) -> tuple[HandView | None, Mask | None, Array | None]:
+        """The palm's view, the hand's pixels and T_camera_palm, each as far as it can be told."""
+        joints, camera = then.joint_positions, self._mounted
+        T_mount_palm = np.eye(4) if camera.on == "palm" else then.T_world_palm
+        if T_mount_palm is None:
+            return None, None, None
+        T_camera_mount = se3.inverse(camera.T_mount_camera)
+        believed, sigmas, known = T_camera_mount @ T_mount_palm, self._sigmas, len(seen.believed) > 0
+        if known:
+            believed, sigmas = T_camera_mount @ seen.believed[-1].expected(T_mount_palm), FOUND_SIGMAS
+        found = None
+        if not known or abs(stamp - self._looked) >= LOOK_AGAIN:
+            self._looked, self.searches = stamp, self.searches + 1
+            found = self._hand.seen(self._camera, depth, joints, believed, sigmas)
+        if isinstance(found, SeenHand):
+            self.hands += 1
+            covariance = se3.rotate_covariance(camera.T_mount_camera[:3, :3], found.covariance)
+            view = HandView(T_mount_palm, camera.T_mount_camera @ found.T_camera_palm, covariance)
+            mask = self._hand.mask(self._camera, depth, joints, found.T_camera_palm)
+            return view, mask, found.T_camera_palm
+        if not known:
+            return None, None, None
+        return None, self._hand.mask(self._camera, depth, joints, believed), believed

@@ -1,0 +1,75 @@
+"""A camera is found by the hand in its pictures, as far as these agree."""
+
+import dataclasses
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from hand_scenes import CAMERA, hand_scene
+from handsight import se3
+from handsight.observation import Observation
+from handsight.rig import Camera
+
+if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
+    pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
+
+from handsight.simulation import Scenario, rig_of
+from handsight.tracking.camera_by_hand import EVERY, LEAST_VIEWS, HandViews
+
+TRUE = se3.compose(se3.rotation_exp(np.array([0.3, 1.2, -0.4])), np.array([0.4, -0.3, 0.5]))
+OFF = se3.compose(se3.rotation_exp(np.deg2rad([2.0, -3.0, 1.5])), np.array([0.02, -0.015, 0.03]))
+
+
+def pictures(rig, count, T_world_camera=TRUE):
+    """Observations of a hand that turns before the camera."""
+    box = hs.ObjectModel.box((0.05, 0.07, 0.12))
+    shapes = rig.hand.shape(), (box.vertices, box.faces), None
+    for k in range(count):
+        scene = hand_scene(rig.hand, shapes, np.random.default_rng(k), sigma_joint=0.0)
+        T = T_world_camera @ scene.T_camera_palm
+        yield Observation(k * EVERY, joint_positions=scene.joints, T_world_palm=T, depth=scene.depth)
+
+
+def rig_with(T_world_camera, **changes):
+    camera = Camera(
+        T_mount_camera=T_world_camera,
+        intrinsics=CAMERA.matrix,
+        size=CAMERA.size,
+        sigma_position_constant=0.03,
+        sigma_rotation_constant=np.deg2rad(3),
+    )
+    return dataclasses.replace(rig_of(Scenario(object="can")), camera=dataclasses.replace(camera, **changes))
+
+
+@pytest.mark.slow
+def test_a_camera_is_where_the_hand_is_seen_from():
+    rig = rig_with(OFF @ TRUE)
+    views = HandViews(rig)
+    passed = list(views.watched(pictures(rig, 7)))
+    assert len(passed) == views.looked_at == 7
+    found = views.calibration()
+    assert found.views >= LEAST_VIEWS
+    E = found.T_mount_camera @ se3.inverse(TRUE)
+    assert np.linalg.norm(se3.apply(E, found.pivot[None])[0] - found.pivot) < 0.003
+    assert np.linalg.norm(se3.rotation_log(E[:3, :3])) < np.deg2rad(1)
+    back = se3.inverse(OFF)
+    true = np.r_[se3.apply(back, found.pivot[None])[0] - found.pivot, se3.rotation_log(back[:3, :3])]
+    assert np.abs((found.correction - true) / np.sqrt(found.covariance.diagonal())).max() < 3
+    T = se3.compose(se3.rotation_exp(found.correction[3:]), np.zeros(3))
+    T[:3, 3] = found.pivot + found.correction[:3] - T[:3, :3] @ found.pivot
+    np.testing.assert_allclose(T @ rig.camera.T_mount_camera, found.T_mount_camera, atol=1e-9)
+
+
+def test_nothing_is_said_without_pictures_or_intrinsics():
+    rig = rig_with(TRUE)
+    few = [
+        Observation(0.0, joint_positions={}, T_world_palm=np.eye(4), depth=np.ones((480, 640), np.float32)),
+        Observation(1.0, T_world_palm=np.eye(4)),
+    ]
+    for each in (rig, rig_with(TRUE, intrinsics=None, size=None)):
+        views = HandViews(each)
+        assert list(views.watched(few)) == few
+        assert views.calibration() is None
+        assert views.looked_at == 0  # joints are missing, or no depth

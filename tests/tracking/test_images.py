@@ -1,0 +1,200 @@
+"""A tracker that looks at depth images: pictures alone, a camera that is wrong, and what is no picture of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.objects.symmetry import nearest
+from handsight.simulation.camera import BELIEVED_CAMERA
+from handsight.tracking import TrackerSettings
+from handsight.vision import PinholeCamera
+from sight_scenes import SQUARE, TABLE
+
+K = np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]])
+WRONG = se3.compose(se3.rotation_exp(np.deg2rad([3.0, -4, 5])), np.array([0.05, -0.04, 0.03]))
+"""What the camera's calibration is wrong by, in the world."""
+LATE = 5
+"""Observations by which an image may come late."""
+
+
+def rig_with_images(rig):
+    return replace(rig, camera=replace(rig.camera, intrinsics=K, size=(320, 240)))
+
+
+@pytest.fixture(scope="module")
+def seen(can):
+    """A grasp of a can as a camera sees it that is not where the rig has it; no pose is given, and no wrench yet."""
+    rig = rig_with_images(can.rig)
+    return rig, pictures(rig, can.model, can.samples, every=5)
+
+
+def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stamp: np.zeros(3)):
+    """Observations with drawn images; `way(stamp)`: where the hand, the object in it, has gone by then [m]."""
+    camera, shape = PinholeCamera.of(rig.camera), rig.hand.shape()
+    T_camera_world = se3.inverse(BELIEVED_CAMERA) @ wrong
+    rng, out, taken = np.random.default_rng(0), [], []
+    for k, sample in enumerate(samples):
+        observation = sample.observation
+        T_world_palm = se3.compose(np.eye(3), way(observation.stamp)) @ observation.T_world_palm
+        parts = [
+            (T_world_palm, shape.vertices_palm(observation.joint_positions), shape.faces),
+            (T_world_palm @ sample.T_palm_object, model.vertices, model.faces),
+            (np.eye(4), TABLE, SQUARE),
+        ]
+        vertices, faces, count = [], [], 0
+        for T, points, triangles in parts:
+            vertices.append(se3.apply(T_camera_world @ T, points))
+            faces.append(triangles + count)
+            count += len(points)
+        if k % every == 0:
+            depth = camera.draw(np.concatenate(vertices), np.concatenate(faces)).depth
+            there = np.isfinite(depth)
+            noise = 1e-3 * rng.normal(size=depth.shape).astype(np.float32)
+            taken.append((k, observation.stamp, np.where(there, depth + noise, np.nan).astype(np.float32)))
+        image = stamp = None
+        if taken and taken[0][0] + late <= k:
+            _, stamp, image = taken.pop(0)
+        out.append(
+            replace(
+                observation,
+                vision=None,
+                wrenches={},
+                T_world_palm=T_world_palm,
+                depth=image,
+                image_stamp=stamp,
+            )
+        )
+    return out
+
+
+def error(model, estimate, T):
+    """Of the middle [m] and turn [rad], modulo symmetry."""
+    T = nearest(model.symmetries, T, estimate.T_palm_object, model.radius)
+    middle = model.center_object[None]
+    shift = se3.apply(estimate.T_palm_object, middle) - se3.apply(T, middle)
+    turn = se3.rotation_log(estimate.T_palm_object[:3, :3] @ T[:3, :3].T)
+    return np.linalg.norm(shift), np.linalg.norm(turn)
+
+
+def followed(rig, model, observations, **settings):
+    tracker = hs.Tracker(rig, model, settings=TrackerSettings(**settings))
+    for observation in observations:
+        tracker.update(observation)
+    return tracker
+
+
+def test_pictures_alone_say_where_an_object_is_though_the_camera_is_elsewhere(can, seen):
+    """The camera is wrong by 7 cm and 7 degrees; the hand in the picture says so."""
+    rig, observations = seen
+    tracker = followed(rig, can.model, observations)
+    shift, turn = error(can.model, tracker.estimate, can.T_palm_object)
+    assert shift < 0.006
+    assert turn < np.deg2rad(4)
+    assert tracker.state == "tracking"
+    sigma = tracker.sigma
+    assert shift / 3.5 < sigma < 0.01
+    counts = tracker.images
+    assert counts["looked_at"] == sum(o.depth is not None for o in observations)
+    assert counts["object_seen"] > 0.9 * counts["looked_at"]
+    assert counts["hand_seen"] > 0.7 * counts["hand_sought"] > 0
+
+
+def test_touch_comes_on_top(can, seen):
+    rig, observations = seen
+    felt = [
+        replace(o, wrenches=sample.observation.wrenches)
+        for o, sample in zip(observations, can.samples, strict=True)
+    ]
+    tracker = followed(rig, can.model, felt)
+    shift, turn = error(can.model, tracker.estimate, can.T_palm_object)
+    assert shift < 0.005
+    assert turn < np.deg2rad(4)
+    assert tracker.corrections > 0
+    bias, covariance = tracker.vision_bias()
+    expected = WRONG[:3, :3] @ tracker.smoother.pivot  # where the truth's pivot is seen
+    off = expected + WRONG[:3, 3] - tracker.smoother.pivot - bias[:3]
+    assert np.linalg.norm(off) < 4 * np.sqrt(covariance.diagonal()[:3].sum()) < 0.05
+
+
+def test_images_are_left_where_they_are_not_wanted_or_the_rig_has_no_camera_for_them(can, seen):
+    rig, observations = seen
+    for tracker in (
+        followed(rig, can.model, observations[:40], images=False),
+        followed(
+            replace(rig, camera=replace(rig.camera, intrinsics=None, size=None)), can.model, observations[:40]
+        ),
+    ):
+        assert tracker.estimate is None
+        assert tracker.images == {}
+
+
+def test_an_image_that_comes_late_is_placed_by_its_stamp(can):
+    """A palm that carries the can at 20 cm/s, and images that arrive a tenth of a second after they were taken."""
+    rig = rig_with_images(can.rig)
+    held = [sample for sample in can.samples if sample.phase == "hold"]
+
+    def way(stamp):
+        return np.array([0.2 * (stamp - held[0].observation.stamp), 0, 0.05])
+
+    late = pictures(rig, can.model, held, every=3, late=LATE, wrong=np.eye(4), way=way)
+    # The fingers feel it, so that it is known to ride with the palm.
+    late = [replace(o, wrenches=s.observation.wrenches) for o, s in zip(late, held, strict=True)]
+    right = followed(rig, can.model, late)
+    wrong = followed(rig, can.model, [replace(o, image_stamp=None) for o in late])
+    assert error(can.model, right.estimate, can.T_palm_object)[0] < 0.006
+    # The camera is where the rig has it; to one that takes images for new, the palm is seen behind itself.
+    pivot = can.T_palm_object[:3, 3]
+    off = [np.linalg.norm(t.vision.seen_camera.believed[0].bias(pivot)[0][:3, 3]) for t in (right, wrong)]
+    assert off[0] < 0.006
+    assert off[1] == pytest.approx(0.02 * LATE / 5, abs=0.006)
+
+
+def test_what_is_no_image_of_the_camera_is_refused_and_leaves_all_as_it_was(can, seen):
+    rig, observations = seen
+    tracker, spared = (hs.Tracker(rig, can.model) for _ in range(2))
+    for k, observation in enumerate(observations[:60]):
+        if k in (20, 30, 40) and observation.depth is not None:
+            wrong = [
+                np.ones((10, 10), np.float32),
+                np.ones((240, 320), np.uint16),
+                "a picture",
+            ][k // 10 - 2]
+            with pytest.raises(InvalidInput, match=r"observation\.depth: expected"):
+                tracker.update(replace(observation, depth=wrong))
+        one, other = tracker.update(observation), spared.update(observation)
+        assert (one is None) == (other is None)
+        if one is not None:
+            np.testing.assert_array_equal(one.T_palm_object, other.T_palm_object)
+    assert tracker.refused == 3
+
+
+@pytest.mark.parametrize("fill", [np.nan, 0.0, np.inf, -1.0, 0.7])
+def test_pictures_of_nothing_are_no_pose(can, seen, fill):
+    rig, observations = seen
+    empty = [
+        o if o.depth is None else replace(o, depth=np.full_like(o.depth, fill)) for o in observations[:30]
+    ]
+    tracker = followed(rig, can.model, empty)
+    assert tracker.estimate is None
+    assert tracker.state == "lost"
+    assert tracker.images["object_seen"] == 0
+    assert tracker.images["hand_seen"] == 0
+
+
+def test_what_was_seen_is_forgotten_when_a_jump_of_the_clock_is_taken_back(can, seen):
+    rig, observations = seen
+    tracker, spared = (hs.Tracker(rig, can.model) for _ in range(2))
+    for k, observation in enumerate(observations[:60]):
+        if k == 31:
+            jumped = replace(
+                observations[30], stamp=observation.stamp + 50, image_stamp=observation.stamp + 50
+            )
+            tracker.update(replace(jumped, depth=np.ones((240, 320), np.float32)))
+        one, other = tracker.update(observation), spared.update(observation)
+        if one is not None:
+            np.testing.assert_allclose(one.T_palm_object, other.T_palm_object, atol=1e-12)
+    assert tracker.undone == 1

@@ -1,0 +1,118 @@
+"""The hand that is seen says what vision's constant error is, and no more often than it says something new."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handsight import se3
+from handsight.tracking.past import Instant, Past
+from handsight.tracking.seen_camera import IN_A_ROW, HandView, SeenCamera
+from handsight.tracking.smoother import PoseBiasSmoother, biased
+
+SEEDS = st.integers(0, 2**32 - 1)
+SIGMAS = np.array([0.002] * 3 + [0.02] * 3)
+WIDE = np.diag([0.3**2] * 3 + [1.0] * 3)
+
+
+def view(rng, E, noise=0.0, T=None):
+    """The palm, anywhere if not told, as a camera that is off by E sees it."""
+    T = se3.random(rng, spread=0.3) if T is None else T
+    return HandView(T, se3.moved(E @ T, noise * SIGMAS * rng.normal(size=6)), np.diag(SIGMAS**2))
+
+
+def wrong(rng, size=1.0):
+    return se3.moved(np.eye(4), size * rng.normal(size=6) * np.array([0.06] * 3 + [0.1] * 3))
+
+
+@given(SEEDS)
+def test_a_view_says_how_an_object_will_be_seen(seed):
+    """An object anywhere is seen where the bias about any pivot puts it."""
+    rng = np.random.default_rng(seed)
+    E, pivot = wrong(rng), rng.normal(scale=0.3, size=3)
+    bias, _ = view(rng, E).bias(pivot)
+    T = se3.random(rng, spread=0.3)
+    np.testing.assert_allclose(biased(T, bias, pivot), E @ T, atol=1e-12)
+
+
+@given(SEEDS)
+def test_its_covariance_is_that_of_the_bias(seed):
+    """By differences: what a small error of the seen palm does to the bias."""
+    rng = np.random.default_rng(seed)
+    E, pivot = wrong(rng), rng.normal(scale=0.3, size=3)
+    clean = view(rng, E)
+    bias, covariance = clean.bias(pivot)
+    h, columns = 1e-6, []
+    for e in np.eye(6):
+        off = HandView(clean.T_mount_palm, se3.moved(clean.T_mount_palm_seen, h * e), clean.covariance)
+        columns.append(se3.difference(off.bias(pivot)[0], bias) / h)
+    J = np.column_stack(columns)
+    np.testing.assert_allclose(covariance, J @ clean.covariance @ J.T, rtol=1e-3, atol=1e-9)
+
+
+def test_a_view_is_believed_when_it_has_been_the_same_a_few_times():
+    rng = np.random.default_rng(0)
+    E, T, camera = wrong(rng), se3.random(rng, spread=0.3), SeenCamera()
+    for _ in range(IN_A_ROW):
+        assert len(camera.believed) == 0
+        camera = camera.seen(view(rng, E, 1.0, T))
+    assert len(camera.believed) == 1
+    for _ in range(50):  # from the same side they err alike
+        camera = camera.seen(view(rng, E, 1.0, T))
+    assert len(camera.believed) == 1
+
+
+def test_views_that_jump_about_are_not_believed():
+    rng = np.random.default_rng(1)
+    camera, T = SeenCamera(), se3.random(rng, spread=0.3)
+    for _ in range(30):
+        camera = camera.seen(view(rng, wrong(rng), 1.0, T))
+    assert len(camera.believed) == 0
+
+
+def test_a_camera_that_was_moved_is_noticed():
+    rng = np.random.default_rng(2)
+    camera, one, other = SeenCamera(), wrong(rng), wrong(rng)
+    for E in (one, other):
+        for _ in range(IN_A_ROW):
+            camera = camera.seen(view(rng, E, 0.5))
+    assert len(camera.believed) == 1
+    pivot = np.zeros(3)
+    np.testing.assert_allclose(camera.believed[0].bias(pivot)[0], other, atol=0.03)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_seen_hand_tells_the_pose_from_the_cameras_error(seed):
+    """Without it one palm's pose measurements leave the camera's error in the pose, with it they do not; and the order
+    in which the two come does not matter."""
+    rng = np.random.default_rng(seed)
+    E, pivot = wrong(rng, 0.5), np.zeros(3)
+    T_palm_object, T = se3.random(rng, spread=0.1), se3.random(rng, spread=0.3)
+    T_mount_object = E @ T @ T_palm_object
+    noise, camera = np.diag(SIGMAS**2), np.diag(np.repeat([0.06**2, 0.2**2], 3))
+    begun = PoseBiasSmoother.from_prior(se3.inverse(T) @ T_mount_object, WIDE, camera, pivot)
+    measured = begun.updated(T_mount_object, noise, T)
+    seen = view(rng, E, 0.0, T).bias(pivot)
+    first, last = begun.informed(*seen).updated(T_mount_object, noise, T), measured.informed(*seen)
+    arm = np.linalg.norm(T[:3, 3] @ T[:3, :3] + T_palm_object[:3, 3])
+    for smoother in (first, last):
+        off = se3.difference(smoother.now.T_palm_object, T_palm_object)
+        sigma = np.sqrt(smoother.now.covariance.diagonal()[:6])
+        assert (np.abs(off) < 0.5 * sigma).all()
+        assert sigma[3:].max() < 0.035
+        assert sigma[:3].max() < 0.004 + 0.03 * arm
+    before = np.sqrt(measured.now.covariance.diagonal()[:6])
+    assert before[:3].max() > 0.05
+    np.testing.assert_allclose(first.now.covariance, last.now.covariance, rtol=0.1, atol=1e-6)
+
+
+def test_the_past_is_what_was_nearest_to_a_stamp():
+    past = Past()
+    assert past.at(None) is None
+    for k in range(300):
+        past.put(Instant(k / 100, {"j": float(k)}, None))
+    assert past.at(None).stamp == 2.99
+    assert past.at(2.504).stamp == 2.5
+    assert past.at(1.0) is None
+    past.put(Instant(2.5, {"j": 0.0}, None))  # the jump ahead was taken back
+    assert past.at(9.0).stamp == 2.5
