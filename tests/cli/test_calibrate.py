@@ -12,17 +12,17 @@ from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
-from handsight.simulation import Scenario, rig_of, simulate
+from handsight.simulation import Scenario, rig_of
 from handsight.simulation.camera import displacement
 from handsight.tracking.camera_calibration import calibrate_camera
 
 
 @pytest.fixture(scope="session")
-def moved(tmp_path_factory):
+def moved(simulated, tmp_path_factory):
     """A scenario in which the palm turns with the box, recorded, and its rig."""
     scenario = Scenario(object="box", rate=20, motion="manipulate")
     rig, folder = rig_of(scenario), tmp_path_factory.mktemp("moved")
-    return scenario, rig, recorded(folder / "box.mcap", (s.observation for s in simulate(scenario)), rig)
+    return scenario, rig, recorded(folder / "box.mcap", (s.observation for s in simulated(scenario)), rig)
 
 
 def calibrated(moved):

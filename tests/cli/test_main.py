@@ -129,6 +129,32 @@ def test_the_demo_takes_most_of_what_touch_can_see():
         assert row.corrected.turn < np.deg2rad(4)
 
 
+def test_the_demo_finds_the_can_in_a_picture_with_the_hand_before_it(tmp_path):
+    pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
+    from handsight.cli.demo import _pictured
+
+    said, wrote = _pictured(tmp_path / "picture.png").splitlines()
+    found = re.search(r"\(synthetic\): centre off by ([\d.]+) mm, axis by ([\d.]+)°", said)
+    assert float(found[1]) < 10
+    assert float(found[2]) < 5
+    assert wrote == f"wrote {tmp_path / 'picture.png'}"
+    assert (tmp_path / "picture.png").stat().st_size > 20_000
+
+
+def test_without_an_extra_the_demo_says_so_and_goes_on(asked, monkeypatch):
+    from handsight.cli import demo
+    from handsight.errors import MissingExtra
+
+    def missing(*_):
+        raise MissingExtra("images need pillow: pip install 'handsight[vision]'")
+
+    monkeypatch.setattr(demo, "_replayed", missing)
+    monkeypatch.setattr(demo, "picture", missing)
+    out, _ = asked("demo", columns=200)
+    for said in ("no picture looked at", "no recordings replayed"):
+        assert f"{said}: images need pillow: pip install 'handsight[vision]'" in " ".join(out.split())
+
+
 KERNEL = """
 from handsight._kernels.compiled import entry
 from handsight.cli.terminal import announce_compiling
@@ -172,6 +198,7 @@ def test_compiling_is_said_once_on_a_terminal_and_only_where_something_is_compil
         "contact - --fingertip sphere:8mm",
         "track none.mcap",
         "demo",
+        "locate none.png",
         "simulate none",
         "calibrate camera none.mcap",
     ],
@@ -180,6 +207,6 @@ def test_every_command_that_computes_announces_compiling(command, monkeypatch, t
     def announced():
         raise SystemExit("announced")
 
-    for module in ("correct", "contact", "track", "rig", "demo", "simulate"):
+    for module in ("correct", "contact", "track", "rig", "demo", "locate", "simulate"):
         monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
     assert called(monkeypatch, tmp_path, *command.split()) == "announced"

@@ -20,7 +20,7 @@ from handsight.simulation import Nuisances, Scenario, rig_of
 
 
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory):
+def by_command(tmp_path_factory):
     """A folder in which `handsight simulate` was run."""
     folder = tmp_path_factory.mktemp("simulated")
     out = run(
@@ -29,19 +29,20 @@ def simulated(tmp_path_factory):
     return folder, out
 
 
-def test_simulate_writes_a_recording_and_the_rig_that_reads_it(simulated):
-    folder, (_, said) = simulated
+def test_simulate_writes_a_recording_and_the_rig_that_reads_it(by_command):
+    folder, (_, said) = by_command
     assert re.search(r"wrote can\.mcap: \d+ observations, [\d.]+ MB \(synthetic\), and can\.rig\.yaml", said)
     assert sorted(path.name for path in folder.iterdir() if path.is_file()) == ["can.mcap", "can.rig.yaml"]
     assert list(Rig.from_file(folder / "can.rig.yaml").objects) == ["can"]
 
 
-def test_rig_check_prints_the_rig_and_what_the_recording_lacks(simulated, asked):
-    folder, _ = simulated
+def test_rig_check_prints_the_rig_and_what_the_recording_lacks(by_command, asked):
+    folder, _ = by_command
     out, _ = asked("rig", "check", "can.rig.yaml", "can.mcap", cwd=folder, columns=80)
     assert out.startswith("can.rig.yaml: 5 fingers on robot0:palm, 24 joints\n")
     assert max(map(len, out.splitlines())) <= 80
     assert "th         robot0:thdistal  10.5 x 10.5 x 16" in out
+    assert "640 x 480 pixels, no lens; depth by structured light" in out
     said, links = out.split("can.mcap has everything that this rig listens to.\n")
     assert "larger than it is by [mm]" in links
     rows = dict(line.split() for line in links.splitlines() if line.startswith("robot0:"))
@@ -49,8 +50,8 @@ def test_rig_check_prints_the_rig_and_what_the_recording_lacks(simulated, asked)
     assert not {finger.split()[1] for finger in said.splitlines() if "distal" in finger} & set(rows)
 
 
-def test_what_a_recording_lacks_for_a_rig_is_listed(simulated, monkeypatch, capsys):
-    folder, _ = simulated
+def test_what_a_recording_lacks_for_a_rig_is_listed(by_command, monkeypatch, capsys):
+    folder, _ = by_command
     text = (folder / "can.rig.yaml").read_text()
     (folder / "six.yaml").write_text(text.replace('"th": "/th/wrench"', '"th": "/[mm]/wrench"'))
     assert called(monkeypatch, folder, "rig", "check", "six.yaml", "can.mcap") == 1
@@ -59,8 +60,8 @@ def test_what_a_recording_lacks_for_a_rig_is_listed(simulated, monkeypatch, caps
     assert "- finger th: no wrench on /[mm]/wrench; the nearest is '/th/wrench'" in out.splitlines()
 
 
-def test_track_writes_results_that_agree_and_are_far_better_than_vision(simulated, asked):
-    folder, _ = simulated
+def test_track_writes_results_that_agree_and_are_far_better_than_vision(by_command, asked):
+    folder, _ = by_command
     _, said = asked("track", "can.mcap", cwd=folder, columns=80)
     summary = assert_results_agree(folder / "can-track")
     assert (folder / "can-track" / "track.png").read_bytes().startswith(b"\x89PNG")
@@ -73,8 +74,8 @@ def test_track_writes_results_that_agree_and_are_far_better_than_vision(simulate
     assert f"{summary['poses']} poses of {summary['observations']} observations" in said
 
 
-def test_track_takes_the_rig_and_the_object_it_is_told(simulated, asked):
-    folder, _ = simulated
+def test_track_takes_the_rig_and_the_object_it_is_told(by_command, asked):
+    folder, _ = by_command
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())
     arguments = ("--rig", "r.yaml", "--object", "can", "--output", "out", "--rate", "20")
@@ -123,8 +124,8 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
         (("simulate", "can", "--output", "can.bag"), "can.bag: expected a name that ends in .mcap"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_command_is_one_sentence(simulated, monkeypatch, capsys, arguments, said):
-    assert called(monkeypatch, simulated[0], *arguments) == 2
+def test_what_is_wrong_with_a_command_is_one_sentence(by_command, monkeypatch, capsys, arguments, said):
+    assert called(monkeypatch, by_command[0], *arguments) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"handsight: {said}")
 

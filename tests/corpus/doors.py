@@ -7,11 +7,23 @@ from tests.corpus import (
     lines,
     object_files,
     observations,
+    pictures,
     recordings,
     rigs,
     searches,
 )
 
-ROOMS = [arguments, caches, libraries, lines, object_files, observations, recordings, rigs, searches]
+ROOMS = [
+    arguments,
+    caches,
+    libraries,
+    lines,
+    object_files,
+    observations,
+    pictures,
+    recordings,
+    rigs,
+    searches,
+]
 DOORS = [door for room in ROOMS for door in room.DOORS]
 CASES = [case for room in ROOMS for case in room.CASES]

@@ -56,6 +56,8 @@ camera:
   pose: {position: [-0.45, 0.5, 0.6]}
   noise: {position: 0.005, rotation_deg: 3}
   intrinsics: {width: 640, height: 480, fx: 525, fy: 525, cx: 319.5, cy: 239.5}
+  lens: [-0.28, 0.07, 2.0e-4, 1.6e-5, 0.0]
+  depth_camera: stereo
 table: {height: 0.0, sigma_height: 0.003, sigma_tilt_deg: 1}
 world: {palm_from: tf, gravity: [0.0, 0.0, -9.81]}
 topics: {vision: /vision, wrenches: {one: /a, two: /b}}

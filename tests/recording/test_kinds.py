@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,7 @@ def test_what_the_writer_wrote_comes_back(tmp_path, sample):
     np.testing.assert_allclose(T, T_palm_object, atol=1e-12)
     np.testing.assert_array_equal(recording.intrinsics.matrix, rig().camera.intrinsics)
     assert recording.intrinsics.size == (32, 24)
+    assert len(recording.intrinsics.lens) == 0
 
 
 def test_what_the_writer_wrote_rosbags_reads(tmp_path, sample):
@@ -239,3 +241,16 @@ def test_a_topic_of_joint_states_without_messages_says_so_at_the_end(tmp_path):
         pytest.raises(InvalidFile, match="expected joint states"),
     ):
         list(recording.observations())
+
+
+@pytest.mark.parametrize("count", [4, 5, 8])
+def test_a_lens_that_was_written_is_read(tmp_path, sample, count):
+    lens = np.linspace(-0.2, 0.3, count)
+    robot = rig()
+    robot = replace(robot, camera=replace(robot.camera, lens=lens))
+    with RecordingWriter(tmp_path / "a.mcap", robot) as writer:
+        writer.write(sample)
+    _, recording = read(tmp_path / "a.mcap", robot)
+    found = recording.intrinsics.lens
+    np.testing.assert_array_equal(found[:count], lens)
+    assert not found[count:].any()

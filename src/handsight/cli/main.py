@@ -11,7 +11,9 @@ import typer
 from handsight.cli.contact import WithColumns, contact
 from handsight.cli.correct import correct
 from handsight.cli.demo import demo
+from handsight.cli.locate import locate
 from handsight.cli.objects import objects_app
+from handsight.cli.reconstruct import reconstruct
 from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.simulate import simulate
 from handsight.cli.terminal import CANNOT_WRITE, WRONG_INPUT, exit_code, flush_stdout, hold_streams, say, warn
@@ -79,7 +81,7 @@ def warmup() -> None:
     print(f"compiled in {time.monotonic() - began:.1f} s; kept in {folder()}")
 
 
-for command in (demo, track, simulate, correct):
+for command in (demo, track, locate, simulate, correct, reconstruct):
     app.command()(command)
 app.command(cls=WithColumns)(contact)
 app.command()(warmup)

@@ -1,7 +1,9 @@
 """What the commands for recordings have in common: a recording, its rig and the object in it."""
 
 import contextlib
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +13,11 @@ from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
-    from handsight.rig import Rig
+    from handsight.recording import Recording
+    from handsight.rig import ObjectEntry, Rig
 
+MOST_WITHOUT_INFO = 1000
+"""Observations of a recording in which a camera is looked for."""
 Recorded = Annotated[Path, typer.Argument(help="MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")]
 RigFile = Annotated[
     Path | None,
@@ -31,36 +36,105 @@ ObjectName = Annotated[
 
 def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":
     """The rig of a recording and the model of the object in it, as told or as found; raises InvalidInput."""
-    from handsight.objects import Library, ObjectModel
-    from handsight.objects.library import NoLibrary
-    from handsight.rig import Rig
-
-    path = rig or _rig_beside(recording)
-    found = Rig.from_file(path)
+    found, path = _rig_of(recording, rig)
     if name is None:
         if len(found.objects) != 1:
-            raise InvalidInput(
-                f"--object: expected, got nothing; {path} knows {', '.join(found.objects) or 'none'}"
-            )
+            raise _nothing_told(found, path)
         name = next(iter(found.objects))
-    if name in found.objects:
-        return found, replace(found.objects[name].model(), name=name)
-    if Path(name).exists():
-        return found, ObjectModel.from_file(name)
-    library, listed = Library(), set[str]()
-    with contextlib.suppress(NoLibrary):  # there need not be one
-        listed = {entry.name for entry in library.entries()}
-    if name in listed:
-        return found, library.model(name)
-    from handsight.checks import among
+    return found, object_named(name, objects=found.objects, of=str(path))
 
-    known = among(name, {*found.objects, *listed})
-    raise InvalidInput(f"--object: expected a name of {path} or a mesh file, got {name!r}{known}")
+
+def rig_and_objects(
+    recording: Path, rig: Path | None, names: Iterable[str]
+) -> "tuple[Rig, dict[str, ObjectModel]]":
+    """The rig and, by name, the models of the objects told, else of all that it knows; raises InvalidInput."""
+    found, path = _rig_of(recording, rig)
+    wanted = tuple(names) or tuple(found.objects)
+    if not wanted:
+        raise _nothing_told(found, path)
+    return found, by_name(object_named(name, objects=found.objects, of=str(path)) for name in wanted)
+
+
+def library_objects(library: str | None) -> "dict[str, ObjectModel]":
+    """The models of all that a library (None: the usual one) has, by name; raises InvalidInput where it has none."""
+    from handsight.objects import Library
+    from handsight.objects.library import NoLibrary
+
+    opened, said = Library(library), "expected a name of the library or a mesh file, got nothing"
+    try:
+        entries = opened.entries()
+    except NoLibrary:
+        raise InvalidInput(f"--object: {said}; there is no library at {opened.place}") from None
+    if not entries:
+        raise InvalidInput(f"--object: {said}; the library {opened.place} is empty")
+    return by_name(opened.model(entry.name) for entry in entries)
+
+
+def by_name(models: "Iterable[ObjectModel]") -> "dict[str, ObjectModel]":
+    """Models by their names; raises InvalidInput where two have the same."""
+    found = dict[str, "ObjectModel"]()
+    for model in models:
+        if model.name in found:
+            raise InvalidInput(f"--object: expected objects of different names, got {model.name!r} twice")
+        found[model.name] = model
+    return found
+
+
+def object_named(
+    name: str,
+    *,
+    objects: "Mapping[str, ObjectEntry] | None" = None,
+    of: str = "",
+    library: str | None = None,
+    scale: float = 1.0,
+) -> "ObjectModel":
+    """The object of a rig's `objects`, of a mesh file or of the library; raises InvalidInput where there is none.
+
+    `of`: what the rig is called; `scale`: metres per unit of a mesh file; `library`: None: the usual one.
+    """
+    from handsight.checks import among
+    from handsight.objects import Library, ObjectModel
+    from handsight.objects.library import NoLibrary
+
+    objects = objects or {}
+    if name in objects:
+        return replace(objects[name].model(), name=name)
+    if Path(name).is_file():
+        return ObjectModel.from_file(name, scale=scale)
+    opened, listed = Library(library), dict[str, str]()
+    with contextlib.suppress(NoLibrary):  # there need not be one
+        for entry in opened.entries():
+            listed |= dict.fromkeys((entry.name, str(entry.number), entry.file[:-4]), entry.name)
+    if name in listed:
+        return opened.model(listed[name])
+    where = of or (
+        f"the library {opened.place}" if listed else f"a library (there is none at {opened.place})"
+    )
+    known = among(name, {*objects, *listed.values()})
+    raise InvalidInput(f"--object: expected a name of {where} or a mesh file, got {name!r}{known}")
+
+
+def rig_of_recording(recording: Path, rig: Path | None) -> "Rig":
+    """The rig of a recording, as told or as found beside it; raises InvalidInput."""
+    return _rig_of(recording, rig)[0]
 
 
 def own_rig(recording: Path) -> Path:
     """Where the rig of this one recording is."""
     return recording.with_suffix(".rig.yaml")
+
+
+def _rig_of(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
+    """The rig as told or as found, and where it is."""
+    from handsight.rig import Rig
+
+    path = rig or _rig_beside(recording)
+    return Rig.from_file(path), path
+
+
+def _nothing_told(rig: "Rig", path: Path) -> InvalidInput:
+    known = ", ".join(rig.objects) or "none"
+    return InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
 
 
 def _rig_beside(recording: Path) -> Path:
@@ -71,3 +145,16 @@ def _rig_beside(recording: Path) -> Path:
     raise InvalidInput(
         f"--rig: expected, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
     )
+
+
+def with_intrinsics(rig: "Rig", recording: "Recording") -> "Rig":
+    """The rig, its camera's intrinsics from the recording's first CameraInfo where it has none of its own."""
+    camera = rig.camera
+    if camera is None or camera.intrinsics is not None or None in (rig.topics.depth, rig.topics.camera_info):
+        return rig
+    for _ in islice(recording.observations(), MOST_WITHOUT_INFO):
+        if (info := recording.intrinsics) is not None:
+            return replace(
+                rig, camera=replace(camera, intrinsics=info.matrix, size=info.size, lens=info.lens)
+            )
+    return rig

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
+from handsight.cli.run import refusals
 from handsight.cli.terminal import announce_compiling, kept_going, say, table
-from handsight.cli.track import refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from handsight.checks import Array
     from handsight.observation import Observation
-    from handsight.rig import Rig
+    from handsight.rig import Camera, Rig
+    from handsight.tracking.camera_by_hand import HandCalibration
     from handsight.tracking.camera_calibration import CameraCalibration
 
 rig_app = typer.Typer(help="What describes a robot: hand, fingertips, camera.", no_args_is_help=True)
@@ -104,52 +106,88 @@ def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
 
 @calibrate_app.command("camera")
 def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) -> None:
-    """The camera's constant error, from an object that was held while the palm turned.
+    """The camera's constant error, from the hand in its depth images, or from an object held while the palm turned.
 
-    Vision's error stays where it is in the world while the palm turns with the object; so the two come apart, and touch
-    says where the object is. Printed: the camera's corrected pose for the rig file, and how well it is known.
+    Where the recording has depth images and the rig the camera's intrinsics, the hand that is seen in them says where
+    the camera is. Else touch: vision's error stays where it is in the world while the palm turns with the object, so
+    the two come apart. Printed: the camera's corrected pose for the rig file, how well it is known, and which of both
+    says so; how far they are apart where both do.
     """
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
+    from handsight.tracking.camera_by_hand import HandViews
     from handsight.tracking.camera_calibration import calibrations
     from handsight.tracking.replay import Tally
 
     announce_compiling()
     found, model = rig_and_object(recording, rig, object)
-    tracker, tally, calibrated = Tracker(found, model), Tally(), None
+    tracker, tally, touched = Tracker(found, model), Tally(), None
+    views = HandViews(found)
     with open_recording(recording, found) as opened, kept_going() as end:
-        for each in calibrations(opened.observations(), tracker, tally):
-            calibrated = each
-    if calibrated is None and isinstance(end.error, HandsightError):
+        for each in calibrations(views.watched(opened.observations()), tracker, tally):
+            touched = each
+    seen = views.calibration()
+    if touched is None and seen is None and isinstance(end.error, HandsightError):
         raise end.error
-    if calibrated is not None:
-        _print_calibrated(calibrated)
+    _print_calibrated(seen, touched)
+    if seen is None and views.looked_at:
+        say(f"the hand was hardly seen: {views.looked_at} pictures, {_counted(views.refusals)}")
     for sentence in refusals(tally):
         say(sentence)
     if end.said:
         say(end.said)
     if end.exit_code:
         raise typer.Exit(end.exit_code)
-    if calibrated is None:
+    if touched is None and seen is None:
         raise InvalidInput(f"{recording}: expected an object that is held and seen, got none")
 
 
-def _print_calibrated(calibrated: "CameraCalibration") -> None:
-    """Prints a camera's pose for the rig file, and how well it is known."""
+def _print_calibrated(seen: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
+    """Prints a camera's pose for the rig file, how well it is known, and from what."""
     from handsight.rig.save import pose_text
     from handsight.tracking.camera_calibration import LITTLE_TURN
 
-    shift, turn = 1e3 * calibrated.correction[:3], calibrated.correction[3:]
-    sigma = calibrated.covariance.diagonal() ** 0.5
-    degrees = [[math.degrees(angle) for angle in part] for part in (turn, sigma[3:])]
+    calibrated = touched if seen is None else seen
+    if calibrated is None:
+        return
     typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
-    moved = "# shifted by [{:.1f}, {:.1f}, {:.1f}] mm at the object, turned by [{:.2f}, {:.2f}, {:.2f}]°"
-    typer.echo(moved.format(*shift, *degrees[0]))
-    known = "# known to ± [{:.1f}, {:.1f}, {:.1f}] mm, [{:.2f}, {:.2f}, {:.2f}]° (one standard deviation)"
-    typer.echo(known.format(*(1e3 * sigma[:3]), *degrees[1]))
-    if calibrated.turned < LITTLE_TURN:
-        said = f"the palm turned by {math.degrees(calibrated.turned):.0f}° only"
+    where = "object" if seen is None else "hand"
+    typer.echo(
+        f"# shifted by {_mm(calibrated.correction)} at the {where}, turned by {_degrees(calibrated.correction)}"
+    )
+    sigma = calibrated.covariance.diagonal() ** 0.5
+    typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
+    if seen is not None:
+        views = (
+            f"{seen.views} of {seen.looked_at} pictures, apart by {_mm(seen.spread)}, {_degrees(seen.spread)}"
+        )
+        typer.echo(f"# from the hand seen in {views} (root mean square)")
+    if touched is None:
+        return
+    if touched.turned < LITTLE_TURN and seen is None:
+        said = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
         say(f"{said}: error and pose are hardly told apart")
+    if seen is None:
+        typer.echo("# from touch")
+        return
+    shift, turn = touched.away_from(seen.T_mount_camera)
+    apart = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
+    known = touched.covariance.diagonal() ** 0.5
+    typer.echo(
+        f"# touch says {apart} from that, at the object, and knows it to ± {_mm(known)}, {_degrees(known)}"
+    )
+
+
+def _mm(values: "Array") -> str:
+    return "[{:.1f}, {:.1f}, {:.1f}] mm".format(*(1e3 * values[:3]))
+
+
+def _degrees(values: "Array") -> str:
+    return "[{:.2f}, {:.2f}, {:.2f}]°".format(*map(math.degrees, values[3:]))
+
+
+def _counted(refusals: dict[str, int]) -> str:
+    return ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in refusals.items()) or "too few"
 
 
 def _print_rig(rig: "Rig", name: str) -> None:
@@ -199,6 +237,13 @@ def _sensor(rig: "Rig", name: str) -> list[str]:
     ]
 
 
+def _images(camera: "Camera") -> str:
+    kind, lens = camera.depth_camera.replace("_", " "), len(camera.lens)
+    width, height = camera.size or (0, 0)
+    through = f"lens of {lens} numbers" if lens else "no lens"
+    return f"{width} x {height} pixels, {through}; depth by {kind}"
+
+
 def _rows(rig: "Rig") -> list[tuple[str, str]]:
     offset, noise = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
@@ -211,6 +256,7 @@ def _rows(rig: "Rig") -> list[tuple[str, str]]:
         seen = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"
         constant = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
         rows += [("camera", f"fixed to the {c.on}; noise {seen}"), ("", f"constant error {constant}")]
+        rows += [("", _images(c))] if c.intrinsics is not None and c.size is not None else []
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

@@ -108,15 +108,16 @@ class RecordingWriter(McapFile):
             link = Message(header=top, child_frame_id=frames["palm"], transform=body)
             self.append(_topic(topics.tf, "tf"), TF, stamp, transforms=[link])
         if (vision := observation.vision) is not None:
-            top = header(stamp, frames[vision.frame])
+            top = header(stamp if vision.stamp is None else vision.stamp, frames[vision.frame])
             body = pose_with_covariance(vision.T_frame_object, vision.covariance)
             self.append(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, header=top, pose=body)
+        taken = stamp if observation.image_stamp is None else observation.image_stamp
         if observation.color is not None:
             color = np.asarray(observation.color, np.uint8)
-            self._write_image(stamp, _topic(topics.color, "color"), "rgb8", color)
+            self._write_image((stamp, taken), _topic(topics.color, "color"), "rgb8", color)
         if observation.depth is not None:
             depth = _millimetres(observation.depth)
-            self._write_image(stamp, _topic(topics.depth, "depth"), "16UC1", depth)
+            self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", depth)
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
         """Append where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
@@ -132,9 +133,13 @@ class RecordingWriter(McapFile):
         # The sensor's own frame; none of the rig's frame ids.
         self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
 
-    def _write_image(self, stamp: float, topic: str, encoding: str, pixels: NDArray[Any]) -> None:
+    def _write_image(
+        self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[Any]
+    ) -> None:
+        """An image that was logged at the first stamp and taken at the second."""
+        stamp, taken = stamps
         height, width = pixels.shape[:2]
-        top = {"header": header(stamp, self._rig.frames["camera"]), "height": height, "width": width}
+        top = {"header": header(taken, self._rig.frames["camera"]), "height": height, "width": width}
         data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
         fields = {"encoding": encoding, "is_bigendian": 0, "step": len(data) // height, "data": data}
         self.append(topic, IMAGE, stamp, **top, **fields)
@@ -143,7 +148,9 @@ class RecordingWriter(McapFile):
             return
         K = np.asarray(camera.intrinsics, dtype=np.float64)
         matrices = {"k": K.ravel(), "r": np.eye(3).ravel(), "p": np.pad(K, ((0, 0), (0, 1))).ravel()}
-        lens = {"distortion_model": "plumb_bob", "d": np.zeros(5), "binning_x": 0, "binning_y": 0}
+        model = "rational_polynomial" if len(camera.lens) > 5 else "plumb_bob"
+        d = np.pad(camera.lens, (0, max(5 - len(camera.lens), 0)))
+        lens = {"distortion_model": model, "d": d, "binning_x": 0, "binning_y": 0}
         roi = Message(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         self.append(info, INFO, stamp, **top, **matrices, **lens, roi=roi)
 

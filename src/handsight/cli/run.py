@@ -1,0 +1,134 @@
+"""What `handsight track` has to say of a recording's way through a tracker, for a person and as numbers."""
+
+import contextlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from handsight.cli.terminal import FAILED, End, kept_going
+from handsight.files import written
+
+if TYPE_CHECKING:
+    from handsight.evaluation import TrackErrors, Truths
+    from handsight.tracking.replay import Step, Tally
+
+MOST_REFUSED = 5
+"""Kinds of wrong observations that are told each."""
+
+
+@dataclass(slots=True)
+class Run:
+    """A recording's way through a tracker."""
+
+    name: str
+    tally: "Tally"
+    truths: "Truths"
+    steps: "list[Step]" = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+    """What the recording has to say of itself."""
+    corrections: int = 0
+    reason: str = ""
+    """Why the tracker's last state was no better."""
+    errors: "dict[str, TrackErrors]" = field(default_factory=dict)
+    """Of "vision" and "tracked" against the truth, where the recording has one."""
+    untouched: dict[str, dict[str, int]] = field(default_factory=dict)
+    """By finger that never touched anything: its observations, by why there was no contact."""
+    margins: dict[str, float] = field(default_factory=dict)
+    """By link of the hand that is smaller than its shape: by how much [m]."""
+    images: dict[str, int] = field(default_factory=dict)
+    """What has become of depth images, if any were looked at."""
+    ends: list[End] = field(default_factory=list)
+    """Of what ended early."""
+
+    @property
+    def exit_code(self) -> int:
+        """Of the command: that of what ended first, or of a run without a pose."""
+        return next((end.exit_code for end in self.ends), 0 if self.steps else FAILED)
+
+    @contextlib.contextmanager
+    def part(self) -> Iterator[End]:
+        """A part of the run, which may end early."""
+        with kept_going() as end:
+            yield end
+        if end.exit_code:
+            self.ends.append(end)
+
+    def summary(self) -> dict[str, Any]:
+        """The run in numbers, as JSON's values."""
+        tally = self.tally
+        return {
+            "recording": self.name,
+            "observations": tally.observations,
+            "poses": tally.answered,
+            "corrections": self.corrections,
+            "seconds_recorded": tally.recorded,
+            "seconds_taken": tally.wall,
+            "real_time_factor": tally.recorded / tally.wall if tally.wall else None,
+            "seconds_in_state": {state: round(seconds, 3) for state, seconds in tally.states.items()},
+            "last_reason": self.reason,
+            "refused": dict(tally.refused),
+            "fingers_without_contact": self.untouched,
+            "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
+            "depth_images": self.images,
+            "recording_says": self.said,
+            "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
+        }
+
+    def write_summary(self, path: Path, _: object) -> None:
+        """Writes the summary as JSON."""
+        text = json.dumps(self.summary(), indent=1, ensure_ascii=False, allow_nan=False)
+        with written(path):
+            path.write_text(text + "\n", encoding="utf-8")
+
+    def sentences(self) -> list[str]:
+        """The run for a person."""
+        tally = self.tally
+        factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
+        lines = [
+            f"{tally.answered} poses of {tally.observations} observations, {self.corrections} corrections; "
+            f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
+        ]
+        if not tally.answered:
+            lines.append(f"no pose: {self.reason}")
+        spent = ", ".join(
+            f"{state} {seconds:.1f} s" for state, seconds in sorted(tally.states.items(), key=lambda s: -s[1])
+        )
+        if spent:
+            lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
+        lines += refusals(tally)
+        for finger, why in self.untouched.items():
+            reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
+            lines.append(f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})")
+        if self.images:
+            lines.append(images_said(self.images))
+        if self.margins:
+            lines.append(larger_shapes(self.margins))
+        lines += [end.said for end in self.ends if end.said]
+        for name, errors in self.errors.items():
+            n = errors.summary()
+            lines.append(
+                f"{name}: base centre off by {n['base_mean']:.1f} mm on average ({n['base_last']:.1f} at the end), "
+                f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
+            )
+        return lines
+
+
+def larger_shapes(margins: dict[str, float]) -> str:
+    """A sentence of the links whose shapes would be inside the object."""
+    by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in margins.items())
+    return f"shapes of the hand's file larger than the hand, inside the object though contacts fit: {by}; taken off"
+
+
+def images_said(images: dict[str, int]) -> str:
+    """A sentence of what depth images have shown."""
+    looked, seen, sought, hands = images.values()
+    return f"{looked} depth images: the object was seen in {seen}, the hand in {hands} of {sought} looked at for it"
+
+
+def refusals(tally: "Tally") -> list[str]:
+    """A sentence for each of the most frequent kinds of observations that were left out."""
+    return [
+        f"{count} observations left out: {said}" for said, count in tally.refused.most_common(MOST_REFUSED)
+    ]

@@ -1,0 +1,96 @@
+"""Depth images of a robot's recording to `Frame`s, its hand masked where it is seen."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array, Mask
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.observation import Observation
+from handsight.recording.frames import Frame, Frames
+from handsight.recording.open import Recording, open_recording
+from handsight.rig import Rig
+from handsight.vision import PinholeCamera, SeenHand
+from handsight.vision.camera import Depth
+from handsight.vision.own_hand import OwnHand
+
+KNOWN = 0.01, float(np.deg2rad(2))
+"""How far the hand may be off where the last picture had it, once one has shown it: sigma [m, rad]."""
+
+
+def recorded_frames(path: Path, rig: Rig) -> Frames:
+    """The frames of a recording in order of stamp; raises InvalidFile where it has no depth images, InvalidInput where
+    neither it nor the rig says what camera they are of.
+
+    Hand: its links as they are seen (`seen_hand`), else where the rig's camera should see them. Unknown without joint
+    positions, or where a camera in the world does not know of the palm.
+    """
+    if rig.topics.depth is None:
+        raise InvalidInput("rig: expected topics.depth, where the recording has its depth images, got none")
+    return Frames(None, _frames(path, rig))
+
+
+class HandPixels:
+    """Which pixels are the hand's, picture after picture of one camera."""
+
+    def __init__(self, rig: Rig) -> None:
+        """A camera that is calibrated as well as the rig says."""
+        self._rig, self._hand = rig, OwnHand(rig)
+        # Of the palm in the camera, as constant as the calibration's error.
+        self._T_seen_believed: Array | None = None
+
+    def mask(self, camera: PinholeCamera, depth: Depth, seen: Observation) -> Mask | None:
+        """(h, w); None where nobody knows of a hand."""
+        believed, joints, of = believed_palm(self._rig, seen), seen.joint_positions, self._rig.camera
+        if believed is None or of is None:
+            return None
+        last = self._T_seen_believed
+        off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
+        near = believed if last is None else last @ believed
+        found = self._hand.seen(camera, depth, joints, near, off) if min(off) > 0 else None
+        if isinstance(found, SeenHand):
+            near = found.T_camera_palm
+            self._T_seen_believed = near @ se3.inverse(believed)
+        return self._hand.mask(camera, depth, joints, near)
+
+
+def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
+    pixels, camera = HandPixels(rig), None
+    with open_recording(path, rig) as recording:
+        for seen in recording.observations():
+            if seen.depth is None:
+                continue
+            camera = camera or _camera(recording, rig)
+            if seen.depth.shape != camera.size[::-1]:
+                (width, height), (h, w) = camera.size, seen.depth.shape
+                said = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
+                raise InvalidFile(f"{path}: {said}")
+            alike = seen.color is not None and seen.color.shape[:2] == seen.depth.shape
+            yield Frame(
+                name=f"{seen.stamp:.3f} s",
+                camera=camera,
+                depth=seen.depth,
+                color=seen.color if alike else None,
+                hand=pixels.mask(camera, np.nan_to_num(seen.depth), seen),
+            )
+    if camera is None:
+        raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
+
+
+def _camera(recording: Recording, rig: Rig) -> PinholeCamera:
+    """What the images are of: as CameraInfo says, else the rig."""
+    if recording.intrinsics is not None:
+        return PinholeCamera(*recording.intrinsics)
+    return PinholeCamera.of(rig.camera)
+
+
+def believed_palm(rig: Rig, seen: Observation) -> Array | None:
+    """T_camera_palm (4, 4) by the camera's calibration; None where it does not tell."""
+    if rig.camera is None:
+        return None
+    T_camera_mount = se3.inverse(rig.camera.T_mount_camera)
+    if rig.camera.on == "palm":
+        return T_camera_mount
+    return None if seen.T_world_palm is None else T_camera_mount @ seen.T_world_palm

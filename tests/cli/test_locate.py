@@ -1,0 +1,433 @@
+"""`handsight locate`: an object found in pictures of each kind, what is not there, and what is wrong with files."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import handsight.vision
+from cli.commands import called, run
+from handsight import se3
+from handsight.vision.locate import LEAST_PROBABILITY
+from pictures import (
+    INTRINSICS,
+    bop_of,
+    brick,
+    folder_of,
+    off_mm,
+    picture,
+    write_color,
+    write_depth,
+    write_mesh,
+)
+from sight_scenes import CAMERA, letter
+
+NEAR_MM = 12.0
+"""A tenth of the letter's diameter."""
+
+
+def pose_of(answer):
+    return se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
+
+
+def answers(out):
+    return [json.loads(line) for line in out.splitlines()]
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return [picture(0), picture(1), picture(2, empty=True)]
+
+
+@pytest.fixture
+def frames(pictures, tmp_path):
+    """A folder of three: the letter is in the first two."""
+    return folder_of(tmp_path, [depth for depth, _ in pictures])
+
+
+@pytest.fixture
+def scene(pictures, tmp_path):
+    return bop_of(tmp_path / "bop", [depth for depth, _ in pictures])
+
+
+def test_an_object_is_found_in_a_folder_of_pictures_and_not_where_it_is_not(frames, pictures, asked):
+    out, _ = asked("locate", frames, "--object", "letter.ply", "--plot", "found.png")
+    first, second, third = answers(out)
+    for answer, name, (_, truth) in zip((first, second), ("0000.png", "0001.png"), pictures, strict=False):
+        assert (answer["frame"], answer["object"], answer["found"]) == (name, "letter", True)
+        assert off_mm(pose_of(answer), truth) < NEAR_MM
+        assert np.linalg.eigvalsh(answer["covariance"]).min() > 0
+        best = answer["hypotheses"][0]
+        assert best["position"] == answer["position"]
+        assert best["weight"] == max(each["weight"] for each in answer["hypotheses"])
+        assert sum(each["weight"] for each in answer["hypotheses"]) == pytest.approx(1)
+        assert LEAST_PROBABILITY <= answer["probability"] <= 1
+        assert answer["seconds"] > 0
+    assert set(third) == {"frame", "object", "found", "reason", "seconds"}
+    assert third["found"] is False
+    assert (frames.parent / "found.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_picture_needs_no_more_than_its_camera_and_a_mesh(pictures, tmp_path):
+    """As a user runs it, in a process of its own; the mesh in millimetres, depth in tenths of them."""
+    depth, truth = pictures[0]
+    write_depth(tmp_path / "a.png", depth, 1e-4)
+    write_mesh(tmp_path / "letter.ply", 1000.0)
+    write_color(tmp_path / "a.jpg")
+    (tmp_path / "d435.json").write_text(json.dumps(INTRINSICS))
+    arguments = ("--camera", "d435.json", "--color", "a.jpg", "--depth-scale", "0.0001", "--scale", "0.001")
+    out, said = run("locate", "a.png", "--object", "letter.ply", *arguments, "-o", "out.jsonl", cwd=tmp_path)
+    assert out == ""
+    assert said == "wrote out.jsonl: found in 1 of 1 pictures\n"
+    (answer,) = answers((tmp_path / "out.jsonl").read_text())
+    assert off_mm(pose_of(answer), truth) < NEAR_MM
+
+
+def test_a_bop_scene_is_answered_in_bops_csv(scene, pictures, asked):
+    """Models and depth's unit are the data set's own; a picture without the object has no line."""
+    for place in (scene, scene.parent):
+        asked("locate", place, "--object", "3", "-o", "results.csv")
+        with open(scene.parents[2] / "results.csv", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert list(rows[0]) == ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
+        assert [(row["scene_id"], row["im_id"], row["obj_id"]) for row in rows] == [
+            ("48", "0", "3"),
+            ("48", "1", "3"),
+        ]
+        for row, (_, truth) in zip(rows, pictures, strict=False):
+            R = np.array(row["R"].split(), float).reshape(3, 3)
+            T = se3.compose(R, 1e-3 * np.array(row["t"].split(), float))
+            np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-5)
+            assert off_mm(T, truth) < NEAR_MM
+            assert 0 < float(row["score"]) <= 1
+            assert float(row["time"]) > 0
+    out, _ = asked("locate", scene, "--object", "obj_000003")
+    assert [(each["scene_id"], each["im_id"], each["found"]) for each in answers(out)] == [
+        (48, 0, True),
+        (48, 1, True),
+        (48, 2, False),
+    ]
+
+
+@pytest.fixture
+def two_known(pictures, tmp_path):
+    """A BOP scene of a data set with two objects: letter, brick, and none of them."""
+    depths = [pictures[0][0], picture(1, shape=brick)[0], pictures[2][0]]
+    return bop_of(tmp_path / "two", depths, {3: letter, 7: brick})
+
+
+SHOWN = ["obj_000003", "obj_000007", None]
+
+
+def test_of_all_objects_of_a_data_set_it_is_said_which(two_known, pictures, asked):
+    out, _ = asked("locate", two_known, "--plot", "which.png")
+    rows = answers(out)
+    for row, name in zip(rows, SHOWN, strict=True):
+        assert (row["object"], row["found"]) == (name, name is not None)
+        assert set(row["scores"]) == {"obj_000003", "obj_000007"}
+        assert sum(row["scores"].values()) + row["none"] == pytest.approx(1)
+        assert max(row["scores"] | {None: row["none"]}, key=(row["scores"] | {None: row["none"]}).get) == name
+    assert off_mm(pose_of(rows[0]), pictures[0][1]) < NEAR_MM
+    assert set(rows[2]) == {
+        "scene_id",
+        "im_id",
+        "frame",
+        "object",
+        "found",
+        "scores",
+        "none",
+        "reason",
+        "seconds",
+    }
+    out, _ = asked("locate", two_known, "--object", "7", "--object", "3")
+    assert [row["scores"] for row in answers(out)] == [row["scores"] for row in rows]
+    asked("locate", two_known, "-o", "which.csv")
+    with open(two_known.parents[2] / "which.csv", newline="") as file:
+        assert [(row["im_id"], row["obj_id"]) for row in csv.DictReader(file)] == [("0", "3"), ("1", "7")]
+
+
+def test_without_an_object_all_of_the_library_are_asked_for(frames, two_known, asked, monkeypatch):
+    library, picture = two_known.parents[1], ("frames/depth/0000.png", "--camera", "frames/camera.json")
+    out, _ = asked("locate", *picture, "--library", library)
+    (answer,) = answers(out)
+    assert answer["object"] == "obj_000003"
+    monkeypatch.setenv("HANDSIGHT_LIBRARY", str(library))
+    (again,) = answers(asked("locate", *picture)[0])
+    assert again["scores"] == answer["scores"]
+    (mixed,) = answers(asked("locate", *picture, "--object", "7", "--object", "letter.ply")[0])
+    assert (mixed["object"], set(mixed["scores"])) == ("letter", {"obj_000007", "letter"})
+    (library / "models/models_info.json").write_text("{}")
+    _, err = asked("locate", *picture, expect=2)
+    assert err == (
+        "handsight: --object: expected a name of the library or a mesh file, got nothing; "
+        f"the library {library} is empty\n"
+    )
+
+
+def test_what_kind_of_camera_it_is_matters_to_the_covariance(frames, asked):
+    """Time of flight is off by millimetres in all pixels alike, which no number of them takes away."""
+    spread = {}
+    for kind in ("structured_light", "time_of_flight"):
+        told = ("--object", "letter.ply", "--depth-camera", kind)
+        (answer,) = answers(
+            asked("locate", "frames/depth/0000.png", "--camera", "frames/camera.json", *told)[0]
+        )
+        spread[kind] = np.trace(np.array(answer["covariance"])[:3, :3])
+    (untold,) = answers(
+        asked("locate", "frames/depth/0000.png", "--camera", "frames/camera.json", "--object", "letter.ply")[
+            0
+        ]
+    )
+    assert np.trace(np.array(untold["covariance"])[:3, :3]) == spread["structured_light"]
+    assert spread["time_of_flight"] > 2 * spread["structured_light"]
+
+
+def test_an_object_is_looked_for_in_a_box_or_a_mask_only(frames, pictures, asked):
+    """Around it it is found; where it is not, it is not, though it is in the picture."""
+    _, truth = pictures[0]
+    u, v = CAMERA.project(truth[None, :3, 3])[0].round().astype(int)
+    around = [max(u - 80, 0), max(v - 80, 0), min(u + 80, 319), min(v + 80, 239)]
+    beside = [0, 0, 20, 20]
+    for name, box in (("around", around), ("beside", beside)):
+        mask = np.zeros((240, 320), np.uint8)
+        mask[box[1] : box[3] + 1, box[0] : box[2] + 1] = 255
+        (frames / name).mkdir()
+        Image.fromarray(mask).save(frames / name / "0000.png")
+        found = []
+        for option in (("--box", ",".join(map(str, box))), ("--mask", frames / name)):
+            depth = frames / "depth/0000.png"
+            camera = ("--camera", frames / "camera.json", "--object", "letter.ply")
+            (answer,) = answers(asked("locate", depth, *camera, *option)[0])
+            found.append(answer["found"] and off_mm(pose_of(answer), truth) < NEAR_MM)
+        assert found == [name == "around"] * 2
+
+
+def test_a_picture_that_cannot_be_read_is_said_in_its_place(frames, scene, asked):
+    (frames / "depth/0001.png").write_bytes(b"no picture")
+    out, said = asked("locate", frames, "--object", "letter.ply", expect=1)
+    first, second, third = answers(out)
+    assert first["found"]
+    assert not third["found"]
+    assert re.search(r"depth/0001.png: expected a PNG or JPEG", second["error"])
+    assert said == f"handsight: {second['error']}\n"
+    (scene / "depth/000001.png").unlink()
+    _, said = asked("locate", scene, "--object", "3", "-o", "out.csv", expect=1)
+    assert re.search(r"handsight: .*depth/000001.png: cannot be read: No such file or directory", said)
+    assert "wrote out.csv: found in 1 of 3 pictures" in said
+
+
+def spoil_depth(frames, **changed):
+    """The first picture in another unit, of another kind."""
+    depth, _ = picture(0)
+    write_depth(frames / "depth/0000.png", depth, changed["step"])
+
+
+def eight_bits(frames):
+    Image.fromarray(np.full((240, 320), 90, np.uint8)).save(frames / "depth/0000.png")
+
+
+def no_depth(frames):
+    Image.fromarray(np.zeros((240, 320), np.uint16)).save(frames / "depth/0000.png")
+
+
+def camera(**changed):
+    return lambda frames: (frames / "camera.json").write_text(json.dumps(INTRINSICS | changed))
+
+
+WRONG = {
+    "depth in metres": (lambda f: spoil_depth(f, step=0.5), (), r"depth/0000.png: expected depth in millimetres .* got a median of"),
+    "depth in micrometres": (lambda f: spoil_depth(f, step=1e-5), (), r"depth/0000.png: expected depth in millimetres .* \(another unit\?\)"),
+    "8 bits": (eight_bits, (), r"depth/0000.png: expected a PNG of 16 bits for depth, got mode L"),
+    "no depth": (no_depth, (), r"depth/0000.png: expected depth, got none at any pixel"),
+    "camera of another size": (camera(width=640, height=480), (), r"depth/0000.png: expected 640 x 480 pixels as the camera's, got 320 x 240"),
+    "camera with a slip": (camera(fxx=3), (), r"camera.json: fxx: unknown key; the nearest valid one is 'fx'"),
+    "no camera": (lambda f: (f / "camera.json").unlink(), (), r"camera.json: cannot be read: No such file or directory"),
+    "colour of another size": (lambda f: write_color(f / "rgb/0000.png", (64, 48)), (), r"rgb/0000.png: expected 320 x 240 pixels as the camera's, got 64 x 48"),
+    "a mask of another size": (lambda f: write_color(f / "mask.png", (64, 48)), ("--mask", "frames/mask.png"), r"mask.png: expected 320 x 240 pixels"),
+    "a box beyond": (lambda f: None, ("--box", "0,0,320,100"), r"box: expected u0,v0,u1,v1 from 0,0 to 319,239, got 0,0,320,100"),
+    "no box": (lambda f: None, ("--box", "left"), r"--box: expected 4 whole numbers u0,v0,u1,v1, got 'left'"),
+    "colour for many": (lambda f: None, ("--color", "frames/rgb/0000.png"), r"color: expected beside one depth image, got .*frames, a folder"),
+    "a rig": (lambda f: None, ("--rig", "rig.yaml"), r"--rig: expected beside a recording"),
+    "no such depth camera": (lambda f: None, ("--depth-camera", "sterio"), r"--depth-camera: expected one of structured_light, time_of_flight, stereo, got 'sterio'; the nearest valid one is 'stereo'"),
+    "an object twice": (lambda f: None, ("--object", "letter.ply"), r"--object: expected objects of different names, got 'letter' twice"),
+    "one of several that nobody knows": (lambda f: None, ("--object", "mug"), r"--object: expected a name of .* or a mesh file, got 'mug'"),
+    "a scale of nothing": (lambda f: None, ("--depth-scale", "0"), r"scale: expected a number above 0, got 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_what_is_wrong_with_a_folder_is_one_sentence(frames, asked, kind):
+    spoil, options, said = WRONG[kind]
+    for path in frames.glob("*/000[12].png"):
+        path.unlink()
+    spoil(frames)
+    _, err = asked("locate", "frames", "--object", "letter.ply", *options, expect=2)
+    assert re.match(rf"handsight: .*{said}", err), err
+    assert err.count("\n") == 1
+
+
+def spoil_cameras(scene, **changed):
+    cameras = json.loads((scene / "scene_camera.json").read_text())
+    cameras["0"] |= changed
+    (scene / "scene_camera.json").write_text(json.dumps(cameras))
+
+
+WRONG_BOP = {
+    "a missing model": (lambda s: (s.parents[1] / "models/obj_000003.ply").unlink(), "3", r"models/obj_000003.ply: cannot be read: No such file"),
+    "no such object": (lambda s: None, "obj_00003", r"--object: expected a name of the library .*bop or a mesh file, got 'obj_00003'; the nearest valid one is 'obj_000003'"),
+    "a matrix of eight": (lambda s: spoil_cameras(s, cam_K=[1.0] * 8), "3", r"scene_camera.json: 0.cam_K: expected 9 finite numbers"),
+    "a matrix of nothing": (lambda s: spoil_cameras(s, cam_K=[0.0] * 9), "3", r"scene_camera.json: 0.cam_K: expected \[\[fx, 0, cx\]"),
+    "no unit": (lambda s: spoil_cameras(s, depth_scale=None), "3", r"scene_camera.json: 0.depth_scale: expected a finite number, got None|depth_scale: expected"),
+    "a scene of nothing": (lambda s: (s / "scene_camera.json").write_text("{}"), "3", r"scene_camera.json: expected a camera for each image, got none"),
+    "a path for a number": (lambda s: (s / "scene_camera.json").write_text(json.dumps({"../../a": {"cam_K": [1.0] * 9, "depth_scale": 1}})), "3", r"scene_camera.json: expected numbers of images as keys, got '../../a'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", WRONG_BOP)
+def test_what_is_wrong_with_a_bop_scene_is_one_sentence(scene, asked, kind):
+    spoil, name, said = WRONG_BOP[kind]
+    for number in (1, 2):
+        (scene / f"depth/00000{number}.png").unlink()
+    cameras = json.loads((scene / "scene_camera.json").read_text())
+    (scene / "scene_camera.json").write_text(json.dumps({"0": cameras["0"]}))
+    spoil(scene)
+    _, err = asked("locate", scene, "--object", name, expect=2)
+    assert re.match(rf"handsight: .*({said})", err), err
+    assert err.count("\n") == 1
+
+
+def test_what_is_no_picture_is_said(asked, tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "none"))
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "a.png").write_bytes(b"")
+    (tmp_path / "camera.json").write_text(json.dumps(INTRINSICS))
+    for arguments, said in (
+        (("locate", "empty", "--object", "a"), "empty: expected depth images, depth/*.png or *depth*.png, got none"),
+        (("locate", "away.png", "--object", "a"), "away.png: cannot be read: No such file or directory"),
+        (("locate", "a.mcap"), "--rig: expected, got nothing, and there is neither a.rig.yaml nor rig.yaml beside a.mcap"),
+        (("locate", "a.png", "--object", "a", "-o", "a.png"), "a.png: the answers would overwrite what is read"),
+    ):  # fmt: skip
+        _, err = asked(*arguments, expect=2)
+        assert err.startswith(f"handsight: {said}")
+    write_depth(tmp_path / "a.png", picture(0)[0])
+    _, err = asked("locate", "a.png", "--object", "a", expect=2)
+    assert err.startswith("handsight: --object: expected a name of a library (there is none at ")
+    _, err = asked("locate", "a.png", expect=2)
+    said = "--object: expected a name of the library or a mesh file, got nothing; there is no library at"
+    assert err == f"handsight: {said} {tmp_path / 'none'}\n"
+    write_mesh(tmp_path / "letter.ply")
+    _, err = asked("locate", "a.png", "--object", "letter.ply", "-o", "away/b.jsonl", expect=74)
+    assert err.startswith("handsight: away/b.jsonl: cannot be written: No such file or directory")
+
+
+def test_ctrl_c_keeps_what_was_found(frames, monkeypatch, capsys):
+    calls, locate = iter(range(9)), handsight.vision.locate
+
+    def interrupted(*args, **options):
+        if next(calls) == 1:
+            raise KeyboardInterrupt
+        return locate(*args, **options)
+
+    monkeypatch.setattr(handsight.vision, "locate", interrupted)
+    folder = frames.parent
+    assert called(monkeypatch, folder, "locate", "frames", "--object", "letter.ply", "-o", "a.jsonl") == 130
+    assert len(answers((folder / "a.jsonl").read_text())) == 1
+    err = capsys.readouterr().err
+    assert "wrote a.jsonl: found in 1 of 1 pictures" in err
+    assert "handsight: stopped after 1 pictures; what was found is kept" in err
+
+
+def test_a_person_at_a_terminal_gets_a_table(frames, monkeypatch, capsys):
+    import sys
+
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert called(monkeypatch, frames.parent, "locate", "frames", "--object", "letter.ply", columns=110) == 0
+    out, said = capsys.readouterr()
+    assert re.match(r"0002.png: not here: .* \(median depth 0\.\d\d m\)\n", said)
+    assert "letter in depth images" in out
+    assert "not here" in out
+    assert "0001.png" in out
+    assert "{" not in out
+
+
+def test_of_several_objects_the_table_says_which(two_known, monkeypatch, capsys):
+    import sys
+
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert called(monkeypatch, two_known.parents[2], "locate", two_known, columns=140) == 0
+    out, said = capsys.readouterr()
+    assert "2 objects in depth images" in out
+    assert re.search(r"obj_000003: [01]\.\d\d .*\n.*obj_000007: [01]\.\d\d .*\n.*none: [01]\.\d\d ", out)
+    assert re.match(r".*: not here: nothing ", said)
+
+
+def test_help_teaches(asked):
+    out, _ = asked("locate", "--help")
+    for said in ("camera.json", "scene_camera.json", "handsight locate", "--depth-scale", "quaternion_xyzw"):
+        assert said in out
+
+
+@pytest.fixture(scope="module")
+def held():
+    """A rig, the last images of a simulated grasp, and where the camera truly is: T_camera_world.
+
+    The rig has the camera 5 cm beside it.
+    """
+    pytest.importorskip("mujoco")
+    pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
+    from handsight.simulation import Scenario, rig_of, simulate
+    from handsight.simulation.camera import displacement
+
+    scenario = Scenario(object="box", rate=20, images=True)
+    rig = rig_of(scenario)
+    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ displacement(scenario.nuisances, 0)
+    return rig, list(simulate(scenario))[-3:], T_camera_world
+
+
+@pytest.mark.slow
+def test_an_object_in_the_hand_is_found_in_a_recording(held, asked, tmp_path):
+    from handsight.recording import RecordingWriter
+    from handsight.rig.save import write as write_rig
+
+    rig, samples, T_camera_world = held
+    with RecordingWriter(tmp_path / "box.mcap", rig) as writer:
+        for sample in samples:
+            writer.write(sample.observation)
+    write_rig(rig, tmp_path / "box.rig.yaml")
+    out, _ = asked("locate", "box.mcap", "--object", "box", "--plot", "found.png")
+    rows = answers(out)
+    assert len(rows) == sum(sample.observation.depth is not None for sample in samples)
+    T_camera_object = T_camera_world @ samples[-1].T_world_object
+    assert rows[-1]["found"]
+    assert 1e3 * np.linalg.norm(pose_of(rows[-1])[:3, 3] - T_camera_object[:3, 3]) < 10
+    assert (tmp_path / "found.png").stat().st_size > 20_000
+    _, err = asked("locate", "box.mcap", "--object", "bx", expect=2)
+    assert err.startswith("handsight: --object: expected a name of box.rig.yaml or a mesh file, got 'bx'")
+    for option in (("--camera", "a.json"), ("-o", "a.csv"), ("--depth-camera", "stereo")):
+        assert "expected" in asked("locate", "box.mcap", "--object", "box", *option, expect=2)[1]
+
+
+@pytest.mark.slow
+def test_the_hand_is_masked_where_it_is_though_the_camera_is_elsewhere(held, tmp_path):
+    from handsight.recording import RecordingWriter
+    from handsight.recording.frames import Frame
+    from handsight.recording.robot_images import recorded_frames
+
+    rig, samples, T_camera_world = held
+    with RecordingWriter(tmp_path / "box.mcap", rig) as writer:
+        for sample in samples:
+            writer.write(sample.observation)
+    frame = list(recorded_frames(tmp_path / "box.mcap", rig).each)[-1]
+    assert isinstance(frame, Frame)
+    links = rig.hand.surface(200).points_palm(samples[-1].observation.joint_positions)
+    T_world_palm = samples[-1].T_world_object @ se3.inverse(samples[-1].T_palm_object)
+    seen = se3.apply(T_camera_world @ T_world_palm, links)
+    pixels = frame.camera.project(seen).round().astype(int)
+    # Of the hand's points, those that nothing is before.
+    measured = np.nan_to_num(frame.depth)[pixels[:, 1], pixels[:, 0]]
+    bare = np.abs(measured - seen[:, 2]) < 0.01
+    assert bare.sum() > 20
+    assert frame.hand[pixels[bare, 1], pixels[bare, 0]].mean() > 0.95

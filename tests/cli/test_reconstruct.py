@@ -1,0 +1,129 @@
+"""`handsight reconstruct`: a model out of a recording's depth images, and what is said where there can be none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight.objects.files.ply import ply_shape, ply_sigmas
+from handsight.observation import Observation
+from handsight.rig import Camera
+from handsight.rig.save import write as write_rig
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
+
+from handsight.recording import RecordingWriter
+from handsight.simulation import Scenario, rig_of
+from sight_scenes import CAMERA, drawn
+from views_around import CAN, path, pictures, standing
+
+BEFORE_HAND = se3.compose(np.eye(3), np.array([0, 0, 1.0]))
+"""T_palm_camera of a camera that looks away from the hand."""
+
+
+@pytest.fixture(scope="module")
+def rig():
+    camera = Camera(on="palm", T_mount_camera=BEFORE_HAND, intrinsics=CAMERA.matrix, size=CAMERA.size)
+    return dataclasses.replace(rig_of(Scenario(images=True)), camera=camera)
+
+
+@pytest.fixture(scope="module")
+def around():
+    rng = np.random.default_rng(4)
+    Ts = path(18, rng)
+    return Ts, pictures(Ts, standing(CAN), rng)
+
+
+def recorded(folder, rig, Ts_camera_table, images):
+    joints = dict.fromkeys(rig.hand.shape().joints, 0.0)
+    with RecordingWriter(folder / "around.mcap", rig) as writer:
+        for k, (T, depth) in enumerate(zip(Ts_camera_table, images, strict=True)):
+            T_world_palm = se3.inverse(T) @ se3.inverse(BEFORE_HAND)
+            writer.write(Observation(0.1 * k, joints, T_world_palm=T_world_palm, depth=depth))
+    write_rig(rig, folder / "around.rig.yaml")
+    return "around.mcap"
+
+
+def test_what_stands_on_a_table_becomes_a_model(asked, tmp_path, rig, around):
+    name = recorded(tmp_path, rig, *around)
+    said = asked("reconstruct", name, "--output", "can.ply", columns=200).err
+    assert "18 views fused of 18 depth images, 0 did not fit" in said
+    assert "guessed: its foot, straight down to the table" in said
+    assert "wrote can.ply" in said
+    content = (tmp_path / "can.ply").read_bytes()
+    assert b"property uchar measured\n" in content[:400]
+    points, normals, faces = ply_shape(content)
+    assert normals is None
+    assert faces is None
+    sigmas = ply_sigmas(content)
+    assert set(sigmas) == {2e-4, 1.5e-3}
+    assert (sigmas[points[:, 2] == 0] == 1.5e-3).all()
+    model = hs.ObjectModel.from_file(tmp_path / "can.ply")
+    assert model.closed
+    np.testing.assert_allclose(np.ptp(points, axis=0), [0.066, 0.066, 0.115], atol=3e-3)
+    assert points[:, 2].min() == pytest.approx(0, abs=1e-9)
+
+
+def test_the_robot_may_be_believed(asked, tmp_path, rig, around):
+    name = recorded(tmp_path, rig, *around)
+    assert "0 did not fit" in asked("reconstruct", name, "-o", "can.ply", "--given", columns=200).err
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "said"),
+    [
+        ("few", [], "recording: expected at least 5 views of different sides, got 3"),
+        (
+            "empty",
+            [],
+            "recording: expected an object on a table, got none in 18 depth images",
+        ),
+        ("no topic", [], "topics.depth: expected the topic of the depth images in the rig, got none"),
+        ("no images", [], "recording: expected depth images on /camera/depth, got none"),
+        ("no intrinsics", [], "camera: expected one with intrinsics in the rig, got one without"),
+        ("another size", [], "depth: expected shape (240, 320) as the camera's, got (120, 160)"),
+        ("", ["-o", "can.obj"], "--output: expected a name that ends with .ply, got 'can.obj'"),
+    ],
+)
+def test_what_cannot_be_a_model_is_said(asked, tmp_path, rig, around, change, options, said):
+    Ts, images = around
+    if change == "few":
+        Ts, images = Ts[:3], images[:3]
+    if change == "empty":
+        images = [np.where(np.isfinite(drawn(T, [], []).depth), drawn(T, [], []).depth, 0) for T in Ts]
+    if change == "another size":
+        images = [image[::2, ::2] for image in images]
+        rig = dataclasses.replace(rig, topics=dataclasses.replace(rig.topics, camera_info=None))
+    if change == "no images":
+        images = [None] * len(Ts)
+    if change == "no topic":
+        images = [None] * len(Ts)
+        rig = dataclasses.replace(rig, topics=dataclasses.replace(rig.topics, depth=None))
+    if change == "no intrinsics":
+        camera = dataclasses.replace(rig.camera, intrinsics=None, size=None)
+        rig = dataclasses.replace(rig, camera=camera)
+    name = recorded(tmp_path, rig, Ts, images)
+    told = asked("reconstruct", name, "-o", "can.ply", *options, expect=2, columns=250).err
+    assert said in told
+    assert not (tmp_path / "can.ply").exists()
+
+
+def test_what_was_fused_before_it_was_interrupted_is_written(asked, tmp_path, rig, around, monkeypatch):
+    from handsight.vision.reconstruction import Reconstruction
+
+    grow, taken = Reconstruction.grow, []
+
+    def interrupted(self, view, **given):
+        taken.append(view)
+        if len(taken) == 10:
+            raise KeyboardInterrupt
+        return grow(self, view, **given)
+
+    monkeypatch.setattr(Reconstruction, "grow", interrupted)
+    name = recorded(tmp_path, rig, *around)
+    said = asked("reconstruct", name, "-o", "can.ply", expect=130, columns=200).err
+    assert "9 views fused of 9 depth images" in said
+    assert (tmp_path / "can.ply").exists()

@@ -1,0 +1,109 @@
+"""Depth images and intrinsics in files."""
+
+import io
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from handsight.recording.frames import Unread
+from handsight.recording.open_frames import open_frames
+from handsight.recording.rgbd import Beside
+from handsight.vision import read_camera, read_color, read_depth
+from tests.corpus.door import Case, Door, check_sentence, spoilt_bytes, spoilt_value
+
+STEPS = np.random.default_rng(0).integers(400, 3000, (24, 32)).astype(np.uint16)
+CAMERA = {
+    "fx": 30.5,
+    "fy": 30.0,
+    "cx": 15.5,
+    "cy": 11.5,
+    "width": 32,
+    "height": 24,
+    "lens": [-0.28, 0.07, 2e-4, 1.6e-5, 0.0],
+}
+
+
+def image(pixels: np.ndarray, kind: str = "PNG") -> bytes:
+    """A file's bytes."""
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, kind)
+    return stream.getvalue()
+
+
+PNG, JPEG = image(STEPS), image((STEPS[..., None] // [12, 13, 14]).astype(np.uint8), "JPEG")
+
+
+def read(data: bytes, reader: Callable[[Path], object]) -> object:
+    """What a reader makes of a file of that."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a"
+        path.write_bytes(data)
+        return reader(path)
+
+
+def depth(data: bytes) -> None:
+    """A depth image: metres, or NaN."""
+    found = read(data, read_depth)
+    assert found.dtype == np.float32
+    assert (np.isnan(found) | (found > 0)).all()
+
+
+def color(data: bytes) -> None:
+    """A colour image."""
+    found = read(data, read_color)
+    assert (found.dtype, found.ndim, found.shape[2]) == (np.uint8, 3, 3)
+
+
+def camera(said: object) -> None:
+    """A camera: points on its rays fall on their pixels."""
+    found = read(json.dumps(said, default=str).encode(), read_camera)
+    if found.size[0] * found.size[1] > 10_000:
+        return
+    rays = found.rays[found.size[1] // 2, found.size[0] // 2].astype(np.float64)
+    if np.isfinite(rays).all():
+        assert np.isfinite(found.project([[*rays, 1.0]])).all()
+
+
+SCENE = {"0": {"cam_K": [30.5, 0, 15.5, 0, 30.0, 11.5, 0, 0, 1], "depth_scale": 1.0, "cam_R_w2c": [1] * 9}}
+
+
+def scene(said: object) -> None:
+    """A BOP scene of one image, which is a picture of that camera or told."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "000001"
+        (path / "depth").mkdir(parents=True)
+        (path / "depth/000000.png").write_bytes(PNG)
+        (path / "scene_camera.json").write_bytes(json.dumps(said, default=str).encode())
+        frames = open_frames(path, Beside())
+        rows = list(frames.each)
+        assert len(rows) == frames.total
+        for row in rows:
+            if isinstance(row, Unread):
+                check_sentence(row.said)
+            else:
+                assert (row.camera.size, row.number[0]) == ((32, 24), 1)
+
+
+DOORS = [
+    Door("open_frames", lambda rng: scene(spoilt_value(SCENE, rng)), 200),
+    Door("read_depth", lambda rng: depth(spoilt_bytes(PNG, rng)), 300),
+    Door("read_color", lambda rng: color(spoilt_bytes(rng.choice([PNG, JPEG]), rng)), 300),
+    Door("read_camera", lambda rng: camera(spoilt_value(CAMERA, rng)), 300),
+]
+CASES = [
+    Case("depth as it should be", lambda: depth(PNG), None),
+    Case("colour as it should be", lambda: color(JPEG), None),
+    Case("a camera as it should be", lambda: camera(CAMERA), None),
+    Case("a BOP scene as it should be", lambda: scene(SCENE), None),
+    Case("a BOP scene without images", lambda: scene({}), "expected a camera for each image, got none"),
+    Case(
+        "depth of 8 bits",
+        lambda: depth(image(STEPS.astype(np.uint8))),
+        "a: expected a PNG of 16 bits for depth",
+    ),
+    Case("a JPEG for depth", lambda: depth(JPEG), "a: expected a PNG of 16 bits for depth, got mode RGB"),
+]
