@@ -1,17 +1,24 @@
 """Writes the built-in demo: a can and a box held by five fingers, vision 8 cm off, and a recording of each (synthetic).
 
 Run once; its output in `src/handsight/data` is in the repository: `demo.jsonl`, `demo_truth.jsonl`, and, simulated
-with seed 0 as `handsight simulate can` does, `can.mcap`, `box.mcap` and their rigs.
+with seed 0 as `handsight simulate can` does, `can.mcap`, `box.mcap` and their rigs; and one picture of the can in
+the hand: `can.depth.png`, `can.color.jpg`, `can.camera.json`, what the robot knows and the truth in `can.picture.json`.
 """
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from handsight import se3
 from handsight.cli.simulate import record
-from handsight.simulation import Scenario
+from handsight.simulation import Scenario, looking, simulate
+from handsight.simulation.camera import INTRINSICS, spoil
+from handsight.simulation.rendering import Renderer
+from handsight.simulation.scene import scene
+from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from shared import scenes
 from shared.report import Array, Row
 
@@ -19,6 +26,12 @@ FOLDER = Path(__file__).parent.parent / "src/handsight/data"
 NOISE_POINT, NOISE_NORMAL_DEG = 0.001, 4.0
 SIGMA_POSITION, SIGMA_ROTATION_DEG = 0.05, 15.0
 RECORDED_SEED = 0
+EYE, AIMED_OFF = np.array([0.35, -0.35, 0.45]), np.array([0.03, 0, 0])
+"""Where the picture is taken from, and how far beside the can it is aimed [m]."""
+CAMERA_OFF = 0.003
+"""How well the robot knows where the camera is, so that the hand is masked where it is: sigma [m, rad]."""
+CROPPED = 130, 85, 360, 300
+"""Column and row, width and height of what is kept of the picture [pixels]."""
 
 
 def can_grasp() -> scenes.Surface:
@@ -75,6 +88,33 @@ def record_both() -> None:
         record(scenario, FOLDER / f"{name}.mcap")
 
 
+def take_picture() -> None:
+    """The can in the closed hand, seen from where the fingers hide half of it."""
+    scenario = Scenario(object="can", seed=RECORDED_SEED, rate=20)
+    sample, rng = list(simulate(scenario))[-1], np.random.default_rng(RECORDED_SEED)
+    T_world_camera = looking(EYE, sample.T_world_object[:3, 3] + AIMED_OFF)
+    with closing(Renderer(scene("can"))) as renderer:
+        color, exact = renderer.take(sample.configuration, T_world_camera)
+    left, top, width, height = CROPPED
+    window = slice(top, top + height), slice(left, left + width)
+    depth = np.nan_to_num(spoil(exact, STRUCTURED_LIGHT, rng, RECORDED_SEED)[window])
+    Image.fromarray(np.round(1e3 * depth).astype(np.uint16)).save(FOLDER / "can.depth.png", optimize=True)
+    Image.fromarray(color[window]).save(FOLDER / "can.color.jpg", quality=85)
+    fx, fy, (cx, cy) = INTRINSICS[0, 0], INTRINSICS[1, 1], INTRINSICS[:2, 2] - [left, top]
+    camera = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": width, "height": height}
+    (FOLDER / "can.camera.json").write_text(json.dumps(camera) + "\n")
+    T_camera_object = se3.inverse(T_world_camera) @ sample.T_world_object
+    T_camera_palm = T_camera_object @ se3.inverse(sample.T_palm_object)
+    joints = sample.observation.joint_positions or {}
+    known = {
+        "joint_positions": {name: round(angle, 5) for name, angle in joints.items()},
+        "T_camera_palm": pose(se3.moved(T_camera_palm, CAMERA_OFF * rng.normal(size=6))),
+        "truth": pose(T_camera_object),
+    }
+    (FOLDER / "can.picture.json").write_text(json.dumps(known) + "\n")
+
+
 if __name__ == "__main__":
     write()
     record_both()
+    take_picture()

@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Callable
+from typing import Any
 
 from benchmarks.workload import Peer
 
@@ -25,13 +26,22 @@ MAKERS: dict[str, Callable[[], Peer]] = {
 """The peers that start from vision; Scaling Series starts from nothing and has its own section."""
 
 
-def made(names: list[str] | None = None) -> tuple[dict[str, Peer], dict[str, str]]:
+FIRST_POSES: dict[str, Callable[[], Any]] = {
+    "ours": _of("ours", "OursFirstPose"),
+    "open3d_fpfh": _of("open3d_fpfh", "FpfhRansacIcp"),
+}
+"""The peers that find an object in a depth image."""
+
+
+def made(
+    names: list[str] | None = None, makers: dict[str, Callable[[], Any]] = MAKERS
+) -> tuple[dict[str, Any], dict[str, str]]:
     """The peers of these names that can run here, and why the others cannot."""
-    found: dict[str, Peer] = {}
+    found: dict[str, Any] = {}
     missing: dict[str, str] = {}
-    for name in names or MAKERS:
+    for name in names or makers:
         try:
-            found[name] = MAKERS[name]()
+            found[name] = makers[name]()
         except ImportError as error:
             missing[name] = f"not installed ({error}); pip install 'handsight[bench]'"
     return found, missing

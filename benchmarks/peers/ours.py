@@ -1,8 +1,13 @@
 """handsight itself: the public call, and its compiled solve alone."""
 
+import numpy as np
+
 import handsight as hs
 from benchmarks.kernels import kernel_call
 from benchmarks.workload import Problem, Solve
+from handsight.vision.appearance import appearance_of
+from handsight.vision.first_pose import first_pose
+from handsight.vision.region import Scene
 
 
 class Ours:
@@ -35,6 +40,26 @@ class OursKernel:
     def ready(self, problem: Problem) -> Solve:
         """The kernel with its inputs already laid out."""
         return kernel_call(problem.model, problem.contacts, problem.vision)
+
+
+class OursFirstPose:
+    """The likeliest pose of `first_pose`; timed is all from the scene on, all modes with their covariances."""
+
+    name = "handsight"
+
+    def prepare(self, model: hs.ObjectModel) -> None:
+        """What the object looks like from all sides."""
+        self._model = model
+        appearance_of(model)
+
+    def ready(self, scene: Scene) -> Solve:
+        """One search."""
+
+        def solve() -> np.ndarray | None:
+            found = first_pose(self._model, scene)
+            return found.Ts_camera_object[0] if len(found.weights) else None
+
+        return solve
 
 
 def with_starts(problem: Problem, starts: int) -> Solve:

@@ -1,0 +1,66 @@
+"""Pictures of ten YCB objects, and how well one is found in them: what the experiments on sight share.
+
+A bin is how the object lies: on a table with two others close to it, that with a Shadow hand which hides 20 to 50 % of
+it, or anywhere before the camera with the hand hiding a share. Seeds 100 and 101 are those that numbers were fitted on.
+"""
+
+import functools
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+import handsight as hs
+from handsight.objects import ObjectWarning, propose_symmetries
+from shared import sight_scenes as scenes
+from shared import ycb
+
+FITTED_ON = (100, 101)
+LOOKS_ALIKE = 0.02
+"""Part of the diameter that a symmetry may be off: depth does not show it."""
+
+
+class Bin(NamedTuple):
+    """How an object lies, and what share of its silhouette is hidden."""
+
+    table: bool
+    hand: bool
+    hidden: tuple[float, float]
+
+
+BINS = {
+    "table": Bin(True, False, (0.0, 1.0)),
+    "table, hand 20-50 %": Bin(True, True, (0.2, 0.5)),
+    **{f"hand {a}-{a + 20} %": Bin(False, True, (a / 100, a / 100 + 0.2)) for a in (0, 20, 40, 60)},
+}
+
+
+@functools.cache
+def objects() -> dict[str, hs.ObjectModel]:
+    """The ten by name, each with the symmetries that its surface shows to a depth camera."""
+    found = {}
+    for path in sorted((ycb.data_or_goodbye() / "ycb_meshes").glob("*.ply")):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ObjectWarning)  # the marker's mesh has triangles without area
+            model = hs.ObjectModel.from_file(path)
+        found[path.stem] = model.with_symmetries(propose_symmetries(model, LOOKS_ALIKE * model.diameter))
+    return found
+
+
+def picture(name: str, k: int, seed: int) -> tuple[str, scenes.Picture]:
+    """The k-th picture of a bin, and which of the objects it is of: one after the other."""
+    models, kind = objects(), BINS[name]
+    rng = np.random.default_rng([seed, list(BINS).index(name), k])
+    chosen = list(models)[k % len(models)]
+    if not kind.table:
+        return chosen, scenes.in_hand(models[chosen], scenes.shadow_hand(), rng, kind.hidden)
+    others = rng.choice([other for other in models if other != chosen], 2, replace=False)
+    shapes = [models[chosen], *(models[other] for other in others)]
+    hand = scenes.shadow_hand() if kind.hand else None
+    return chosen, scenes.tabletop(shapes, rng, kind.hidden, hand=hand)
+
+
+def tasks(trials: int, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
+    """The arguments of `picture`: so many a bin and seed."""
+    return [(name, k, seed) for seed in seeds for name in BINS for k in range(trials)]

@@ -1,0 +1,110 @@
+"""Which of ten objects a depth image shows, or none of them: how often right, what is claimed where it is not there.
+
+The pictures of `experiments/sight_first_pose.py`, on other seeds than `experiments/sight_fit.py` fitted on. Right: the
+likeliest of ten is the one, whatever the probability of none. Absent: the object itself is left out, and nine others
+are looked for: one of them is claimed if it is likelier than none. Alone: one object is looked for (`locate`), which is
+there, or is not and another is. Claimed: its probability is above a threshold; the curve is over thresholds.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from handsight.vision.locate import LEAST_PROBABILITY
+from handsight.vision.presence import log_odds, probabilities
+from handsight.vision.recognition import recognise
+from shared import figures, report, sight, ycb
+from shared import sight_scenes as scenes
+from shared.report import Array
+
+RIGHT = 0.1
+THRESHOLDS = (0.01, 0.03, 0.1, 0.3, 0.5, 0.9)
+
+
+def trial(name: str, k: int, seed: int) -> report.Row:
+    """What ten objects that are looked for in one picture have for them."""
+    of, picture = sight.picture(name, k, seed)
+    answer = recognise(sight.objects(), scenes.WIDE, picture.depth, wanted=picture.wanted, hand=picture.hand)
+    odds = {
+        each: float(log_odds(found.looks[:1])[0]) if len(found.looks) else -99.0
+        for each, found in answer.found.items()
+    }
+    Ts = answer.found[of].Ts_camera_object[:1]
+    add_s = float(scenes.adds(picture.model, picture.T_camera_object, Ts)[0]) if len(Ts) else 9.0
+    return {
+        "bin": name,
+        "object": of,
+        "seed": seed,
+        "k": k,
+        "named": answer.name or "none",
+        "add_s": add_s,
+    } | odds
+
+
+@report.or_skip
+def main() -> None:
+    """Runs the experiment."""
+    options = report.options(__doc__, trials=30, quick_trials=2)
+    ycb.data_or_goodbye()
+    if options.seed in sight.FITTED_ON:
+        report.say("These seeds are those that numbers were fitted on: others judge.")
+    rows: report.Rows = ycb.in_parallel(trial, sight.tasks(options.trials, [options.seed]), "recognising")
+    report.write_csv(options.output / "sight_recognition.csv", rows)
+    show(rows)
+    show_thresholds(rows)
+    draw(rows, options.output / "sight_recognition.png")
+
+
+def odds_of(rows: report.Rows) -> tuple[Array, Array]:
+    """(n, 10) log odds of each object, and (n, 10) whether it is the one."""
+    names = list(sight.objects())
+    odds = np.array([[row[name] for name in names] for row in rows])
+    return odds, np.array([[row["object"] == name for name in names] for row in rows])
+
+
+def show(rows: report.Rows) -> None:
+    """Prints a line a bin."""
+    cells = []
+    for name in report.distinct(rows, "bin"):
+        odds, true = odds_of(report.chosen(rows, bin=name))
+        right = true[np.arange(len(odds)), odds.argmax(axis=1)]
+        named = right & (odds.max(axis=1) > 0)
+        others = np.where(true, -np.inf, odds).max(axis=1) > 0
+        cells.append([name, len(odds), *(f"{share.mean():.2f}" for share in (right, named, others))])
+    columns = ("hidden", "pictures", "right of ten", "right and claimed", "another claimed, absent")
+    report.print_table("Recognition among ten (synthetic)", columns, cells)
+
+
+def kept_and_claimed(rows: report.Rows, threshold: float) -> tuple[float, float]:
+    """Of single objects that are looked for: shares that are claimed of those found right, and of absent ones."""
+    odds, true = odds_of(rows)
+    found = np.array([row["add_s"] < RIGHT for row in rows])
+    claimed = np.vectorize(lambda x: probabilities(np.array([x]))[0])(odds) > threshold
+    return float(claimed[true][found].mean()), float(claimed[~true].mean())
+
+
+def show_thresholds(rows: report.Rows) -> None:
+    """Prints what `locate` keeps and claims."""
+    cells = []
+    for threshold in THRESHOLDS:
+        mine = "default" if threshold == LEAST_PROBABILITY else ""
+        cells.append([threshold, *(f"{share:.3f}" for share in kept_and_claimed(rows, threshold)), mine])
+    columns = ("probability", "kept, there", "claimed, another there", "")
+    report.print_table("One object looked for: there, or another kind in its place", columns, cells)
+
+
+def draw(rows: report.Rows, path: Path) -> None:
+    """The operating curve, by bins."""
+    plt = figures.pyplot()
+    figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
+    levels = np.concatenate([np.linspace(0.001, 0.999, 120), 1 - np.geomspace(1e-3, 1e-6, 20)])
+    for name in report.distinct(rows, "bin"):
+        curve = np.array([kept_and_claimed(report.chosen(rows, bin=name), level) for level in levels])
+        axes.plot(100 * curve[:, 1], 100 * curve[:, 0], label=name)
+    axes.set(xlabel="another object claimed as it [%]", ylabel="kept where it is there [%]", xlim=(0, 30))
+    axes.legend(fontsize=7)
+    figures.save(figure, path)
+
+
+if __name__ == "__main__":
+    main()
