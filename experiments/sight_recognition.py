@@ -18,7 +18,7 @@ from shared import sight_scenes as scenes
 from shared.report import Array
 
 RIGHT = 0.1
-THRESHOLDS = (0.01, 0.03, 0.1, 0.3, 0.5, 0.9)
+THRESHOLDS = (0.01, 0.02, 0.03, 0.1, 0.3, 0.5, 0.9)
 
 
 def trial(name: str, k: int, seed: int) -> report.Row:

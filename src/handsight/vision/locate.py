@@ -13,7 +13,7 @@ from handsight.vision.region import Scene, scene_of, table_plane
 
 WIDER_THAN_OBJECT = 1.5
 """A plane that is so many of the object's diameters wide is no part of it."""
-LEAST_PROBABILITY = 0.03
+LEAST_PROBABILITY = 0.02
 """Of the best pose, for the object to be there: real cameras are less alike what was fitted than drawn pictures
 (`experiments/sight_recognition.py` prints what is kept and claimed)."""
 FARTHEST = 20.0
