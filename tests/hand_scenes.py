@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from handsight import se3
 from handsight.vision.camera import PinholeCamera
@@ -17,16 +16,6 @@ HAND, OBJECT, ARM, PLANE = 0, 1, 2, 3
 
 
 ONE_DEGREE = float(np.deg2rad(1.0))
-SMOOTH, OFFSET = 1.5e-3, 1e-3
-"""Of a camera's constant error [m]: smooth over the picture, at 1 m; and of all of it."""
-
-
-def biased(depth, rng):
-    """As a structured-light camera has it, with a smooth bias and an offset."""
-    z = noisy(depth, rng)
-    coarse = gaussian_filter(rng.normal(size=tuple(n // 4 for n in z.shape)), 40 / 2.355 / 4)
-    smooth = np.kron(coarse / coarse.std(), np.ones((4, 4)))[: z.shape[0], : z.shape[1]]
-    return np.where(z > 0, z + SMOOTH * smooth * z * z + OFFSET * rng.normal(), 0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +56,7 @@ def hand_scene(
     *,
     sigma_joint: float = ONE_DEGREE,
     held: bool = True,
-    noise: Any = biased,
+    noise: Any = noisy,
 ) -> HandScene:
     """A HandScene; `shapes`: of the hand, of what is held (vertices, faces), and of an arm or None.
 

@@ -40,7 +40,8 @@ CLOSE = 1.25
 """Deviations of the depth, its bias with it, within which a seen point lies on the surface."""
 WORTH = 1.2, 22.0
 """What the score, and the pixels that such points stand for to the power of the score's units, are worth in the
-logarithm of a mode's weight: about the likeliest on drawn pictures (`experiments/sight_fit.py`), where it is flat."""
+logarithm of a mode's weight: chosen by hand between fits to two sets of drawn pictures, which differ
+(`experiments/sight_fit.py` prints the likeliest of the one it draws)."""
 
 Looks = NDArray[np.void]
 

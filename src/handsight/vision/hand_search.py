@@ -11,6 +11,7 @@ from handsight._kernels import hand_scan
 from handsight._kernels.sight_records import LOOK
 from handsight.checks import Array, Indices, Mask
 from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.first_pose import poses_of
 from handsight.vision.hand_look import PlacedHand
 
 CELL, MOST_CELLS = 0.005, 160
@@ -125,10 +126,6 @@ def _shifts(reach: float, step: float = SHIFT) -> Array:
     shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = np.linalg.norm(shifts[:, :2], axis=1) <= reach + step / 2
     return np.asarray(shifts[inside & (np.linalg.norm(shifts, axis=1) <= reach + LAYER / 2)])
-
-
-def poses_of(looks: NDArray[np.void]) -> Array:
-    return se3.compose(looks["pose"]["rotation"], looks["pose"]["position"])
 
 
 def distinct(hand: PlacedHand, looks: NDArray[np.void], apart: float, most: int) -> NDArray[np.void]:

@@ -16,8 +16,9 @@ from handsight._kernels import hand_term
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.first_pose import poses_of
 from handsight.vision.hand_look import PlacedHand
-from handsight.vision.hand_search import Picture, distinct, picture_of, poses_of, searched
+from handsight.vision.hand_search import Picture, distinct, picture_of, searched
 
 LIMIT = 4.0
 """Sigmas of the belief beyond which no answer is taken."""
