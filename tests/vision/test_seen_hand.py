@@ -16,13 +16,16 @@ from scipy.optimize import least_squares
 import handsight as hs
 from hand_scenes import CAMERA, SQUARE, error, hand_scene, moved
 from handsight import se3
-from handsight._kernels import hand_term
+from handsight._kernels import hand_scan, hand_term
 from handsight._kernels.hand_scan import AGREES, FACING
 from handsight._kernels.sight_records import LOOK
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
-from handsight.vision.hand_look import HandLook
+from handsight.vision.depth_noise import STRUCTURED_LIGHT
+from handsight.vision.hand_covariance import _spread
+from handsight.vision.hand_look import BESIDE, HandLook
 from handsight.vision.hand_search import Picture, _shifts, _turns, picture_of
+from handsight.vision.own_hand import OwnHand
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
@@ -245,6 +248,107 @@ def test_what_is_no_belief_and_no_picture_is_an_error():
         asked(depth, sigma_position=0.0)
     with pytest.raises(InvalidInput, match="depth: expected 640 x 480 pixels, got 320 x 240"):
         asked(np.ones((240, 320), np.float32))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_hand_is_followed_from_where_it_was_to_where_a_search_has_it(seed):
+    drawn = scene(seed)
+    hand, T = shadow()[2].placed(drawn.joints), drawn.T_camera_palm
+    near = off(hand, T, np.random.default_rng(seed), 0.006, np.deg2rad(2))
+    followed = seen_hand.followed_hand(CAMERA, drawn.depth, hand, near)
+    searched = seen_hand.seen_hand(CAMERA, drawn.depth, hand, near, sigma_position=0.01, sigma_rotation=0.03)
+    assert followed
+    assert searched
+    shift, turn = away(hand, followed.T_camera_palm, searched.T_camera_palm)
+    assert shift < 0.001
+    assert turn < np.deg2rad(0.5)
+
+
+def test_a_hand_that_is_no_longer_there_is_searched():
+    drawn, rig = scene(2), rig_of(Scenario(object="can"))
+    own, hand = OwnHand(rig), shadow()[2].placed(drawn.joints)
+    gone = off(hand, drawn.T_camera_palm, np.random.default_rng(0), 0.06, np.deg2rad(3))
+    refusal = seen_hand.followed_hand(CAMERA, drawn.depth, hand, gone)
+    assert not refusal
+    assert refusal.reason == "no_fit"
+    found = own.followed(CAMERA, drawn.depth, drawn.joints, gone, (0.04, 0.05))
+    assert found
+    assert away(hand, found.T_camera_palm, drawn.T_camera_palm)[0] < 0.003
+    assert own.followed(CAMERA, drawn.depth, None, gone, (0.04, 0.05)) is None
+
+
+def test_a_hand_that_is_followed_out_of_the_picture_is_refused():
+    T = believed()
+    T[:3, 3] = [3.0, 0, 0.8]
+    assert (
+        seen_hand.followed_hand(CAMERA, np.ones((480, 640), np.float32), open_hand(), T).reason == "outside"
+    )
+    with pytest.raises(InvalidInput, match="depth: expected 640 x 480 pixels, got 320 x 240"):
+        seen_hand.followed_hand(CAMERA, np.ones((240, 320), np.float32), open_hand(), believed())
+
+
+def test_points_beside_a_hand_are_in_the_air_off_its_outline():
+    hand, T = open_hand(), believed()
+    shape = shadow()[1]
+    drawn = CAMERA.draw(
+        se3.apply(T, shape.vertices_palm(dict.fromkeys(shape.joints, 0.1))), shape.faces
+    ).depth
+    air = se3.apply(T, hand.beside(CAMERA, T, 60))
+    assert len(air) == 60
+    columns, rows = np.round(CAMERA.project(air)).astype(int).T
+    apart = distance_transform_edt(~np.isfinite(drawn))[rows, columns] * air[:, 2] / CAMERA.matrix[0, 0]
+    # A drawn pixel of a quarter of the size is 4 wide.
+    pixel = 4 * air[:, 2] / CAMERA.matrix[0, 0]
+    assert (apart > BESIDE - 2 * pixel).all()
+    assert (apart < np.sqrt(2) * (BESIDE + pixel)).all()
+
+
+def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behind_does_not():
+    """One point on a plane and eight beside it: agreement, unless the plane goes on there."""
+    cells = np.zeros((9, 9, 4), dtype=np.float32)
+    cells[..., 3] = -1.0
+    corner = np.array([-0.4, -0.4, 0.1, 0.01])
+    on = np.tile([0.0, 0.0, 0.0], (12, 1))
+    air = np.array([[0.1 * i, 0.1 * j, 0.0] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
+    hand = np.stack([np.concatenate([on, air]), np.concatenate([on - [0, 0, 1.0], 0 * air])])
+    scores = []
+    for behind in (0.0, 0.5, -0.5):
+        cells[..., 0] = 1.0 + behind
+        cells[4, 4, 0] = 1.0
+        found = np.empty((1, 1, 2))
+        hand_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
+        scores.append(found[0, 0, 0] * (len(on) + hand_scan.UNSEEN))
+    np.testing.assert_allclose(scores, [len(on) - hand_scan.BESIDE * len(air), len(on), len(on)])
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60))
+def test_pulls_of_points_spread_as_their_shared_errors_say(seed, count):
+    """The plain sum over all pairs."""
+    rng = np.random.default_rng(seed)
+    pulls, slopes = rng.normal(size=(count, 6)), 0.02 * rng.normal(size=(count, 2))
+    own, near, smooth, constant = rng.random(4)
+    error = np.array([own, near, smooth, constant, 1e4, 1e2, 0.0])
+    S = np.zeros((6, 6))
+    for i in range(count):
+        for j in range(count):
+            apart = ((slopes[i] - slopes[j]) ** 2).sum()
+            shared = near * np.exp(-1e4 * apart) + smooth * np.exp(-1e2 * apart) + constant
+            S += (shared + own * (i == j)) * np.outer(pulls[i], pulls[j])
+    np.testing.assert_allclose(_spread(pulls, slopes, error), S, atol=1e-9 * np.trace(S))
+
+
+def test_a_noisier_camera_widens_the_covariance():
+    drawn = scene(1)
+    hand = shadow()[2].placed(drawn.joints)
+    covariances = []
+    for amount in (1.0, 3.0):
+        noise = STRUCTURED_LIGHT.times(amount)
+        seen = seen_hand.followed_hand(CAMERA, drawn.depth, hand, drawn.T_camera_palm, noise=noise)
+        assert seen
+        covariances.append(seen.covariance)
+    assert np.linalg.eigvalsh(covariances[1] - covariances[0]).min() > -1e-12
+    assert np.trace(covariances[1][:3, :3]) > 2 * np.trace(covariances[0][:3, :3])
 
 
 def test_joints_that_may_be_off_widen_the_covariance():

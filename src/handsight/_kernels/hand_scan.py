@@ -20,6 +20,8 @@ BINS, REACH, AWAY = 25, 2, 6
 """Of how much nearer or farther the image is than the hand; that agree on either side; that are tried."""
 PASSED, HIDDEN = 1.5, 0.1
 """What a point that the camera sees past weighs, and one that is hidden, against one that agrees."""
+BESIDE = 1.0
+"""What a point beside the hand weighs where the image has something as near as the hand is."""
 LEAST_SEEN, UNSEEN = 10, 20
 """Points that must fall on depth; and what is added to their number, so that few do not win by their share."""
 
@@ -68,7 +70,7 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
     """Fills in `found` (r, s, 2): by how much the image agrees, and how much farther it is [m], for the best distance.
 
     corner: as of `cells_of`, and how wide a bin of distances is [m]. hand: points about its middle and normals
-    (2, m, 3). rotations (r, 3, 3) and middles (s, 3) of it in the camera.
+    (2, m, 3), normals of 0 for points in the air beside it. rotations (r, 3, 3), middles (s, 3) of it in the camera.
     """
     height, width, count = cells.shape[0], cells.shape[1], hand.shape[1]
     there, agree, turned = np.empty(BINS), np.empty(BINS), np.empty((count, 2, 3))
@@ -86,15 +88,19 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
             for m in range(count):
                 X, Y, Z = turned[m, 0, 0] + c[0], turned[m, 0, 1] + c[1], turned[m, 0, 2] + c[2]
                 n = vector(turned[m, 1])
-                if not (-(n[0] * X + n[1] * Y + n[2] * Z) > least and Z > 0):
+                beside = n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0
+                if not ((beside or -(n[0] * X + n[1] * Y + n[2] * Z) > least) and Z > 0):
                     continue
                 column = int((X / Z - corner[0]) * finer + 0.5)
                 row = int((Y / Z - corner[1]) * finer + 0.5)
                 if not (0 <= row < height and 0 <= column < width and cells[row, column, 0] > 0):
-                    out += 1.0
+                    out += 0.0 if beside else 1.0
                     continue
                 cell = cells[row, column]
                 b = min(max(int((cell[0] - Z) * bins + half + 0.5), 0), BINS - 1)
+                if beside:
+                    agree[b] -= BESIDE
+                    continue
                 seen += 1.0
                 there[b] += 1.0
                 known = cell[1] != 0.0 or cell[2] != 0.0 or cell[3] != 0.0

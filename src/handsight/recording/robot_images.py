@@ -49,7 +49,8 @@ class HandPixels:
         last = self._T_seen_believed
         off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
         near = believed if last is None else last @ believed
-        found = self._hand.seen(camera, depth, joints, near, off) if min(off) > 0 else None
+        look = self._hand.seen if last is None else self._hand.followed
+        found = look(camera, depth, joints, near, off) if min(off) > 0 else None
         if isinstance(found, SeenHand):
             near = found.T_camera_palm
             self._T_seen_believed = near @ se3.inverse(believed)

@@ -10,6 +10,7 @@ from handsight.checks import Array
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.vision.camera import PinholeCamera
+from handsight.vision.depth_noise import PRESETS
 from handsight.vision.own_hand import OwnHand
 from handsight.vision.seen_hand import HandNotSeen, SeenHand, seen_hand
 
@@ -79,6 +80,7 @@ class HandViews:
             se3.inverse(camera.T_mount_camera) @ T_mount_palm,
             sigma_position=camera.sigma_position_constant,
             sigma_rotation=camera.sigma_rotation_constant,
+            noise=PRESETS[camera.depth_camera],
         )
         if isinstance(seen, HandNotSeen):
             self.refusals[seen.reason] = self.refusals.get(seen.reason, 0) + 1

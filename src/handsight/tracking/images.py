@@ -138,7 +138,8 @@ class Eye:
         found = None
         if not known or abs(stamp - self._looked) >= LOOK_AGAIN:
             self._looked, self.searches = stamp, self.searches + 1
-            found = self._hand.seen(self._camera, depth, joints, believed, sigmas)
+            look = self._hand.followed if known else self._hand.seen
+            found = look(self._camera, depth, joints, believed, sigmas)
         if isinstance(found, SeenHand):
             self.hands += 1
             covariance = se3.rotate_covariance(camera.T_mount_camera[:3, :3], found.covariance)

@@ -10,7 +10,7 @@ from handsight.vision.hand_mask import hand_mask
 from handsight.vision.locate import locate
 from handsight.vision.recognition import Recognition, recognise
 from handsight.vision.registration import register_color
-from handsight.vision.seen_hand import HandNotSeen, SeenHand, seen_hand
+from handsight.vision.seen_hand import HandNotSeen, SeenHand, followed_hand, seen_hand
 
 __all__ = [
     "DepthNoise",
@@ -24,6 +24,7 @@ __all__ = [
     "Recognition",
     "SeenHand",
     "Sighting",
+    "followed_hand",
     "hand_mask",
     "locate",
     "read_camera",

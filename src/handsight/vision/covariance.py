@@ -34,7 +34,7 @@ def pose_covariances(
     arms = R @ model.center_object
     z = np.maximum((looks["pose"]["position"] + arms)[:, 2], 1e-3)
     told = np.empty((len(looks), 2, 6, 6))
-    depth_term.inform_all(*model.record[:2], seen, _errors(camera, noise, z), looks, told)
+    depth_term.inform_all(*model.record[:2], seen, errors_of(camera, noise, z), looks, told)
     A, S = (told / np.outer(scale, scale)).swapaxes(0, 1)
     # What the model's own normals, that are not quite those of the object, make up of a turn.
     A = A - (looks["weight"] * model.sigma_normal**2 / 2)[:, None, None] * np.diag([0, 0, 0, 1, 1, 1])
@@ -52,7 +52,7 @@ def pose_covariances(
     return np.asarray((covariances + covariances.swapaxes(1, 2)) / 2)
 
 
-def _errors(camera: PinholeCamera, noise: DepthNoise, z: Array) -> Array:
+def errors_of(camera: PinholeCamera, noise: DepthNoise, z: Array) -> Array:
     """(k, 7) as kernels take them, of objects at depths z (k,) [m]."""
     variance, slope = noise.sigma(z) ** 2, camera.matrix[0, 0]
     lengths = [(slope / length) ** 2 for length in (noise.correlation, noise.smooth_length)]

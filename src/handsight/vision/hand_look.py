@@ -26,6 +26,8 @@ FINER = 4
 BEHIND, LEAST_FACING = 0.006, 0.1
 """What of a point may lie behind what is drawn [m], and the least cosine of its normal with the way to the camera."""
 
+BESIDE = 0.02
+"""Off its outline there is air, with a belief as rough as the steps of a search [m]."""
 GOES_ON = 0.015
 """What is seen beside the outline goes on where it is no farther behind the hand than this [m]."""
 
@@ -117,6 +119,20 @@ class PlacedHand:
         seen, hand = depth[rows[inside], columns[inside]], near[around][inside]
         counts = (seen > 0) & (seen > hand - GOES_ON)
         return float((seen[counts] < hand[counts] + GOES_ON).mean()) if counts.any() else 1.0
+
+    def beside(self, camera: PinholeCamera, T_camera_palm: Array, most: int) -> Array:
+        """(k, 3) points in the air, in the palm's axes, `BESIDE` off the hand's outline and as near as it [m]."""
+        small = _smaller(camera)
+        drawn = small.draw(se3.apply(T_camera_palm, self.vertices), self.look.coarse[2]).depth
+        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], BESIDE)
+        off = max(round(BESIDE * small.matrix[0, 0] / distance), 1)
+        near, nearer = (minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
+        rows, columns = np.nonzero(np.isfinite(near) & ~np.isfinite(nearer))
+        chosen = np.random.default_rng(0).permutation(len(rows))[:most]
+        rows, columns = rows[chosen], columns[chosen]
+        z = near[rows, columns].astype(np.float64)
+        points = np.c_[small.rays[rows, columns] * z[:, None], z]
+        return se3.apply(se3.inverse(T_camera_palm), points)
 
     def seen_from(self, camera: PinholeCamera, T_camera_palm: Array) -> Mask:
         """(m,) which points a camera there sees of the hand alone; out of its image all that face it."""

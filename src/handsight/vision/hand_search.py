@@ -20,6 +20,8 @@ SHIFT, LAYER, TURN = 0.025, 0.10, float(np.deg2rad(12))
 """Between poses that are tried: across and along the way to the camera [m], and turns [rad]."""
 WITHIN = 2.6
 """Sigmas of the belief that are searched."""
+PRIOR = 0.01
+"""What a squared sigma that a pose is off the belief takes from the share of points that agree."""
 BIN = 0.010
 """Distances that are told apart there [m]."""
 SCANNED, AROUND, KEPT, LOOKED_AT = 80, 48, 40, (300, 30)
@@ -61,51 +63,69 @@ def picture_of(
     return Picture(camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
 
 
-def searched(
-    picture: Picture, hand: PlacedHand, T: Array, sigmas: tuple[float, float], there: Mask
-) -> NDArray[np.void]:
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """Where a hand is thought to be, and how far that is off."""
+
+    hand: PlacedHand
+    T: Array
+    """(4, 4) camera from palm."""
+    sigmas: tuple[float, float]
+    """Of the hand's middle and of a turn, per axis [m, rad]."""
+
+    def chi2(self, middles: Array, rotations: Array) -> Array:
+        """Of middles (..., 3) [m] and rotations (..., 3, 3) of the hand in the camera."""
+        off = middles - se3.apply(self.T, self.hand.middle[None])[0]
+        turned = se3.rotation_log(rotations @ self.T[:3, :3].T)
+        return np.asarray(
+            (off**2).sum(axis=-1) / self.sigmas[0] ** 2 + (turned**2).sum(axis=-1) / self.sigmas[1] ** 2
+        )
+
+
+def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
     """LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around them."""
-    rows = np.flatnonzero(there)
-    looks = _tried(
-        picture,
-        hand,
-        rows[:SCANNED],
-        T,
-        (_turns(WITHIN * sigmas[1]), _shifts(WITHIN * sigmas[0])),
-        (BIN, LOOKED_AT[0]),
-    )
+    hand, rows = belief.hand, np.flatnonzero(there)
+    air = hand.beside(picture.camera, belief.T, SCANNED)
+    turns, shifts = _turns(WITHIN * belief.sigmas[1]), _shifts(WITHIN * belief.sigmas[0])
+    points = _scanned(hand, rows[:SCANNED], air[: SCANNED // 2])
+    looks = _tried(picture, belief, points, belief.T, (turns, shifts), (BIN, LOOKED_AT[0]))
     looks = distinct(hand, looks, SHIFT, AROUND)
+    points = _scanned(hand, rows[: 2 * SCANNED], air)
     finer = _turns(TURN / 2, TURN / 2), np.zeros((1, 3))
     around = [
-        _tried(picture, hand, rows[: 2 * SCANNED], near, finer, (BIN / 2, LOOKED_AT[1]))
-        for near in poses_of(looks)
+        _tried(picture, belief, points, near, finer, (BIN / 2, LOOKED_AT[1])) for near in poses_of(looks)
     ]
     return distinct(hand, np.concatenate([looks[:0], *around]), SHIFT / 2, KEPT)
 
 
+def _scanned(hand: PlacedHand, rows: Indices, air: Array) -> Array:
+    """(2, k, 3) points of its skin about its middle with normals, and points in the air without."""
+    points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
+    return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
+
+
 def _tried(
     picture: Picture,
-    hand: PlacedHand,
-    rows: Indices,
+    belief: Belief,
+    points: Array,
     T: Array,
     steps: tuple[Array, Array],
     fine: tuple[float, int],
 ) -> NDArray[np.void]:
-    """LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points `rows`."""
+    """LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points as of `_scanned`."""
+    hand = belief.hand
     rotations = steps[0] @ T[:3, :3]
     middles = se3.apply(T, hand.middle[None])[0] + steps[1]
-    points = np.stack([hand.skin[0, rows] - hand.middle, hand.skin[1, rows]])
     found = np.empty((len(rotations), len(middles), 2))
-    corner = np.append(picture.corner, fine[0])
-    hand_scan.scan(picture.cells, corner, points, middles, rotations, found)
-    scores = found[..., 0].reshape(-1)
+    hand_scan.scan(picture.cells, np.append(picture.corner, fine[0]), points, middles, rotations, found)
+    places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
+    scores = (found[..., 0] - PRIOR * belief.chi2(places, rotations[:, None])).reshape(-1)
     best = np.argpartition(-scores, min(fine[1], len(scores) - 1))[: fine[1]]
     best = best[np.isfinite(scores[best])]
     r, s = np.divmod(best, len(middles))
     looks = np.zeros(len(best), dtype=LOOK)
     looks["score"], looks["pose"]["rotation"] = scores[best], rotations[r]
-    c = middles[s] * (1 + found[r, s, 1] / middles[s, 2])[:, None]
-    looks["pose"]["position"] = c - rotations[r] @ hand.middle
+    looks["pose"]["position"] = places[r, s] - rotations[r] @ hand.middle
     return looks
 
 

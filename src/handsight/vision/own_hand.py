@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from handsight.checks import Array, Mask
 from handsight.rig import Rig
 from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 from handsight.vision.hand_look import HandLook, PlacedHand
 from handsight.vision.hand_mask import hand_mask
-from handsight.vision.seen_hand import HandNotSeen, SeenHand, seen_hand
+from handsight.vision.seen_hand import HandNotSeen, SeenHand, followed_hand, seen_hand
 
 
 class OwnHand:
@@ -15,6 +16,7 @@ class OwnHand:
 
     def __init__(self, rig: Rig) -> None:
         self._shape, self._sigma_joint = rig.hand.shape(), rig.sigma_joint_offset
+        self._noise = STRUCTURED_LIGHT if rig.camera is None else PRESETS[rig.camera.depth_camera]
         self._look = HandLook.of(rig.hand) if len(self._shape.faces) else None
 
     def placed(self, joint_positions: Mapping[str, float] | None) -> PlacedHand | None:
@@ -37,8 +39,27 @@ class OwnHand:
         if hand is None:
             return None
         return seen_hand(
-            camera, depth, hand, T_camera_palm, sigma_position=sigmas[0], sigma_rotation=sigmas[1]
+            camera,
+            depth,
+            hand,
+            T_camera_palm,
+            sigma_position=sigmas[0],
+            sigma_rotation=sigmas[1],
+            noise=self._noise,
         )
+
+    def followed(
+        self,
+        camera: PinholeCamera,
+        depth: Depth,
+        joint_positions: Mapping[str, float] | None,
+        T_camera_palm: Array,
+        sigmas: tuple[float, float],
+    ) -> SeenHand | HandNotSeen | None:
+        """As `seen`, from where the last picture has had the palm: searched only where it does not fit there."""
+        hand = self.placed(joint_positions)
+        found = None if hand is None else followed_hand(camera, depth, hand, T_camera_palm, noise=self._noise)
+        return found or self.seen(camera, depth, joint_positions, T_camera_palm, sigmas)
 
     def mask(
         self,

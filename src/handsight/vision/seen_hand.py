@@ -2,7 +2,8 @@
 
 The believed hand is laid onto the depth image: turned and shifted in steps as far as the belief may be off, the
 likeliest poses then moved to where the hand's points lie on what is seen (point to plane), and judged by what the image
-as a whole says of them: pixels that the hand explains, that the camera sees past, that are hidden.
+as a whole says of them: pixels that the hand explains, that the camera sees past, that are hidden, and whether what is
+seen goes on beside the hand. Where the last picture has had it, it is only moved.
 """
 
 from dataclasses import dataclass
@@ -13,38 +14,38 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._kernels import hand_term
+from handsight._kernels.sight_records import LOOK
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.first_pose import poses_of
+from handsight.vision.hand_covariance import palm_covariance
 from handsight.vision.hand_look import PlacedHand
-from handsight.vision.hand_search import Picture, distinct, picture_of, searched
+from handsight.vision.hand_search import Belief, Picture, distinct, picture_of, searched
 
 LIMIT = 4.0
 """Sigmas of the belief beyond which no answer is taken."""
-RUNGS = ((150, (0.03, 0.015, 7, 0.015), 10, 0.010), (400, (0.015, 0.010, 8, 0.010), 3, 0.008))
+RUNGS = ((300, (0.02, 0.010, 7, 0.015), 12, 0.010), (500, (0.012, 0.008, 6, 0.010), 5, 0.008))
 """Points; Tukey's bound at first and at last [m], steps, what is explained within [m]; how many poses go on, and how
-far they are apart [m]."""
+far they are apart [m]. A wide bound lets what is held pull the hand away."""
 LAST = (0.015, 0.006, 8, 0.010)
 """The same with all points."""
+FOLLOWED, NEXT = (0.010, float(np.deg2rad(3.0))), (0.02, 0.006, 10, 0.010)
+"""How far off a hand that is followed may be [m, rad], and as LAST for it."""
+FITS, PASSED = 0.65, 0.15
+"""Of a hand that is followed: the least share explained of what is neither hidden nor out of the picture, and the most
+that the camera sees past."""
 NEARLY = 0.6
 """Share of the best score from which others are laid on with all points too."""
 
-LEAST_SCORE, LEAST_PIXELS, LEAST_FIT = 3.0, 400.0, 0.25
+LEAST_SCORE, LEAST_PIXELS, LEAST_FIT = 2.0, 400.0, 0.25
 """Of an answer: LOOK's score, pixels that the hand explains, and their share of those that it should fill."""
-MOST_CONTINUED = 0.55
-"""Of the hand's outline: where what is seen goes on beside it, the hand was laid into a table or a wall."""
+CONTINUED, MOST_CONTINUED = 0.3, 0.55
+"""What all of the hand's outline weighs, against the pixels that it should fill, where what is seen goes on beside it;
+and of how much of it no answer is taken: the hand was laid into a table or a wall."""
 APART, AS_GOOD = 0.025, 0.85
 """Poses farther from each other than this [m] are others, and one whose score is so much of the best is as good."""
-
-PIXELS_PER_POINT = 100.0
-"""Pixels whose depth errs together: they are one point."""
-SIGMA = 0.0015
-"""Of the depth of each [m]."""
-BIAS, BIAS_UP_TO = 0.001, 0.8
-"""What all that is seen is off by together [m], up to so far [m]; beyond by its square."""
-UNKNOWN = 0.5, 1.8
-"""Of a direction that no point sees [the hand's size, rad]."""
 
 Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
 
@@ -83,34 +84,66 @@ def seen_hand(
     *,
     sigma_position: float,
     sigma_rotation: float,
+    noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> SeenHand | HandNotSeen:
     """The palm's pose in the camera, or why a depth image (h, w) [m], 0 or NaN where there is none, does not tell it.
 
     T_camera_palm: as believed, off by `sigma_position` [m] at the hand's middle and `sigma_rotation` [rad] per axis.
-    What is searched, and with it the time, grows with them. Raises InvalidInput.
+    What is searched, and with it the time, grows with them. `noise` has a say in the covariance. Raises InvalidInput.
     """
-    T = se3.check(T_camera_palm, "T_camera_palm")
+    T = _checked(camera, depth, T_camera_palm)
     sigmas = _positive(sigma_position, "sigma_position"), _positive(sigma_rotation, "sigma_rotation")
-    if np.shape(depth) != camera.size[::-1]:
-        expected, came = "{} x {} pixels".format(*camera.size), " x ".join(map(str, np.shape(depth)[::-1]))
-        raise InvalidInput(f"depth: expected {expected}, got {came}")
+    belief = Belief(hand, T, sigmas)
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
         return HandNotSeen("outside")
     there = hand.seen_from(camera, T)
-    looks = searched(picture, hand, T, sigmas, there)
+    looks = searched(picture, belief, there)
     if not len(looks):
         return HandNotSeen("outside")
     rows = np.flatnonzero(there)
     for count, rung, kept, apart in RUNGS:
         looks = _laid(picture, hand, rows, (count, *rung), looks)
-        looks = distinct(hand, _believed(hand, T, sigmas, looks), apart, kept)
+        looks = distinct(hand, _believed(belief, looks), apart, kept)
     looks = looks[looks["score"] > NEARLY * looks["score"].max(initial=0.0)]
     looks = np.concatenate(
         [looks[:0], *(_finished(picture, hand, looks[k : k + 1]) for k in range(len(looks)))]
     )
-    looks = _believed(hand, T, sigmas, looks)
-    return _answer(picture, hand, looks)
+    return _answer(picture, hand, _believed(belief, looks), noise)
+
+
+def followed_hand(
+    camera: PinholeCamera,
+    depth: Depth,
+    hand: PlacedHand,
+    T_camera_palm: Array,
+    *,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> SeenHand | HandNotSeen:
+    """As `seen_hand`, near where the last picture has had the palm; nothing is searched, so that it takes a few ms.
+
+    T_camera_palm: off by about 10 mm and 3° per axis. Where too little of what should be seen is so: `no_fit`.
+    """
+    T = _checked(camera, depth, T_camera_palm)
+    picture = picture_of(camera, depth, hand, T, FOLLOWED[0])
+    if picture is None:
+        return HandNotSeen("outside")
+    look = np.zeros(1, dtype=LOOK)
+    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    look = _believed(Belief(hand, T, FOLLOWED), _finished(picture, hand, look, NEXT))
+    if len(look):
+        free = look["explained"] + look["passed"] + look["unexplained"]
+        if not (look["explained"] > FITS * free and look["passed"] < PASSED * free).all():
+            return HandNotSeen("no_fit")
+    return _answer(picture, hand, look, noise)
+
+
+def _checked(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> Array:
+    T = se3.check(T_camera_palm, "T_camera_palm")
+    if np.shape(depth) != camera.size[::-1]:
+        expected, came = "{} x {} pixels".format(*camera.size), " x ".join(map(str, np.shape(depth)[::-1]))
+        raise InvalidInput(f"depth: expected {expected}, got {came}")
+    return T
 
 
 def _positive(value: float, name: str) -> float:
@@ -134,23 +167,35 @@ def _laid(
     return looks
 
 
-def _finished(picture: Picture, hand: PlacedHand, look: NDArray[np.void]) -> NDArray[np.void]:
-    rows = np.flatnonzero(hand.seen_from(picture.camera, poses_of(look)[0]))
-    return _laid(picture, hand, rows, (len(rows), *LAST), look.copy())
-
-
-def _believed(
-    hand: PlacedHand, T: Array, sigmas: tuple[float, float], looks: NDArray[np.void]
+def _finished(
+    picture: Picture, hand: PlacedHand, look: NDArray[np.void], rung: tuple[float, ...] = LAST
 ) -> NDArray[np.void]:
+    """A look (1,) laid on by all points that are seen; what goes on beside it is taken from its score."""
+    rows = np.flatnonzero(hand.seen_from(picture.camera, poses_of(look)[0]))
+    look = _laid(picture, hand, rows, (len(rows), *rung), look.copy())
+    expected, goes_on = (
+        look["expected"],
+        hand.outline_continued(picture.camera, picture.depth, poses_of(look)[0]),
+    )
+    look["score"] -= (
+        CONTINUED * goes_on * expected / np.maximum(expected, hand_term.LEAST_EXPECTED) ** hand_term.POWER
+    )
+    return look
+
+
+def _believed(belief: Belief, looks: NDArray[np.void]) -> NDArray[np.void]:
     """Those that the belief can be off by, the best first."""
+    hand, T, sigmas = belief.hand, belief.T, belief.sigmas
     Ts = poses_of(looks)
     off = np.linalg.norm(se3.apply(Ts, hand.middle[None])[:, 0] - se3.apply(T, hand.middle[None])[0], axis=1)
-    turned = np.array([np.linalg.norm(se3.rotation_log(R @ T[:3, :3].T)) for R in Ts[:, :3, :3]])
-    looks = looks[(off < LIMIT * sigmas[0]) & (turned < LIMIT * sigmas[1])] if len(looks) else looks
+    turned = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ T[:3, :3].T), axis=1)
+    looks = looks[(off < LIMIT * sigmas[0]) & (turned < LIMIT * sigmas[1])]
     return looks[np.argsort(-looks["score"], kind="stable")]
 
 
-def _answer(picture: Picture, hand: PlacedHand, looks: NDArray[np.void]) -> SeenHand | HandNotSeen:
+def _answer(
+    picture: Picture, hand: PlacedHand, looks: NDArray[np.void], noise: DepthNoise
+) -> SeenHand | HandNotSeen:
     """The best, where it is good enough and no other is nearly as good."""
     if not len(looks) or not looks["score"][0] > LEAST_SCORE:
         return HandNotSeen("no_fit")
@@ -160,35 +205,9 @@ def _answer(picture: Picture, hand: PlacedHand, looks: NDArray[np.void]) -> Seen
     others = distinct(hand, looks, APART, 2)[1:]
     if len(others) and others["score"][0] > AS_GOOD * best["score"][0]:
         return HandNotSeen("ambiguous")
-    if hand.outline_continued(picture.camera, picture.depth, poses_of(best)[0]) > MOST_CONTINUED:
+    T = poses_of(best)[0]
+    if hand.outline_continued(picture.camera, picture.depth, T) > MOST_CONTINUED:
         return HandNotSeen("no_fit")
-    covariance = _covariance(picture, hand, best)
-    return SeenHand(poses_of(best)[0], covariance, float(fits[0]), best)
-
-
-def _covariance(picture: Picture, hand: PlacedHand, look: NDArray[np.void]) -> Array:
-    """(6, 6) by (δp, δθ) of the palm along the camera's axes: points, the camera's constant error, and the joints'."""
-    T = poses_of(look)[0]
     rows = np.flatnonzero(hand.seen_from(picture.camera, T))
-    skin, out = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))
-    hand_term.rows_of(picture.camera.record, picture.arrays, skin, look["pose"].copy(), LAST[1], out)
-    weight, normals, arm = out[:, 0], out[:, 2:5], T[:3, :3] @ hand.middle
-    lines = out[:, 2:].copy()
-    lines[:, 3:] -= np.cross(arm + T[:3, 3], normals)
-    information = np.einsum("m,mi,mj->ij", weight, lines, lines)
-    D, distance = 2 * hand.radius, (T[:3, 3] + arm)[2]
-    unknown = np.diag(np.repeat([1 / (UNKNOWN[0] * D) ** 2, 1 / UNKNOWN[1] ** 2], 3))
-    points = max(float(look["explained"][0]) / PIXELS_PER_POINT, 1.0)
-    about = np.linalg.inv(information * points / max(weight.sum(), 1e-9) / SIGMA**2 + unknown)
-    bias = BIAS * max(1.0, (distance / BIAS_UP_TO) ** 2)
-    about += np.diag(np.repeat([bias**2, (2 * bias / D) ** 2], 3))
-    if hand.sigma_joint > 0:
-        by_joints = np.einsum("mi,ij,mjk->mk", normals, T[:3, :3], hand.by_joints(rows))
-        leans = np.linalg.solve(
-            information + weight.sum() * 1e-9 * np.eye(6), np.einsum("m,mi,mk->ik", weight, lines, by_joints)
-        )
-        about += hand.sigma_joint**2 * leans @ leans.T
-    to_palm = np.eye(6)
-    to_palm[:3, 3:] = se3.skew(arm)
-    covariance = to_palm @ about @ to_palm.T
-    return np.asarray((covariance + covariance.T) / 2)
+    covariance = palm_covariance(picture, hand, best, (rows, LAST[1]), noise)
+    return SeenHand(T, covariance, float(fits[0]), best)
