@@ -5,7 +5,7 @@ table, in every second picture with its forearm before or behind it; at least 15
 noise of a structured-light camera: correlated, rounded disparity, pixels lost behind edges, a smooth bias (1.5 mm at
 1 m) and an offset (1 mm). Each joint is off by 1° (standard deviation), constantly. The belief is off by so much at the
 hand's middle, in a random direction, and about a random axis; in the row "simulator" by 64 mm and 6° per axis, as its
-camera is by default.
+camera is by default. "Followed": the last picture's pose, that far off, is laid on without a search.
 
   median        of what was answered: at the hand's middle [mm], and the turn [°]
   within 8 mm   of all pictures; refused ones are not
@@ -23,13 +23,15 @@ import trimesh
 from handsight import se3
 from handsight.hand import Hand
 from handsight.simulation import Scenario, rig_of
-from handsight.vision import HandLook, HandNotSeen, SeenHand, seen_hand
+from handsight.vision import HandLook, HandNotSeen, PlacedHand, SeenHand, followed_hand, seen_hand
 from shared import figures, hand_scenes, report, ycb
 from shared.report import Array, Row, Rows
 
 BELIEFS = ((20.0, 2.0), (40.0, 4.0), (60.0, 4.0), (80.0, 5.0), (None, None))
 """Off by [mm, °]; None: as the simulator's camera is."""
 SIMULATOR = 0.064, float(np.deg2rad(6))
+FOLLOWED = ((3.0, 1.0), (8.0, 2.5), (20.0, 6.0))
+"""The same, of a hand that is followed."""
 JOINTS = (0.0, 1.0, 2.0, 3.0)
 """Standard deviation of joints' errors [°], each with a belief that is off by 40 mm and 4°."""
 COVERED = 0.3
@@ -80,13 +82,29 @@ def scene_and_belief(
     return scene, hand, hand_scenes.moved(T, shift + about - turn @ about, turn), sigmas
 
 
-def tried(stage: Stage, options: report.Options, trial: int, off: tuple[Any, Any], joints: float) -> Row:
+def searched(depth: Array, hand: PlacedHand, believed: Array, sigmas: Any) -> SeenHand | HandNotSeen:
+    """Without a last picture."""
+    camera, (position, rotation) = hand_scenes.CAMERA, sigmas
+    return seen_hand(camera, depth, hand, believed, sigma_position=position, sigma_rotation=rotation)
+
+
+def followed(depth: Array, hand: PlacedHand, believed: Array, _: Any) -> SeenHand | HandNotSeen:
+    """From where the last picture has had it."""
+    return followed_hand(hand_scenes.CAMERA, depth, hand, believed)
+
+
+def tried(
+    stage: Stage,
+    options: report.Options,
+    trial: int,
+    off: tuple[Any, Any],
+    joints: float,
+    look: Any = searched,
+) -> Row:
     """One picture: what came of it."""
     scene, hand, believed, sigmas = scene_and_belief(stage, options, trial, off, joints)
     start = time.process_time()
-    seen = seen_hand(
-        hand_scenes.CAMERA, scene.depth, hand, believed, sigma_position=sigmas[0], sigma_rotation=sigmas[1]
-    )
+    seen = look(scene.depth, hand, believed, sigmas)
     covered = f"{'up to' if scene.hidden <= COVERED else 'above'} {COVERED:.0%}"
     row: Row = {
         "covered": covered,
@@ -134,14 +152,7 @@ def draw(stage: Stage, options: report.Options) -> None:
     figure, axes = figures.pyplot().subplots(2, 3, figsize=(9, 6), layout="constrained")
     for trial, column in enumerate(axes.T):
         scene, hand, believed, sigmas = scene_and_belief(stage, options, trial, BELIEFS[3], 1.0)
-        seen = seen_hand(
-            hand_scenes.CAMERA,
-            scene.depth,
-            hand,
-            believed,
-            sigma_position=sigmas[0],
-            sigma_rotation=sigmas[1],
-        )
+        seen = searched(scene.depth, hand, believed, sigmas)
         middle = hand_scenes.CAMERA.project(se3.apply(scene.T_camera_palm, hand.middle[None]))[0]
         distance = scene.T_camera_palm[2, 3]
         for axis, T, name in zip(
@@ -175,6 +186,13 @@ def main() -> None:
             rows.append(
                 {"belief": name, "joints": joints, **tried(stage, options, trial, (length, angle), joints)}
             )
+    rows_followed = Rows()
+    for length, angle in FOLLOWED:
+        name = f"{length:g} mm, {angle:g}°"
+        for trial in report.progress(range(options.trials), f"followed, {name}"):
+            row = tried(stage, options, trial, (length, angle), 1.0, followed)
+            rows_followed.append({"belief": name, **row})
+    print_rows("Followed", rows_followed, "belief")
     print_rows("Beliefs", report.chosen(rows, joints=1.0), "belief")
     for name in ("40 mm, 4°", "simulator"):
         print_rows(

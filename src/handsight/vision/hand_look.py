@@ -110,8 +110,7 @@ class PlacedHand:
         Around a hand in the air most are far behind; a hand that was laid onto a table has none that are. Where
         something hides the outline, or there is no depth, it does not count; all of it: 1.
         """
-        small = _smaller(camera)
-        drawn = small.draw(se3.apply(T_camera_palm, self.vertices), self.look.coarse[2]).depth
+        drawn = _drawn(self, camera, T_camera_palm.tobytes())
         near = minimum_filter(drawn, size=3)
         around = np.isfinite(near) & ~np.isfinite(drawn)
         rows, columns = (FINER * k + FINER // 2 for k in np.nonzero(around))
@@ -122,8 +121,7 @@ class PlacedHand:
 
     def beside(self, camera: PinholeCamera, T_camera_palm: Array, most: int) -> Array:
         """(k, 3) points in the air, in the palm's axes, `BESIDE` off the hand's outline and as near as it [m]."""
-        small = _smaller(camera)
-        drawn = small.draw(se3.apply(T_camera_palm, self.vertices), self.look.coarse[2]).depth
+        small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], BESIDE)
         off = max(round(BESIDE * small.matrix[0, 0] / distance), 1)
         near, nearer = (minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
@@ -136,8 +134,7 @@ class PlacedHand:
 
     def seen_from(self, camera: PinholeCamera, T_camera_palm: Array) -> Mask:
         """(m,) which points a camera there sees of the hand alone; out of its image all that face it."""
-        small = _smaller(camera)
-        drawn = small.draw(se3.apply(T_camera_palm, self.vertices), self.look.coarse[2]).depth
+        small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
         facing = -np.einsum("mi,mi->m", points, normals) > LEAST_FACING * way
@@ -155,6 +152,13 @@ def _smaller(camera: PinholeCamera) -> PinholeCamera:
     K[:2] /= FINER
     K[:2, 2] -= 0.5 - 0.5 / FINER
     return PinholeCamera(K, (-(-camera.size[0] // FINER), -(-camera.size[1] // FINER)), camera.lens)
+
+
+@lru_cache(maxsize=4)  # where a hand comes to lie it is drawn for its outline and for what is seen of it
+def _drawn(hand: PlacedHand, camera: PinholeCamera, T_camera_palm: bytes) -> Depth:
+    """The depth of its coarse triangles at a quarter of the size; inf beside them."""
+    T = np.frombuffer(T_camera_palm).reshape(4, 4)
+    return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.look.coarse[2]).depth
 
 
 def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
