@@ -24,8 +24,8 @@ from handsight.vision.hand_covariance import palm_covariance
 from handsight.vision.hand_look import PlacedHand
 from handsight.vision.hand_search import Belief, Picture, distinct, picture_of, searched
 
-LIMIT = 4.0
-"""Sigmas of the belief beyond which no answer is taken."""
+LIMIT, ON_THE_WAY = 4.0, 2.5
+"""Sigmas of the belief beyond which no answer is taken; times that, none goes on to become one."""
 RUNGS = ((300, (0.02, 0.010, 7, 0.015), 12, 0.010), (500, (0.012, 0.008, 6, 0.010), 5, 0.008))
 """Points; Tukey's bound at first and at last [m], steps, what is explained within [m]; how many poses go on, and how
 far they are apart [m]. A wide bound lets what is held pull the hand away."""
@@ -104,7 +104,7 @@ def seen_hand(
     rows = np.flatnonzero(there)
     for count, rung, kept, apart in RUNGS:
         looks = _laid(picture, hand, rows, (count, *rung), looks)
-        looks = distinct(hand, _believed(belief, looks), apart, kept)
+        looks = distinct(hand, _believed(belief, looks, ON_THE_WAY * LIMIT), apart, kept)
     looks = looks[looks["score"] > NEARLY * looks["score"].max(initial=0.0)]
     looks = np.concatenate(
         [looks[:0], *(_finished(picture, hand, looks[k : k + 1]) for k in range(len(looks)))]
@@ -183,13 +183,13 @@ def _finished(
     return look
 
 
-def _believed(belief: Belief, looks: NDArray[np.void]) -> NDArray[np.void]:
-    """Those that the belief can be off by, the best first."""
+def _believed(belief: Belief, looks: NDArray[np.void], limit: float = LIMIT) -> NDArray[np.void]:
+    """Those that the belief can be off by, so many sigmas; the best first."""
     hand, T, sigmas = belief.hand, belief.T, belief.sigmas
     Ts = poses_of(looks)
     off = np.linalg.norm(se3.apply(Ts, hand.middle[None])[:, 0] - se3.apply(T, hand.middle[None])[0], axis=1)
     turned = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ T[:3, :3].T), axis=1)
-    looks = looks[(off < LIMIT * sigmas[0]) & (turned < LIMIT * sigmas[1])]
+    looks = looks[(off < limit * sigmas[0]) & (turned < limit * sigmas[1])]
     return looks[np.argsort(-looks["score"], kind="stable")]
 
 
