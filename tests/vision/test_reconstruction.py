@@ -108,7 +108,7 @@ def test_a_thing_is_found_as_it_is(name, estimate):
 
 @pytest.mark.slow
 def test_views_are_found_where_nobody_says_how_the_camera_moved():
-    Ts, images = views("letter", 72)
+    Ts, images = views("letter", 36, 0.5)
     rec, found = grown(np.repeat(Ts[:1], len(Ts), axis=0), images, estimate=True)
     assert None not in found
     turned = np.zeros(3)

@@ -45,8 +45,8 @@ def reconstruct(
 
     Move the camera around what stands on a table, nearest to the middle of the first image; a hand in the picture is
     left out. Or hold it in the hand and turn that before the camera, clear of all else (`--held`): where it is goes by
-    the hand that is seen; what is near the hand in all views, as under its fingers, stays unseen. Views a few degrees
-    apart are enough; the more sides they show, the less is guessed.
+    the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views a few
+    degrees apart are enough; the more sides they show, the less is guessed.
 
     What no view shows is guessed where a symmetry contradicts nothing that was seen, and from the lowest that was seen
     straight down to the table, if there is one. The file's property `measured` is 1 for points that were seen and 0 for
@@ -68,7 +68,7 @@ def reconstruct(
     found = rig_of_recording(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
-    run = Run(not given, held)
+    run = Run(not given and not held, held)
     with open_recording(recording, found) as opened, live_rows(recording.name, Run.progress) as watch:
         with kept_going() as end:
             run.through(opened, found, watch)
