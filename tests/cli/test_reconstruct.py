@@ -59,7 +59,7 @@ def test_what_stands_on_a_table_becomes_a_model(asked, tmp_path, rig, around):
     assert normals is None
     assert faces is None
     sigmas = ply_sigmas(content)
-    assert set(sigmas) == {2e-4, 1.5e-3}
+    assert set(sigmas) == {5e-4, 1.5e-3}
     assert (sigmas[points[:, 2] == 0] == 1.5e-3).all()
     model = hs.ObjectModel.from_file(tmp_path / "can.ply")
     assert model.closed
