@@ -1,5 +1,6 @@
 """Depth images of an object from all around, drawn, by one camera with errors of its own as `simulation.camera` has them."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -36,9 +37,32 @@ def path(n: int, rng: Rng, *, turns: float = 1.0, distance: float = 0.45) -> Arr
 
 def pictures(Ts_camera_table: Array, shape: Shape, rng: Rng, *, camera: Any = CAMERA) -> list[Array]:
     """Depth images of a shape that stands on the table, 0 where there is none; the camera's constant error is one."""
+    return spoiled((drawn(T, [shape], [np.eye(4)], camera).depth for T in Ts_camera_table), rng)
+
+
+def spoiled(clean: Iterable[Array], rng: Rng) -> list[Array]:
+    """Depth images with the errors of one camera, 0 where there is none."""
     noise, own = replace(STRUCTURED_LIGHT, nearest=0.1), int(rng.integers(2**31))
-    clean = (drawn(T, [shape], [np.eye(4)], camera).depth for T in Ts_camera_table)
     return [np.nan_to_num(spoil(depth, noise, rng, own)) for depth in clean]
+
+
+def turned_before(n: int, distance: float = 0.45) -> Array:
+    """T_camera_thing (n, 4, 4) of a camera at whose middle a thing is turned, by n views all around it."""
+    Ts = []
+    for k in np.arange(n):
+        height = 0.9 * np.cos(2 * np.pi * k / n + 0.3)
+        around = 4 * np.pi * k / n
+        z = -np.array([*np.sqrt(1 - height**2) * np.array([np.cos(around), np.sin(around)]), height])
+        x = np.cross(z, [0.3, 1.0, 0.2])
+        x /= np.linalg.norm(x)
+        Ts.append(se3.inverse(se3.compose(np.column_stack([x, np.cross(z, x), z]), -distance * z)))
+    return np.stack(Ts)
+
+
+def pictures_of(Ts_camera_thing: Array, shape: Shape, rng: Rng, *, camera: Any = CAMERA) -> list[Array]:
+    """Depth images of a shape before a wall at 2 m, as `pictures`."""
+    clean = (camera.draw(se3.apply(T, shape[0]), shape[1]).depth for T in Ts_camera_thing)
+    return spoiled((np.where(np.isfinite(depth), depth, 2.0).astype(np.float32) for depth in clean), rng)
 
 
 def standing(model: hs.ObjectModel) -> Shape:

@@ -11,10 +11,11 @@ import handsight as hs
 from handsight import se3
 from handsight.vision.closing import closed, one_object
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
+from handsight.vision.locate import locate
 from handsight.vision.reconstruction import Reconstruction, View
 from handsight.vision.views import on_table
 from handsight.vision.volume import Volume
-from sight_scenes import CAMERA, drawn, letter
+from sight_scenes import CAMERA, drawn, letter, mssd
 from views_around import CAN, path, pictures, standing, wrong
 
 BOUNDS = np.array([[-0.1, -0.1, -0.02], [0.1, 0.1, 0.15]])
@@ -167,3 +168,14 @@ def test_the_thing_on_the_table_is_found_and_nothing_where_there_is_none():
     assert on_table(CAMERA, np.zeros((240, 320), np.float32)) is None
     empty = drawn(Ts[0], [], []).depth
     assert on_table(CAMERA, np.where(np.isfinite(empty), empty, 0).astype(np.float32)) is None
+
+
+def test_a_reconstructed_model_is_located_in_a_picture():
+    Ts, images = views("letter")
+    rec, _ = grown(Ts, images, estimate=False)
+    found = closed(one_object(rec.volume.surface(), rec.volume, table=True), rec.volume, table=True)
+    model = hs.ObjectModel.from_points(found.points[::3])
+    answer = locate(model, CAMERA, images[3])
+    assert answer.reason is None
+    T_table_letter = se3.compose(np.eye(3), standing(LETTER)[0][0] - np.array(LETTER.vertices)[0])
+    assert mssd(LETTER, Ts[3] @ T_table_letter, answer.Ts_camera_object)[0] < 0.1

@@ -34,15 +34,23 @@ def reconstruct(
             help="Take the views to be where the robot says; default: where the growing surface says, from there on.",
         ),
     ] = False,
+    held: Annotated[
+        bool,
+        typer.Option(
+            "--held", help="The hand holds it and turns it before the camera; default: it stands on a table."
+        ),
+    ] = False,
 ) -> None:
     """Make an object's model out of a recording with depth images of many sides of it.
 
     Move the camera around what stands on a table, nearest to the middle of the first image; a hand in the picture is
-    left out. Views a few degrees apart are enough; the more sides they show, the less is guessed.
+    left out. Or hold it in the hand and turn that before the camera, clear of all else (`--held`): where it is goes by
+    the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views a few
+    degrees apart are enough; the more sides they show, the less is guessed.
 
     What no view shows is guessed where a symmetry contradicts nothing that was seen, and from the lowest that was seen
-    straight down to the table. The file's property `measured` is 1 for points that were seen and 0 for guesses, `sigma`
-    is how far they may be off.
+    straight down to the table, if there is one. The file's property `measured` is 1 for points that were seen and 0 for
+    guesses, `sigma` is how far they may be off.
 
     ```
     handsight reconstruct around.mcap --rig robot.yaml --output mustard.ply
@@ -60,7 +68,7 @@ def reconstruct(
     found = rig_of_recording(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
-    run = Run(not given)
+    run = Run(not given and not held, held)
     with open_recording(recording, found) as opened, live_rows(recording.name, Run.progress) as watch:
         with kept_going() as end:
             run.through(opened, found, watch)
@@ -83,6 +91,7 @@ class Run:
     """A recording's way into a surface."""
 
     estimate: bool
+    held: bool
     reconstruction: "Reconstruction | None" = None
     images: int = 0
     """Depth images that were looked at."""
@@ -95,9 +104,9 @@ class Run:
         import numpy as np
 
         from handsight import se3
-        from handsight.recording.object_views import camera_of, views_of
+        from handsight.recording.object_views import camera_of, held_views, views_of
         from handsight.vision.reconstruction import Reconstruction, View
-        from handsight.vision.views import on_table
+        from handsight.vision.views import HELD_BOUNDS, on_table
 
         seen = (each for each in recording.observations() if each.depth is not None)
         first = next(seen, None)
@@ -105,9 +114,9 @@ class Run:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
         camera = camera_of(rig, recording.intrinsics)
         T_reference_object = np.eye(4)
-        for view in views_of(chain([first], seen), rig, camera):
+        for view in (held_views if self.held else views_of)(chain([first], seen), rig, camera):
             if self.reconstruction is None:
-                begun = on_table(camera, view.depth)
+                begun = (view.T_camera_object, HELD_BOUNDS) if self.held else on_table(camera, view.depth)
                 if begun is None:
                     self.begun = self.images = self.images + 1
                     continue
@@ -123,7 +132,8 @@ class Run:
         from handsight.vision.closing import closed, one_object
 
         if self.reconstruction is None:
-            said = f"expected an object on a table, got none in {self.images} depth images"
+            where = "in the hand" if self.held else "on a table"
+            said = f"expected an object {where}, got none in {self.images} depth images"
             raise InvalidInput(f"recording: {said}")
         volume = self.reconstruction.volume
         if volume.views < LEAST_FUSED:
@@ -131,13 +141,13 @@ class Run:
                 f"recording: expected at least {LEAST_FUSED} views of different sides, got {volume.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted"
             )
-        surface = one_object(volume.surface(), volume, table=True)
+        surface = one_object(volume.surface(), volume, table=not self.held)
         if len(surface.points) < LEAST_POINTS:
             raise InvalidInput(
                 f"recording: expected a surface of at least {LEAST_POINTS} points, got {len(surface.points)} "
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
-        return closed(surface, volume, table=True)
+        return closed(surface, volume, table=not self.held)
 
     def progress(self) -> list[tuple[str, str]]:
         """How it goes, as names and values."""

@@ -1,6 +1,7 @@
 """Views of one object out of what a robot measured: the hand taken away, and where the object was if the robot knows.
 
-An object on a table stays where it is in the world. If the robot does not know how its camera has moved against that,
+What a hand holds stays where it is in the palm, as far as the grip holds; the palm is where the hand is seen. An object
+on a table stays where it is in the world. If the robot does not know how its camera has moved against that,
 all views begin at one pose, and the growing surface finds theirs.
 """
 
@@ -10,11 +11,13 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
 from handsight.vision import PinholeCamera
-from handsight.vision.reconstruction import View
+from handsight.vision.reconstruction import View, within
+from handsight.vision.views import HELD_BOUNDS, LEAST_PIXELS, Held
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
@@ -36,6 +39,36 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamer
         if hand is not None:
             depth[hand] = 0
         yield View(depth, np.eye(4) if T is None else T)
+
+
+def held_views(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
+    """The depth images among observations, pixels near the hand 0, by the pose of what the hand holds.
+
+    Its frame: the palm's axes about the middle that the fingertips had in the first of them. Observations without
+    joint positions or a belief where the palm is, and those that show nothing but hand there, are passed over. Raises
+    InvalidInput for images of another size than the camera's, and for a rig that cannot tell its hand from the object.
+    """
+    if rig.camera is None:
+        raise InvalidInput("camera: expected one in the rig, to tell where the hand is, got none")
+    pixels, held = HandPixels(rig), Held(rig.hand, rig.sigma_joint_offset)
+    T_palm_object: Array | None = None
+    for seen in observations:
+        joints = seen.joint_positions
+        if seen.depth is None or joints is None or not held.tells(joints):
+            continue
+        depth = camera.check_depth(seen.depth)
+        depth = np.where(depth > 0, depth, 0).astype(np.float32)
+        T = pixels.palm(camera, depth, seen)
+        if T is None:
+            continue
+        T_camera_object = T @ (
+            se3.compose(np.eye(3), held.middle(joints)) if T_palm_object is None else T_palm_object
+        )
+        view = View(held.without_hand(camera, depth, joints, T), T_camera_object)
+        if within(camera, view, HELD_BOUNDS).sum() < LEAST_PIXELS:
+            continue
+        T_palm_object = se3.inverse(T) @ T_camera_object
+        yield view
 
 
 def _world(rig: Rig, seen: Observation) -> Array | None:

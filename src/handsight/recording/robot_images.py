@@ -43,6 +43,13 @@ class HandPixels:
 
     def mask(self, camera: PinholeCamera, depth: Depth, seen: Observation) -> Mask | None:
         """(h, w); None where nobody knows of a hand."""
+        T_camera_palm = self.palm(camera, depth, seen)
+        if T_camera_palm is None:
+            return None
+        return self._hand.mask(camera, depth, seen.joint_positions, T_camera_palm)
+
+    def palm(self, camera: PinholeCamera, depth: Depth, seen: Observation) -> Array | None:
+        """T_camera_palm (4, 4) as the hand is seen; else as believed, by what it was off when it was last seen."""
         believed, joints, of = believed_palm(self._rig, seen), seen.joint_positions, self._rig.camera
         if believed is None or of is None:
             return None
@@ -54,7 +61,7 @@ class HandPixels:
         if isinstance(found, SeenHand):
             near = found.T_camera_palm
             self._T_seen_believed = near @ se3.inverse(believed)
-        return self._hand.mask(camera, depth, joints, near)
+        return near
 
 
 def _frames(path: Path, rig: Rig) -> Iterator[Frame]:

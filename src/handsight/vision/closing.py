@@ -34,8 +34,9 @@ CLOSED, OPEN = 4, 0.6
 """Gaps in a foot's outline up to twice so wide are closed [cells]; what fills less than this of its hull is open."""
 GAP = 2
 """Half of what parts of one object may be apart [cells]."""
-MEASURED, GUESSED = 2e-4, 1.5e-3
-"""What the points that were seen, and those that were guessed, may be off by together [m]."""
+MEASURED, GUESSED = 5e-4, 1.5e-3
+"""What the points that were seen, and those that were guessed, may be off by together [m]: the first is mostly the
+camera's constant error, which no number of views takes away."""
 FAR = 1.5
 """From any measured point, for a guess to be needed [cells]."""
 

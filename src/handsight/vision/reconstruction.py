@@ -89,13 +89,18 @@ class Reconstruction:
 
     def _scene(self, view: View) -> Scene:
         """The view's pixels that are in the bounds, as one part."""
-        points_camera = self.camera.points(view.depth).reshape(-1, 3).astype(np.float64)
-        points = se3.apply(se3.inverse(view.T_camera_object), points_camera).reshape(*view.depth.shape, 3)
-        low, high = self.bounds_object
-        with np.errstate(invalid="ignore"):
-            inside = ((points > low) & (points < high)).all(axis=-1)
+        inside = within(self.camera, view, self.bounds_object)
         labels = np.where(inside, 0, OUT).astype(np.int32)
         return Scene(self.camera, view.depth, labels, np.array([float(inside.sum())]))
+
+
+def within(camera: PinholeCamera, view: View, bounds_object: Array) -> Mask:
+    """(h, w) which pixels of a view show what lies in bounds (2, 3) [m]."""
+    points_camera = camera.points(view.depth).reshape(-1, 3).astype(np.float64)
+    points = se3.apply(se3.inverse(view.T_camera_object), points_camera).reshape(*view.depth.shape, 3)
+    low, high = bounds_object
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((points > low) & (points < high)).all(axis=-1) & (view.depth > 0))
 
 
 class _Surface:
