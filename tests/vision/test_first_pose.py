@@ -156,8 +156,8 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
         0.006,
     )
     errors, told = (
-        np.array([[4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, bound]]),
-        np.empty((1, 2, 6, 6)),
+        np.array([[4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, bound, 0, 0, 0, 0]]),
+        np.empty((1, 3, 6, 6)),
     )
     depth_term.inform_all(*model().record[:2], rows, errors, look, told)
     P = rows["point"]
@@ -173,7 +173,7 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
     C = 4e-6 * np.eye(len(P)) + 2e-6 * np.exp(-apart2 / 0.01**2) + 3e-6 * np.exp(-apart2 / 0.08**2) + 1e-6
     pulls = lever * (weight * (g * P).sum(axis=1) / P[:, 2])[:, None] / scale
     S = pulls.T @ C @ pulls
-    told /= np.outer(scale, scale)
+    told[:, :2] /= np.outer(scale, scale)
     np.testing.assert_allclose(told[0, 0], A, atol=1e-3 * np.abs(A).max())
     within = 1e-3 if count < depth_term.PAIRED else 0.15
     np.testing.assert_allclose(told[0, 1], S, atol=within * np.abs(S).max())
