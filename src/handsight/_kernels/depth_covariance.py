@@ -25,24 +25,27 @@ def covariance_of(told: Any, error: Any, arm: Vec3, radius: float, weight: float
     (A S⁻¹ A + what is known anyway)⁻¹ + what an image is off aside; error: as of `depth_term.inform_all`.
     """
     A, X = u.matrix, u.by_touch
-    in_metres(told[0], radius, A)
-    for i in range(3, 6):
-        A[i, i] -= weight * error[8]
-    eigen(A, u.values, u.vectors)
-    for i in range(6):
-        for j in range(6):
-            A[i, j] = 0.0
-            for k in range(6):
-                A[i, j] += max(u.values[k], 0.0) * u.vectors[i, k] * u.vectors[j, k]
     in_metres(told[1], radius, u.wider)
     trace = 0.0
     for i in range(6):
         trace += u.wider[i, i]
-    factor(u.wider, 6, LEAST / 6 * trace + 1e-12, u.factor)
-    for j in range(6):
-        solve(u.factor, 6, A[j], u.column)
-        for i in range(6):
-            X[i, j] = u.column[i]
+    eigen(u.wider, u.values, u.vectors)
+    for k in range(6):
+        # That of many points is drawn from some of their pairs, and may be less than nothing.
+        u.values[k] = 1 / (max(u.values[k], 0.0) + LEAST / 6 * trace + 1e-12)
+    _composed(u.values, u.vectors, u.factor)
+    in_metres(told[0], radius, A)
+    for i in range(3, 6):
+        A[i, i] -= weight * error[8]
+    eigen(A, u.values, u.vectors)
+    for k in range(6):
+        u.values[k] = max(u.values[k], 0.0)
+    _composed(u.values, u.vectors, A)
+    for i in range(6):
+        for j in range(6):
+            X[i, j] = 0.0
+            for k in range(6):
+                X[i, j] += u.factor[i, k] * A[k, j]
     for i in range(6):
         for j in range(6):
             u.wider[i, j] = error[9 if i < 3 else 10] if i == j else 0.0
@@ -51,6 +54,16 @@ def covariance_of(told: Any, error: Any, arm: Vec3, radius: float, weight: float
     _inverse(u.wider, error[7], u)
     in_metres(u.wider, radius, u.wider)
     moved_origin(u.wider, arm, told[2])
+
+
+@inner
+def _composed(values: Any, vectors: Any, out: Any) -> None:
+    """`out` (6, 6): the symmetric matrix of eigenvalues (6) and eigenvectors in columns."""
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = 0.0
+            for k in range(6):
+                out[i, j] += values[k] * vectors[i, k] * vectors[j, k]
 
 
 @inner

@@ -31,8 +31,10 @@ WANDERS, WANDERS_IN_PALM = (0.15, 1.0), (0.02, 0.15)
 """How far off that is, and how an object moves in the palm [m/s, rad/s]."""
 LONGEST = 0.5
 """Between images, for a velocity to go on [s]."""
-LEAST_POINTS, LEAST_PIXELS = 15, 60.0
+LEAST_POINTS, LEAST_PIXELS = 15, 20.0
 """Below so many near it, or explained by it, an image says nothing of a pose."""
+LEAST_AGAINST = 30.0
+"""Pixels that speak against a pose, at least, for an image to do so."""
 LEAST_KNOWN = 3
 """Directions of a pose along which its surface is tried."""
 UNCERTAIN, GONE = 0.08, 0.12
@@ -154,7 +156,7 @@ class DepthTracker:
         """Why the object is lost; empty if it is not."""
         look, enough = looked.look[0], _is_enough(looked)
         against = look["passed"] + look["hidden"]
-        if against > max(look["explained"], LEAST_PIXELS / 2):
+        if against > max(look["explained"], LEAST_AGAINST):
             share = look["explained"] / (look["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
         if enough or not (predicted.lost or self._unsure(predicted) > GONE * self.model.diameter):
