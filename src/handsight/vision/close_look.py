@@ -91,7 +91,7 @@ class CloseLook:
             return slice(0, 0), slice(0, 0)
         focal = self.camera.matrix[0, 0]
         margin = 1 + MARGIN * self.model.diameter * focal / max(points[:, 2].min(), MARGIN)
-        left, top, right, bottom = *(low - margin).tolist(), *(high + margin + 1).tolist()
+        (left, top), (right, bottom) = (low - margin).tolist(), (high + margin + 1).tolist()
         width, height = self.camera.size
         rows = slice(int(min(max(top, 0), height)), int(min(max(bottom, 0), height)))
         return rows, slice(int(min(max(left, 0), width)), int(min(max(right, 0), width)))
