@@ -340,12 +340,13 @@ def test_what_is_known_beforehand_holds_a_pose_as_far_as_points_do_not():
     )
     off = delta @ se3.inverse(about)
     points, normals = model().sample(300, 1)
-    np.testing.assert_allclose(settled(np.zeros((6, 6)), points, start, off), off @ start, atol=2e-5)
-    np.testing.assert_allclose(settled(1e-6 * np.eye(6), points, start, off), off @ start, atol=2e-5)
+    free = settled(np.zeros((6, 6)), points, start, off)
+    np.testing.assert_allclose(free, off @ start, atol=1e-3)  # as well as a field has a surface
+    np.testing.assert_allclose(settled(1e-6 * np.eye(6), points, start, off), free, atol=1e-5)
     np.testing.assert_allclose(settled(1e9 * np.eye(6), points, start, off), start, atol=1e-6)
     up = points[normals[:, 2] > 0.999]
     shift = start[:3, :3] @ [0.004, 0, 0.002]  # along the face, and out of it
-    moved = settled(1e-2 * np.eye(6), up, start, se3.compose(np.eye(3), shift))
+    moved = settled(np.eye(6), up, start, se3.compose(np.eye(3), shift))
     np.testing.assert_allclose(start[:3, :3].T @ (moved - start)[:3, 3], [0, 0, 0.002], atol=2e-4)
 
 
