@@ -35,8 +35,6 @@ LEAST_POINTS, LEAST_PIXELS = 15, 20.0
 """Below so many near it, or explained by it, an image says nothing of a pose."""
 LEAST_AGAINST = 30.0
 """Pixels that speak against a pose, at least, for an image to do so."""
-LEAST_KNOWN = 3
-"""Directions of a pose along which its surface is tried."""
 UNCERTAIN, GONE = 0.08, 0.12
 """How far off its surface may be [diameters] for a pose to be known, and for it to be kept while nothing is seen."""
 TWIN = 0.05
