@@ -1,15 +1,17 @@
 """Depth images of an object that moves before a camera while a hand closes on it, drawn, with a camera's noise."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
 
 import handsight as hs
 from handsight import se3
 from handsight.hand.shape import HandShape
+from handsight.simulation.camera import spoil
 from handsight.vision.camera import PinholeCamera
+from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.hand_mask import hand_mask
 
 CAMERA = PinholeCamera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
@@ -30,8 +32,8 @@ TURNS = 0.5
 """How far to either side an object turns in place [rad]."""
 STILL = ("WRJ0", "WRJ1", "J3", "LFJ4", "THJ4")
 """Ends of joints that do not bend as the hand closes."""
-DISPARITY, LATERAL, BIAS, OFFSET = 2.85e-3, 0.5, 1.5e-3, 1e-3
-"""A step of inverse depth [1/m]; pixels aside; a smooth error at 1 m and one of the whole picture [m], that stay."""
+NOISE = replace(STRUCTURED_LIGHT, nearest=0.1)
+"""As near as sequences are."""
 
 
 class Instant(NamedTuple):
@@ -184,9 +186,7 @@ class Still:
 
     def __init__(self, rng: np.random.Generator) -> None:
         """Draws it."""
-        self.behind = rng.uniform(*WALL)
-        grain = gaussian_filter(rng.normal(size=CAMERA.size[::-1]), 40 / 2.355)
-        self.bias, self.offset = BIAS * grain / grain.std(), OFFSET * rng.normal()
+        self.behind, self.camera = rng.uniform(*WALL), int(rng.integers(2**31))
 
 
 def _picture(model, T, hand, still, rng):
@@ -197,23 +197,5 @@ def _picture(model, T, hand, still, rng):
     faces = np.concatenate([model.faces, hand[1] + len(vertices)])
     depth, drawn = CAMERA.draw(np.concatenate([vertices, hand[0]]), faces, labels)
     hidden = 1 - (drawn == 0).sum() / max(alone.sum(), 1)
-    wall = T[2, 3] + still.behind
-    rows, columns = np.nonzero(np.isfinite(depth) | alone)
-    box = tuple(slice(max(at.min() - 40, 0), at.max() + 41) for at in (rows, columns))
-    depth = np.where(np.isfinite(depth), depth, np.float32(wall))
-    depth[box] = _noisy(depth[box], still.bias[box], still.offset, rng)
-    return depth, float(hidden)
-
-
-def _noisy(depth, bias, offset, rng):
-    rows, columns = np.indices(depth.shape)
-    beside = [
-        np.clip(at + LATERAL * rng.normal(size=depth.shape), 0, most - 1)
-        for at, most in zip((rows, columns), depth.shape, strict=True)
-    ]
-    z = map_coordinates(depth, beside, order=0).astype(np.float64)
-    grain = gaussian_filter(rng.normal(size=z.shape), 5 / 2.355)
-    disparity = 1 / (DISPARITY * z) + 0.35 * grain / grain.std() + 0.25 * rng.normal(size=z.shape)
-    measured = 1 / (DISPARITY * np.maximum(np.round(disparity), 1)) + bias * z**2 + offset
-    lost = (depth - minimum_filter(depth, size=5) > 0.02) & (rng.random(z.shape) < 0.6)
-    return np.where(lost | (rng.random(z.shape) < 0.005), 0, measured)
+    depth = np.where(np.isfinite(depth), depth, np.float32(T[2, 3] + still.behind))
+    return np.nan_to_num(spoil(depth, NOISE, rng, still.camera)), float(hidden)

@@ -7,7 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import near_points
+from handsight._kernels import depth_covariance, depth_term, near_points
 from handsight._kernels.sight_records import LOOK, SEEN, WINDOW
 from handsight.errors import InvalidInput, InvalidTransform
 from handsight.vision import DepthTracker
@@ -299,3 +299,67 @@ def test_what_is_on_the_plane_is_left_out():
     near_points.leave_out_plane((CAMERA.rays, depth, labels), window)
     points = np.concatenate([CAMERA.rays * depth[..., None], depth[..., None]], axis=2)
     np.testing.assert_array_equal(labels < 0, points @ table.plane[:3] + table.plane[3] <= 0.01)
+
+
+def test_of_a_hidden_object_as_many_points_are_taken_as_are_left():
+    table = Table(3)
+    T, depth = table.T_camera_table @ at(), table.depth(at())
+    labels, look, window = np.zeros(depth.shape, np.int32), np.zeros(1, dtype=LOOK), np.zeros(1, dtype=WINDOW)
+    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    window["rows"], window["columns"], window["within"] = (0, 240), (0, 320), 0.01
+    counts = []
+    for step in (1, 7):
+        for shown in (1.0, 0.1):
+            seen = np.zeros(1500, dtype=SEEN)
+            middle = CAMERA.project(se3.apply(T, model().center_object[None]))[0, 0]
+            labels[:] = -1
+            labels[:, int(middle - 60 * shown) : int(middle + 60 * shown)] = 0
+            window["step"] = step
+            image = CAMERA.rays, depth, labels
+            counts.append(near_points.near_points(model().record[:2], image, window, look, seen))
+    assert counts[0] == counts[2] == 1500
+    assert 0 < counts[1] == counts[3] < 1500
+
+
+def settled(known, points, start, off, thing=None):
+    """The pose (4, 4) that points (n, 3) of a model at `start` moved by `off` settle, from `start` on."""
+    rows, look = np.zeros(len(points), dtype=SEEN), np.zeros(1, dtype=LOOK)
+    rows["point"] = se3.apply(off @ start, points)
+    look["pose"]["rotation"], look["pose"]["position"] = start[:3, :3], start[:3, 3]
+    rungs = np.array([[1, 0.02, 0.02, 30, 1.0]])
+    depth_term.settle_near(*(thing or model()).record[:2], rows, rungs, known, look)
+    return se3.compose(look["pose"]["rotation"], look["pose"]["position"])[0]
+
+
+def test_what_is_known_beforehand_holds_a_pose_as_far_as_points_do_not():
+    """All of them outweigh little, much outweighs all of them, and along what they do not see little is enough."""
+    start = se3.random(np.random.default_rng(0))
+    about = se3.compose(np.eye(3), se3.apply(start, model().center_object[None])[0])
+    delta = about @ se3.compose(
+        se3.rotation_exp(np.array([0.02, -0.01, 0.03])), np.array([3e-3, -2e-3, 1e-3])
+    )
+    off = delta @ se3.inverse(about)
+    points = model().sample(300, 1)[0]
+    free = settled(np.zeros((6, 6)), points, start, off)
+    np.testing.assert_allclose(free, off @ start, atol=1e-3)  # as well as a field has a surface
+    np.testing.assert_allclose(settled(1e-6 * np.eye(6), points, start, off), free, atol=1e-5)
+    np.testing.assert_allclose(settled(1e9 * np.eye(6), points, start, off), start, atol=1e-6)
+    box = hs.ObjectModel.box((0.2, 0.2, 0.05))
+    up = np.random.default_rng(1).uniform(-0.05, 0.05, (60, 3)) * [1, 1, 0] + [0, 0, 0.025]
+    shift = start[:3, :3] @ [0.004, 0, 0.002]  # along the face, and out of it
+    moved = settled(np.eye(6), up, start, se3.compose(np.eye(3), shift), box)
+    np.testing.assert_allclose(start[:3, :3].T @ (moved - start)[:3, 3], [0, 0, 0.002], atol=2e-4)
+
+
+def test_how_far_a_surface_may_be_off_is_the_most_that_a_deviation_moves_it():
+    can = hs.ObjectModel.cylinder(0.03, 0.1)
+    R = se3.random(np.random.default_rng(3))[:3, :3]
+    for axis, sigma, expected in ((0, 0.004, 0.004), (2, 0.006, 0.006)):
+        along = R[:, axis]
+        covariance = 1e-12 * np.eye(6)
+        covariance[:3, :3] += sigma**2 * np.outer(along, along)
+        off = depth_covariance.largest_shift(*can.record[:2], R, covariance)
+        assert off == pytest.approx(expected, rel=0.05)
+    spin = 1e-12 * np.eye(6)
+    spin[3:, 3:] += 0.3**2 * np.outer(R[:, 2], R[:, 2])
+    assert depth_covariance.largest_shift(*can.record[:2], R, spin) < 1e-4

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import depth_term, look_score, votes
+from handsight._kernels import depth_covariance, depth_term, look_score, votes
 from handsight._kernels.sight_records import LOOK, SEEN
 from handsight.objects.symmetry import nearest
 from handsight.vision.appearance import appearance_of
@@ -156,8 +156,8 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
         0.006,
     )
     errors, told = (
-        np.array([[4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, bound]]),
-        np.empty((1, 2, 6, 6)),
+        np.array([[4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, bound, 1e-7, 1e-3, 20, 30]]),
+        np.empty((1, 3, 6, 6)),
     )
     depth_term.inform_all(*model().record[:2], rows, errors, look, told)
     P = rows["point"]
@@ -173,10 +173,26 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
     C = 4e-6 * np.eye(len(P)) + 2e-6 * np.exp(-apart2 / 0.01**2) + 3e-6 * np.exp(-apart2 / 0.08**2) + 1e-6
     pulls = lever * (weight * (g * P).sum(axis=1) / P[:, 2])[:, None] / scale
     S = pulls.T @ C @ pulls
-    told /= np.outer(scale, scale)
+    told[:, :2] /= np.outer(scale, scale)
     np.testing.assert_allclose(told[0, 0], A, atol=1e-3 * np.abs(A).max())
     within = 1e-3 if count < depth_term.PAIRED else 0.15
     np.testing.assert_allclose(told[0, 1], S, atol=within * np.abs(S).max())
+    np.testing.assert_allclose(told[0, 2], plain_covariance(told[0], errors[0], look, T), rtol=1e-6)
+
+
+def plain_covariance(told, error, look, T):
+    """Of the object's origin, by what points say of its centre, in NumPy."""
+    scale, turns = np.repeat([1, model().radius], 3), np.diag([0, 0, 0, 1, 1, 1])
+    A, S = (
+        vectors @ np.diag(np.maximum(values, 0)) @ vectors.T
+        for values, vectors in map(np.linalg.eigh, (told[0] - look["weight"] * error[8] * turns, told[1]))
+    )
+    S = S + (depth_covariance.LEAST * np.trace(told[1]) / 6 + 1e-12) * np.eye(6)
+    information = A @ np.linalg.inv(S) @ A + np.diag(np.repeat(error[9:], 3))
+    J = np.eye(6)
+    J[:3, 3:] = se3.skew(T[:3, :3] @ model().center_object)
+    J = J / scale
+    return J @ (np.linalg.inv(information) + error[7] * np.eye(6)) @ J.T
 
 
 def test_of_a_convex_object_all_that_faces_a_side_is_seen():

@@ -11,25 +11,14 @@ import numpy as np
 
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.contact_term import Pose
-from handsight._kernels.dense6 import factor, in_metres, solve
+from handsight._kernels.damped import damped_step
+from handsight._kernels.depth_covariance import covariance_of
 from handsight._kernels.field import field_at
+from handsight._kernels.prior_term import rotation_log
 from handsight._kernels.records import UNCERTAINTY
-from handsight._kernels.search import rotation_exp
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of, store_pose
-from handsight._kernels.vec3 import (
-    Vec3,
-    add,
-    cross,
-    dot,
-    matmul,
-    mul,
-    norm,
-    scale,
-    sub,
-    tmul,
-    vector,
-)
+from handsight._kernels.vec3 import Vec3, add, cross, dot, matmul, mul, sub, tmul, transpose, vector
 
 AGREES = 0.3
 """The least cosine of a point's normal with the surface's."""
@@ -37,29 +26,31 @@ LONGEST_SHIFT, LONGEST_TURN = 0.15, 0.5
 """Of one step [diameters, rad]."""
 PAIRED = 100
 """Points whose errors are compared with each other's, for the others too."""
-DAMPING = 1e-3
-"""Of a step, by the mean information: what points do not see stays."""
+
+
+@inner
+def _point(surface: Any, seen: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
+    """Weight and residual of a SEEN, where it is, and the surface's normal there in the camera."""
+    nodes, field = surface
+    R, p = pose
+    P = vector(seen.point)
+    distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
+    ratio, g, normal = distance / bound, mul(R, gradient), vector(seen.normal)
+    if not ratio * ratio < 1 or (dot(normal, g) < AGREES and normal != (0.0, 0.0, 0.0)):
+        return 0.0, distance, P, g
+    return (1 - ratio * ratio) ** 2, distance, P, g
 
 
 @inner
 def _equations(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, u: Any) -> float:
     """The sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω). surface: nodes, field."""
-    nodes, field = surface
-    R, p = pose
     total = 0.0
     u.matrix[:] = 0.0
     u.values[:] = 0.0
     for n in range(len(seen)):
-        P = vector(seen[n].point)
-        distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
-        ratio = distance / bound
-        if not ratio * ratio < 1:
+        weight, distance, P, g = _point(surface, seen[n], pose, bound)
+        if not weight > 0:
             continue
-        g = mul(R, gradient)
-        normal = vector(seen[n].normal)
-        if dot(normal, g) < AGREES and normal != (0.0, 0.0, 0.0):
-            continue
-        weight = (1 - ratio * ratio) ** 2
         row = g + cross(sub(P, about), g)
         for i in range(6):
             u.values[i] += weight * distance * row[i]
@@ -70,32 +61,33 @@ def _equations(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, u
 
 
 @inner
-def settle(model: Any, nodes: Any, seen: Any, rung: Any, look: Any) -> None:
-    """Moves a LOOK by Gauss-Newton steps to where points lie on the surface; rung: as of `settle_all`."""
+def _hold(expected: tuple[Pose, Any], center: Vec3, pose: Pose, u: Any) -> None:
+    """Adds to normal equations what is known of a pose beforehand; expected: it, and its information by (τ, ω)."""
+    (R, p), known = expected
+    shift = sub(add(mul(R, center), p), add(mul(pose[0], center), pose[1]))
+    off = shift + rotation_log(matmul(R, transpose(pose[0])))
+    for i in range(6):
+        for j in range(6):
+            u.values[i] += known[i, j] * off[j]
+            if j <= i:
+                u.matrix[i, j] += known[i, j]
+
+
+@inner
+def settle(model: Any, nodes: Any, seen: Any, rung: Any, expected: tuple[Pose, Any], pose: Pose) -> Pose:
+    """The pose after Gauss-Newton steps to where points lie on the surface; rung: as of `settle_all`, the third not
+    below the look's own bound; expected: as of `_hold`."""
     field = model.fine if rung[0] else model.coarse
-    u, radius, steps = local(UNCERTAINTY), model.radius, int(rung[3])
-    R, p = pose_of(look.pose)
+    u, center, steps = local(UNCERTAINTY), vector(model.center), int(rung[3])
+    longest = LONGEST_SHIFT * 2 * model.radius, LONGEST_TURN
     for step in range(steps):
-        bound = max(rung[1] + (rung[2] - rung[1]) * (step / max(steps - 1, 1)), look.bound)
-        about = add(mul(R, vector(model.center)), p)
-        if not _equations((nodes, field), seen, (R, p), about, bound, u) > 0:
+        bound = max(rung[1] + (rung[2] - rung[1]) * (step / max(steps - 1, 1)), rung[4])
+        about = add(mul(pose[0], center), pose[1])
+        if not _equations((nodes, field), seen, pose, about, bound, u) > 0:
             break
-        in_metres(u.matrix, radius, u.matrix)
-        trace = 0.0
-        for i in range(6):
-            u.values[i] *= 1.0 if i < 3 else 1 / radius
-            trace += u.matrix[i, i]
-        if not factor(u.matrix, 6, DAMPING / 6 * trace, u.factor):
-            break
-        solve(u.factor, 6, u.values, u.column)
-        shift = (u.column[0], u.column[1], u.column[2])
-        turn = scale((u.column[3], u.column[4], u.column[5]), 1 / radius)
-        shift = scale(shift, min(1.0, LONGEST_SHIFT * 2 * radius / max(norm(shift), 1e-12)))
-        turn = scale(turn, min(1.0, LONGEST_TURN / max(norm(turn), 1e-12)))
-        E = rotation_exp(turn)
-        R, about = matmul(E, R), add(about, shift)
-        p = sub(about, mul(R, vector(model.center)))
-    store_pose((R, p), look.pose)
+        _hold(expected, center, pose, u)
+        pose = damped_step(u, model.radius, longest, center, pose)
+    return pose
 
 
 @entry
@@ -104,8 +96,25 @@ def settle_all(model: Any, nodes: Any, seen: Any, rung: Any, looks: Any) -> None
 
     rung: whether on the fine field, Tukey's bound at first and at last [m], steps; no bound is less than a look's own.
     """
+    nothing = np.zeros((6, 6))
     for k in range(len(looks)):
-        settle(model[0], nodes, seen, rung, looks[k])
+        start = pose_of(looks[k].pose)
+        bounded = rung[0], rung[1], rung[2], rung[3], looks[k].bound
+        store_pose(settle(model[0], nodes, seen, bounded, (start, nothing), start), looks[k].pose)
+
+
+@entry
+def settle_near(model: Any, nodes: Any, seen: Any, rungs: Any, known: Any, look: Any) -> None:
+    """Moves LOOK (1,) by rungs (r, 5) as of `settle_all`, each on every so manieth point.
+
+    known (6, 6): information of its pose by (τ, ω), such that a point's residual counts 1 a metre.
+    """
+    start = pose_of(look[0].pose)
+    pose = start
+    for k in range(len(rungs)):
+        bounded = rungs[k, 0], rungs[k, 1], rungs[k, 2], rungs[k, 3], look[0].bound
+        pose = settle(model[0], nodes, seen[:: int(rungs[k, 4])], bounded, (start, known), pose)
+    store_pose(pose, look[0].pose)
 
 
 @entry
@@ -127,20 +136,15 @@ def _pulls(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, told:
 
     told: `values`, the sum of pulls, `wider`, of their squares; (m, 8) slopes x/z and y/z and pull of those first.
     """
-    nodes, field = surface
-    R, p = pose
     u, rows = told
     count = 0
     u.values[:] = 0.0
     u.wider[:] = 0.0
     for n in range(len(seen)):
-        P = vector(seen[n].point)
-        distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
-        ratio = distance / bound
-        g, normal = mul(R, gradient), vector(seen[n].normal)
-        if not ratio * ratio < 1 or (dot(normal, g) < AGREES and normal != (0.0, 0.0, 0.0)):
+        weight, _, P, g = _point(surface, seen[n], pose, bound)
+        if not weight > 0:
             continue
-        pull, lever = (1 - ratio * ratio) ** 2 * dot(g, P) / P[2], g + cross(sub(P, about), g)
+        pull, lever = weight * dot(g, P) / P[2], g + cross(sub(P, about), g)
         for i in range(6):
             u.values[i] += pull * lever[i]
             for j in range(6):
@@ -178,19 +182,22 @@ def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
 def inform_all(model: Any, nodes: Any, seen: Any, errors: Any, looks: Any, out: Any) -> None:
     """Fills in what SEEN (n,) say of each LOOK (k,) by (δp, δθ) of the object's centre along the camera's axes.
 
-    `out` (k, 2, 6, 6): the information of independent points of a standard deviation of 1 m, by their weights, and the
-    covariance of their pulls. errors (k, 7) of depth: variances of a pixel's own noise, of what neighbours share, of a
-    smooth bias and of the whole image's [m²], one over the squared lengths of the second and the third [slopes], and
-    Tukey's least bound [m].
+    `out` (k, 3, 6, 6): the information of independent points of a standard deviation of 1 m, by their weights, the
+    covariance of their pulls, and that of the pose, by (δp, δθ) of the object's *origin*. errors (k, 11) of depth:
+    variances of a pixel's own noise, of what neighbours share, of a smooth bias and of the whole image's [m²], one over
+    the squared lengths of the second and the third [slopes], and Tukey's least bound [m]; then the variance of what an
+    image is off aside [m²], half of that of the model's normals [rad²], and what is known without any point of a shift
+    and of radius times a turn [1/m²].
     """
     u, rows = local(UNCERTAINTY), np.empty((PAIRED, 8))
     for k in range(len(looks)):
         pose, bound = pose_of(looks[k].pose), max(errors[k, 6], looks[k].bound)
-        about = add(mul(pose[0], vector(model[0].center)), pose[1])
-        surface = nodes, model[0].fine
+        arm = mul(pose[0], vector(model[0].center))
+        surface, about = (nodes, model[0].fine), add(arm, pose[1])
         looks[k].weight = _equations(surface, seen, pose, about, bound, u)
         for i in range(6):
             for j in range(6):
                 out[k, 0, i, j] = u.matrix[max(i, j), min(i, j)]
         count = _pulls(surface, seen, pose, about, bound, (u, rows))
         _spread((u, rows), count, errors[k], out[k, 1])
+        covariance_of(out[k], errors[k], arm, model[0].radius, looks[k].weight, u)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import entry, inner
-from handsight._kernels.dense6 import factor, in_metres, solve
+from handsight._kernels.damped import damped_step
 from handsight._kernels.hand_scan import AGREES, FACING
 from handsight._kernels.pinhole import project
 from handsight._kernels.records import UNCERTAINTY
-from handsight._kernels.search import rotation_exp
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of, store_pose
 from handsight._kernels.vec3 import (
@@ -22,18 +21,14 @@ from handsight._kernels.vec3 import (
     add,
     cross,
     dot,
-    matmul,
     mul,
     norm,
-    scale,
     sub,
     vector,
 )
 
 LONGEST_SHIFT, LONGEST_TURN = 0.03, 0.3
 """Of one step [m, rad]."""
-DAMPING = 1e-3
-"""Of a step, by the mean information: what points do not see stays."""
 LEAST_WEIGHT = 5.0
 """Points that a step takes."""
 ALIKE, UNALIKE, UNSURE = 0.8, 0.2, 0.6
@@ -112,7 +107,7 @@ def settle_all(camera: Any, image: Any, hand: Any, middle: Any, rung: Any, looks
 
     image: as of `row_of`. middle (3,) of the hand. rung: Tukey's bound at first and at last [m], steps, radius [m].
     """
-    u, steps, radius = local(UNCERTAINTY), int(rung[2]), rung[3]
+    u, steps, radius, longest = local(UNCERTAINTY), int(rung[2]), rung[3], (LONGEST_SHIFT, LONGEST_TURN)
     for k in range(len(looks)):
         R, p = pose_of(looks[k].pose)
         for step in range(steps):
@@ -120,20 +115,7 @@ def settle_all(camera: Any, image: Any, hand: Any, middle: Any, rung: Any, looks
             about = add(mul(R, vector(middle)), p)
             if not _equations(camera[0], image, hand, (R, p, about), bound, u) > LEAST_WEIGHT:
                 break
-            in_metres(u.matrix, radius, u.matrix)
-            trace = 0.0
-            for i in range(6):
-                u.values[i] *= 1.0 if i < 3 else 1 / radius
-                trace += u.matrix[i, i]
-            if not factor(u.matrix, 6, DAMPING / 6 * trace, u.factor):
-                break
-            solve(u.factor, 6, u.values, u.column)
-            shift = (u.column[0], u.column[1], u.column[2])
-            turn = scale((u.column[3], u.column[4], u.column[5]), 1 / radius)
-            shift = scale(shift, min(1.0, LONGEST_SHIFT / max(norm(shift), 1e-12)))
-            turn = scale(turn, min(1.0, LONGEST_TURN / max(norm(turn), 1e-12)))
-            R, about = matmul(rotation_exp(turn), R), add(about, shift)
-            p = sub(about, mul(R, vector(middle)))
+            R, p = damped_step(u, radius, longest, vector(middle), (R, p))
         store_pose((R, p), looks[k].pose)
 
 

@@ -34,23 +34,17 @@ def leave_out_plane(image: Any, window: Any) -> None:
                 labels[v, u] = OUT
 
 
-@entry
-def near_points(surface: Any, image: Any, window: Any, look: Any, out: Any) -> int:
-    """Fills in the points of SEEN with what lies near LOOK (1,), evenly over all such; how many it filled in.
-
-    surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m], labels (h, w), of which the negative are
-    left out. window: WINDOW (1,). out: SEEN (n,), n the most.
-    """
+@inner
+def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int:
+    """Fills in places of pixels near the surface at a POSE, of every so manieth of the window's; how many they are."""
     model, nodes = surface
     rays, depth, labels = image
-    here, coarse, radius = window[0], model[0].coarse, model[0].radius
-    R, p = pose_of(look[0].pose)
-    center, reach2 = add(mul(R, vector(model[0].center)), p), (FARTHEST * radius + here.within) ** 2
-    across = (here.columns[1] - here.columns[0]) // here.step + 1
-    found = np.empty(((here.rows[1] - here.rows[0]) // here.step + 1) * across, np.int64)
+    here, step = window
+    coarse, R, p = model[0].coarse, pose_of(at)[0], pose_of(at)[1]
+    center, reach2 = add(mul(R, vector(model[0].center)), p), (FARTHEST * model[0].radius + here.within) ** 2
     count = 0
-    for v in range(here.rows[0], here.rows[1], here.step):
-        for u in range(here.columns[0], here.columns[1], here.step):
+    for v in range(here.rows[0], here.rows[1], step):
+        for u in range(here.columns[0], here.columns[1], step):
             if labels[v, u] < 0 or not depth[v, u] > 0:
                 continue
             P = _point(rays, depth, v, u)
@@ -58,6 +52,26 @@ def near_points(surface: Any, image: Any, window: Any, look: Any, out: Any) -> i
             if dot(way, way) < reach2 and abs(field_at(nodes, coarse, tmul(R, sub(P, p)))[0]) < here.within:
                 found[count] = v * depth.shape[1] + u
                 count += 1
+    return count
+
+
+@entry
+def near_points(surface: Any, image: Any, window: Any, look: Any, out: Any) -> int:
+    """Fills in the points of SEEN with what lies near LOOK (1,), evenly over all such; how many it filled in.
+
+    surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m], labels (h, w), of which the negative are
+    left out. window: WINDOW (1,), its step taken smaller until there are as many. out: SEEN (n,), n the most.
+    """
+    here, step = window[0], window[0].step
+    rays, depth, _ = image
+    while True:
+        rows, columns = here.rows[1] - here.rows[0], here.columns[1] - here.columns[0]
+        found = np.empty((rows // step + 1) * (columns // step + 1), np.int64)
+        count = _gathered(surface, image, (here, step), look[0].pose, found)
+        if step == 1 or count >= len(out):
+            break
+        # Where most of it is hidden, as many points are in what is left.
+        step = max(1, min(step - 1, int(step * np.sqrt(count / len(out)))))
     kept = min(count, len(out))
     for n in range(kept):
         place = found[n * count // kept]

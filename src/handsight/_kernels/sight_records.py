@@ -47,7 +47,7 @@ VOXEL = record(
 WINDOW = record(
     ("rows", "i8", (2,)),  # the first, and past the last
     ("columns", "i8", (2,)),
-    ("step", "i8"),  # between pixels that are looked at
+    ("step", "i8"),  # between pixels that are looked at, at first
     ("within", "f8"),  # of the surface [m]
     ("plane", "f8", (4,)),  # n·P + offset = 0, n towards the camera
     ("plane_within", "f8"),  # [m]

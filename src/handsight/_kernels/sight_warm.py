@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight._kernels import (
     apart,
+    depth_covariance,
     depth_image,
     depth_term,
     hand_scan,
@@ -49,7 +50,9 @@ def warm(model: Any, nodes: Any) -> None:
     look_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
     depth_term.settle_all(model, nodes, seen, np.array([1, 0.01, 0.01, 2]), looks)
     depth_term.closeness(model, nodes, seen, np.full(4, 0.01), looks)
-    depth_term.inform_all(model, nodes, seen, np.ones((4, 7)), looks, np.empty((4, 2, 6, 6)))
+    depth_term.settle_near(model, nodes, seen, np.ones((1, 5)), np.eye(6), looks[:1])
+    depth_term.inform_all(model, nodes, seen, np.ones((4, 11)), looks, np.empty((4, 3, 6, 6)))
+    depth_covariance.largest_shift(model, nodes, np.eye(3), np.eye(6))
     group, order = (np.eye(4)[None], np.zeros((0, 3))), np.arange(4)
     apart.apart(group, np.ones(5), looks, order, np.empty(4, dtype=np.int64))
     limits = np.array([1e-4, 0.006, 0, 0, 0])

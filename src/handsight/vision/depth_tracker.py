@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
+from handsight._kernels import depth_covariance
 from handsight._kernels.sight_records import LOOK
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
@@ -30,10 +31,10 @@ WANDERS, WANDERS_IN_PALM = (0.15, 1.0), (0.02, 0.15)
 """How far off that is, and how an object moves in the palm [m/s, rad/s]."""
 LONGEST = 0.5
 """Between images, for a velocity to go on [s]."""
-LEAST_POINTS, LEAST_PIXELS = 15, 60.0
+LEAST_POINTS, LEAST_PIXELS = 15, 20.0
 """Below so many near it, or explained by it, an image says nothing of a pose."""
-LEAST_KNOWN = 3
-"""Directions of a pose along which its surface is tried."""
+LEAST_AGAINST = 30.0
+"""Pixels that speak against a pose, at least, for an image to do so."""
 UNCERTAIN, GONE = 0.08, 0.12
 """How far off its surface may be [diameters] for a pose to be known, and for it to be kept while nothing is seen."""
 TWIN = 0.05
@@ -138,7 +139,7 @@ class DepthTracker:
     def _seen(self, frame: _Frame, predicted: _Belief | None) -> Sighting:
         looked, reason = None, "not found"
         if predicted is not None:
-            looked = self._look.at(predicted.T_camera_object, frame.depth, frame.hand, frame.table)
+            looked = self._looked(frame, predicted)
             reason = self._misfit(predicted, looked)
             if not reason:
                 return self._followed(frame, predicted, looked)
@@ -153,7 +154,7 @@ class DepthTracker:
         """Why the object is lost; empty if it is not."""
         look, enough = looked.look[0], _is_enough(looked)
         against = look["passed"] + look["hidden"]
-        if against > max(look["explained"], LEAST_PIXELS / 2):
+        if against > max(look["explained"], LEAST_AGAINST):
             share = look["explained"] / (look["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
         if enough or not (predicted.lost or self._unsure(predicted) > GONE * self.model.diameter):
@@ -194,8 +195,8 @@ class DepthTracker:
         if not len(chosen):
             return None
         T = self._likeliest(found.Ts_camera_object[chosen])
-        looked = self._look.at(T, frame.depth, frame.hand, frame.table)
         belief = _Belief(frame.stamp, T, self._unknown(T), np.zeros(6), frame.T_camera_palm, True)
+        looked = self._looked(frame, belief)
         return None if self._misfit(belief, looked) else (belief, looked)
 
     def _likeliest(self, Ts: Array) -> Array:
@@ -232,20 +233,17 @@ class DepthTracker:
     def _unsure(self, belief: _Belief) -> float:
         """How far the object's surface may be off [m]: the most that a deviation along any of the three least known
         directions leaves it. A turn that it looks the same after leaves it where it is."""
-        model, scale = self.model, np.repeat([1.0, self.model.radius], 3)
-        P = self._about_center(belief) * np.outer(scale, scale)
-        variances, axes = np.linalg.eigh(P)
-        deviations = (axes[:, -LEAST_KNOWN:] * np.sqrt(variances[-LEAST_KNOWN:])).T / scale
-        points = model.points_object - self._middle
-        moved = se3.apply(se3.compose(se3.rotation_exp(deviations[:, 3:]), deviations[:, :3]), points)
-        return float(np.abs(model.evaluate(moved.reshape(-1, 3) + self._middle).distance).max())
+        return depth_covariance.largest_shift(
+            *self.model.record[:2], belief.T_camera_object[:3, :3], belief.covariance
+        )
 
-    def _about_center(self, belief: _Belief) -> Array:
-        """Its covariance at the object's middle, along the object's axes."""
-        R = belief.T_camera_object[:3, :3]
+    def _looked(self, frame: _Frame, predicted: _Belief) -> Looked:
+        """What an image says near where the object is expected."""
+        T = predicted.T_camera_object
         J = np.eye(6)
-        J[:3, 3:] = -se3.skew(R @ self._middle)
-        return se3.rotate_covariance(R.T, J @ belief.covariance @ J.T)
+        J[:3, 3:] = -se3.skew(T[:3, :3] @ self._middle)
+        known = np.asarray(np.linalg.inv(J @ predicted.covariance @ J.T))
+        return self._look.at(T, known, frame.depth, frame.hand, frame.table)
 
     def _unknown(self, T: Array) -> Array:
         """The covariance of a pose that is as good as not known."""

@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels import hand_term
+from handsight._kernels.depth_covariance import LEAST
 from handsight.checks import Array, Indices
-from handsight.vision.covariance import LEAST, PIXEL, errors_of
+from handsight.vision.covariance import PIXEL, errors_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.first_pose import poses_of
 from handsight.vision.hand_look import PlacedHand
