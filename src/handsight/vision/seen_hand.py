@@ -91,9 +91,7 @@ def seen_hand(
     """
     T = se3.check(T_camera_palm, "T_camera_palm")
     sigmas = _positive(sigma_position, "sigma_position"), _positive(sigma_rotation, "sigma_rotation")
-    if np.shape(depth) != camera.size[::-1]:
-        expected, came = "{} x {} pixels".format(*camera.size), " x ".join(map(str, np.shape(depth)[::-1]))
-        raise InvalidInput(f"depth: expected {expected}, got {came}")
+    camera.check_size(depth, "depth")
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
         return HandNotSeen("outside")
