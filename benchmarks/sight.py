@@ -1,4 +1,4 @@
-"""First poses from one depth image and tracking in many, against Open3D and small_gicp: `python -m benchmarks.sight`.
+"""First poses from one depth image and tracking in many, beside their peers: `python -m benchmarks.sight`.
 
 `--trials` pictures a bin of occlusion as in `experiments/sight_first_pose.py`, and half as many sequences as in
 `experiments/sight_tracking.py`: YCB objects, drawn with a structured light's noise. Every peer gets the same region

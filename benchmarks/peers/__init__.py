@@ -29,6 +29,7 @@ MAKERS: dict[str, Callable[[], Peer]] = {
 FIRST_POSES: dict[str, Callable[[], Any]] = {
     "ours": _of("ours", "OursFirstPose"),
     "open3d_fpfh": _of("open3d_fpfh", "FpfhRansacIcp"),
+    "opencv_ppf": _of("opencv_ppf", "PpfVotesIcp"),
 }
 """The peers that find an object in a depth image."""
 

@@ -84,7 +84,7 @@ def test_the_robot_may_be_believed(asked, tmp_path, rig, around):
         ("no topic", [], "topics.depth: expected the topic of the depth images in the rig, got none"),
         ("no images", [], "recording: expected depth images on /camera/depth, got none"),
         ("no intrinsics", [], "camera: expected one with intrinsics in the rig, got one without"),
-        ("another size", [], "depth: expected shape (240, 320) as the camera's, got (120, 160)"),
+        ("another size", [], "depth: expected 320 x 240 pixels, got 160 x 120"),
         ("", ["-o", "can.obj"], "--output: expected a name that ends with .ply, got 'can.obj'"),
     ],
 )

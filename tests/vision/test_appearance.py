@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from handsight._kernels import look_score
+from handsight import cache_folder
+from handsight._kernels import look_score, votes
 from handsight.objects import ObjectWarning, cache
 from handsight.vision import appearance
 
@@ -17,34 +18,67 @@ def folder(tmp_path, monkeypatch):
 
 
 def looked_at(monkeypatch):
-    """Its visible samples, and how often they were worked out."""
-    calls, kernel = [], look_score.visible_sets
+    """Its visible samples and pairs, and how often each were worked out."""
+    calls = []
     with monkeypatch.context() as patch:
-        patch.setattr(look_score, "visible_sets", lambda *a: (calls.append(1), kernel(*a)))
+        for room, name in ((look_score, "visible_sets"), (votes, "pairs_of")):
+            kernel = getattr(room, name)
+            patch.setattr(room, name, lambda *a, kernel=kernel, name=name: (calls.append(name), kernel(*a)))
         model = hs.ObjectModel.box((0.05, 0.04, 0.02))
-        return appearance.appearance_of.__wrapped__(model).sides[2], len(calls)
+        found = appearance.appearance_of.__wrapped__(model)
+    return (found.sides[2], *found.pairs), [calls.count(name) for name in ("visible_sets", "pairs_of")]
+
+
+def same(one, other):
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert a.dtype == b.dtype
 
 
 def test_it_is_worked_out_once(folder, monkeypatch):
     first, calls = looked_at(monkeypatch)
     again, none = looked_at(monkeypatch)
-    assert (calls, none) == (1, 0)
-    np.testing.assert_array_equal(first, again)
-    assert again.dtype == np.bool_
-    assert again.shape == (appearance.DIRECTIONS, appearance.SAMPLES)
+    assert (calls, none) == ([1, 1], [0, 0])
+    same(first, again)
+    assert again[0].shape == (appearance.DIRECTIONS, appearance.SAMPLES)
 
 
+@pytest.mark.parametrize(("kind", "made"), [("bits-*", [1, 0]), ("numbers-*", [0, 1])])
 @pytest.mark.parametrize(
     "spoil", [lambda data: data[:-1], lambda data: b"", lambda data: data[:50] + b"?" + data[51:]]
 )
-def test_a_spoilt_file_is_made_anew(folder, monkeypatch, spoil):
+def test_a_spoilt_file_is_made_anew(folder, monkeypatch, spoil, kind, made):
     first, _ = looked_at(monkeypatch)
-    (kept,) = folder.glob("bits-*")
+    (kept,) = folder.glob(kind)
     kept.write_bytes(spoil(kept.read_bytes()))
     again, calls = looked_at(monkeypatch)
-    assert calls == 1
-    np.testing.assert_array_equal(first, again)
-    assert looked_at(monkeypatch)[1] == 0
+    assert calls == made
+    same(first, again)
+    assert looked_at(monkeypatch)[1] == [0, 0]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda numbers: numbers[:-1],
+        lambda numbers: numbers[:100],
+        lambda numbers: numbers[:0],
+        lambda numbers: np.where(np.arange(len(numbers)) == 0, 1, numbers),
+        lambda numbers: np.where(np.arange(len(numbers)) == 9, -7, numbers),
+        lambda numbers: np.where(np.arange(len(numbers)) == votes.CELLS + 5, 1 << 30, numbers),
+        lambda numbers: np.where(np.arange(len(numbers)) == votes.CELLS + 5, -1, numbers),
+    ],
+)
+def test_pairs_that_would_be_read_past_their_end_are_made_anew(folder, monkeypatch, spoil):
+    """Whole by its checksum, and not a table of such pairs."""
+    first, _ = looked_at(monkeypatch)
+    (kept,) = folder.glob("numbers-*")
+    name = kept.name.removeprefix("numbers-")
+    numbers = np.frombuffer(cache_folder.read(kept, name), dtype=np.int32)
+    cache_folder.write(kept, name, spoil(numbers).astype(np.int32).tobytes())
+    again, calls = looked_at(monkeypatch)
+    assert calls == [0, 1]
+    same(first, again)
 
 
 def test_where_nothing_can_be_kept_it_is_said_once(folder, monkeypatch):

@@ -169,13 +169,16 @@ def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
                 j
             ]
     for n in range(few):
+        u.values[:] = 0.0
         for m in range(n):
             du, dv = rows[n, 0] - rows[m, 0], rows[n, 1] - rows[m, 1]
             apart = du * du + dv * dv
             shared = pairs * (error[1] * np.exp(-apart * error[4]) + error[2] * np.exp(-apart * error[5]))
             for i in range(6):
-                for j in range(6):
-                    out[i, j] += shared * (rows[n, 2 + i] * rows[m, 2 + j] + rows[m, 2 + i] * rows[n, 2 + j])
+                u.values[i] += shared * rows[m, 2 + i]
+        for i in range(6):
+            for j in range(6):
+                out[i, j] += rows[n, 2 + i] * u.values[j] + u.values[i] * rows[n, 2 + j]
 
 
 @entry

@@ -32,16 +32,20 @@ def warm(model: Any, nodes: Any) -> None:
     depth, labels = np.full((8, 8), np.inf, dtype=np.float32), np.full((8, 8), -1, dtype=np.int32)
     corners, face = np.eye(3) + np.array([0, 0, 1.0]), np.arange(3)[None]
     raster.draw(camera, corners, face, np.zeros(1, dtype=np.int64), depth, labels)
-    depth_image.label_parts(depth, np.isfinite(depth), labels)
+    wanted = np.isfinite(depth)
+    depth_image.sort_pixels(rays, (depth, wanted, wanted), np.ones(5), depth, labels)
+    depth_image.label_parts(depth, labels, 1, np.empty(64))
     seen, looks = np.zeros(2, dtype=SEEN), np.zeros(4, dtype=LOOK)
-    depth_image.look_at(rays, depth, labels, np.zeros((2, 2), dtype=np.int64), seen)
+    chosen = np.zeros(2, dtype=np.int64)
+    depth_image.spread(rays, depth, chosen, 1.0, chosen)
+    depth_image.look_at(rays, depth, labels, chosen, seen)
 
     points, normals = (model["samples"][0, :4, k].copy() for k in range(2))
     for array in (points, normals):
         array.setflags(write=False)
     cells, spins = np.empty((4, 4), dtype=np.int64), np.empty((4, 4))
     votes.pairs_of(points, normals, 0.1, cells, spins)
-    pairs = np.zeros(votes.CELLS + 1, dtype=np.int64), np.zeros(1, dtype=np.int32), np.zeros(1)
+    pairs = np.zeros(votes.CELLS + 1, dtype=np.int32), np.zeros(1, dtype=np.int32)
     voters, voted = np.stack([points, normals]), np.zeros((1, votes.PEAKS), dtype=LOOK)
     votes.vote(pairs, voters, seen, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
 

@@ -30,6 +30,9 @@ DISTANCES, ANGLES, SPINS = 20, 13, 30
 CELLS = DISTANCES * ANGLES**3
 PEAKS = 4
 """Poses that each reference point gives."""
+POINT_BITS = 16
+"""A pair of the model is one whole number: its first point, and in so many bits below it the spin, of a turn."""
+TURN = 1 << POINT_BITS
 
 
 @inner
@@ -79,8 +82,8 @@ def pairs_of(points: Any, normals: Any, diameter: float, cells: Any, spins: Any)
 
 @inner
 def _count(table: Any, seen: Any, r: int, diameter: float, most: int, votes: Any) -> None:
-    """Adds the votes of pairs of a reference point and up to so many others to `votes` (m, SPINS)."""
-    starts, models, spins = table
+    """Counts in `votes` (m, 2 SPINS) the model's pairs alike to those of a reference point and up to so many others."""
+    starts, pairs = table
     first, n1 = vector(seen[r].point), vector(seen[r].normal)
     frame, partners = about_normal(n1), 0
     for j in range(len(seen)):
@@ -91,44 +94,51 @@ def _count(table: Any, seen: Any, r: int, diameter: float, most: int, votes: Any
         cell = cell_of(first, n1, second, n2, diameter)
         if cell < 0:
             continue
-        spin = spin_of(frame, first, second)
+        spin = int(TURN * (spin_of(frame, first, second) / (2 * np.pi) + 1))
         for k in range(starts[cell], starts[cell + 1]):
-            turn = SPINS * ((spin - spins[k]) / (2 * np.pi) + 1.0)
-            whole = int(turn)
-            beside = whole + 1 if turn - whole > 0.5 else whole - 1
-            votes[models[k], whole % SPINS] += 1.0
-            votes[models[k], beside % SPINS] += 0.5
+            # Turns as whole numbers begin anew by themselves: the point's bits are cut off with the full turns.
+            away = (spin - pairs[k]) & (TURN - 1)
+            votes[pairs[k] >> POINT_BITS, away * 2 * SPINS >> POINT_BITS] += 1
         partners += 1
         if partners == most:
             break
+
+
+@inner
+def _best_spins(votes: Any, most: Any, spins: Any) -> None:
+    """Of each model point (m,) the most votes of a spin, and that spin; half steps vote by half for the step beside."""
+    for i in range(len(votes)):
+        most[i] = -1.0
+        for s in range(SPINS):
+            before, after = (2 * s - 1) % (2 * SPINS), (2 * s + 2) % (2 * SPINS)
+            total = votes[i, 2 * s] + votes[i, 2 * s + 1] + 0.5 * (votes[i, before] + votes[i, after])
+            if total > most[i]:
+                most[i], spins[i] = total, s
 
 
 @entry
 def vote(table: Any, model: Any, seen: Any, references: Any, limits: Any, looks: Any) -> None:
     """Fills in the LOOK (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
 
-    table: starts of cells (CELLS + 1,), model points and spins of their pairs. model: points and normals (2, m, 3).
-    limits: diameter [m], most partners of a reference point.
+    table: starts of cells (CELLS + 1,), the model's pairs in them. model: points and normals (2, m, 3). limits:
+    diameter [m], most partners of a reference point.
     """
     points, normals, most = model[0], model[1], int(limits[1])
-    votes = np.empty((len(points), SPINS), np.float32)
+    votes = np.empty((len(points), 2 * SPINS), np.int32)
+    best, spins = np.empty(len(points)), np.empty(len(points), np.int64)
     for n in range(len(references)):
-        votes[:] = 0.0
+        votes[:] = 0
         _count(table, seen, references[n], limits[0], most, votes)
+        _best_spins(votes, best, spins)
         reference = seen[references[n]]
         back = transpose(about_normal(vector(reference.normal)))
         for peak in range(PEAKS):
-            best_i = best_s = 0
-            for i in range(len(points)):
-                for s in range(SPINS):
-                    if votes[i, s] > votes[best_i, best_s]:
-                        best_i, best_s = i, s
+            i = np.argmax(best)
             look = looks[n, peak]
-            look.votes = votes[best_i, best_s]
-            angle = 2 * np.pi * (best_s + 0.5) / SPINS
+            look.votes = best[i]
+            angle = 2 * np.pi * (spins[i] + 0.5) / SPINS
             spun = matmul(back, rotation_exp((angle, 0.0, 0.0)))
-            R = matmul(spun, about_normal(vector(normals[best_i])))
-            p = sub(vector(reference.point), mul(R, vector(points[best_i])))
+            R = matmul(spun, about_normal(vector(normals[i])))
+            p = sub(vector(reference.point), mul(R, vector(points[i])))
             store_pose((R, p), look.pose)
-            for s in range(SPINS):
-                votes[best_i, s] = 0.0
+            best[i] = -1.0

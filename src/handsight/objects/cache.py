@@ -9,8 +9,9 @@ import hashlib
 import io
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -27,7 +28,21 @@ KEPT = 200
 """Files; the oldest go first."""
 MOST = 10 * LARGEST**2
 """No number of an object is as large, in metres, square metres or radians."""
+LOOKS = "what objects look like"
 _warned: set[str] = set()
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind(Generic[T]):
+    """What files of one kind are called, hold, and are made of."""
+
+    prefix: str
+    what: str
+    load: Callable[[memoryview], T]
+    """Raises something where a file is not what was kept."""
+    content: Callable[[T], bytes]
+    suffix: str = ""
 
 
 def key(kind: str, *arrays: NDArray[Any]) -> str:
@@ -45,34 +60,56 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     What is damaged, or is not what the name says, is computed again. Safe under several processes: a file
     appears complete or not at all. Where the folder cannot be written, one ObjectWarning, and no error.
     """
-    path = cache_folder() / f"field-{name}.msgpack"
-    with contextlib.suppress(Exception):  # whatever is wrong with a file, it can be made again
-        return _loaded(path, name)
-    geometry = compute()
-    try:
-        write(path, name, msgspec.msgpack.encode(geometry, enc_hook=_packed))
-        _forget_oldest(path.parent, "field-*")
-    except OSError as error:
-        _tell(path.parent, f"distance fields cannot be cached there ({error.strerror or error})")
-    return geometry
+    kind = _Kind(
+        "field",
+        "distance fields",
+        _loaded,
+        lambda made: msgspec.msgpack.encode(made, enc_hook=_packed),
+        ".msgpack",
+    )
+    return _remembered(kind, name, compute)
 
 
 def remembered_bits(
     name: str, shape: tuple[int, int], compute: Callable[[], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
     """As `remembered`, of a mask of that shape."""
-    path = cache_folder() / f"bits-{name}"
-    with contextlib.suppress(Exception):
-        packed = np.frombuffer(read(path, name), dtype=np.uint8)
-        if len(packed) == -(-shape[0] * shape[1] // 8):
-            return np.unpackbits(packed, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
-    bits = compute()
+
+    def load(data: memoryview) -> NDArray[np.bool_]:
+        packed = np.frombuffer(data, dtype=np.uint8)
+        if len(packed) != -(-shape[0] * shape[1] // 8):
+            raise ValueError("not as many bits")
+        return np.unpackbits(packed, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
+
+    kind = _Kind("bits", LOOKS, load, lambda bits: np.packbits(bits).tobytes())
+    return _remembered(kind, name, compute)
+
+
+def remembered_numbers(
+    name: str, fits: Callable[[NDArray[np.int32]], bool], compute: Callable[[], NDArray[np.int32]]
+) -> NDArray[np.int32]:
+    """As `remembered`, of whole numbers in a row; what does not fit is not what was kept."""
+
+    def load(data: memoryview) -> NDArray[np.int32]:
+        numbers = np.frombuffer(data, dtype=np.int32)
+        if not fits(numbers):
+            raise ValueError("not such numbers")
+        return numbers.copy()
+
+    return _remembered(_Kind("numbers", LOOKS, load, lambda numbers: numbers.tobytes()), name, compute)
+
+
+def _remembered(kind: "_Kind[T]", name: str, compute: Callable[[], T]) -> T:
+    path = cache_folder() / f"{kind.prefix}-{name}{kind.suffix}"
+    with contextlib.suppress(Exception):  # whatever is wrong with a file, it can be made again
+        return kind.load(read(path, name))
+    made = compute()
     try:
-        write(path, name, np.packbits(bits).tobytes())
-        _forget_oldest(path.parent, "bits-*")
+        write(path, name, kind.content(made))
+        _forget_oldest(path.parent, f"{kind.prefix}-*")
     except OSError as error:
-        _tell(path.parent, f"what objects look like cannot be cached there ({error.strerror or error})")
-    return bits
+        _tell(path.parent, f"{kind.what} cannot be cached there ({error.strerror or error})")
+    return made
 
 
 def _tell(folder: Path, why: str) -> None:
@@ -91,9 +128,9 @@ def _unpacked(_: int, data: memoryview) -> NDArray[Any]:
     return frozen(np.load(io.BytesIO(data), allow_pickle=False))
 
 
-def _loaded(path: Path, name: str) -> Geometry:
-    """Raises OSError where there is no such file, something else where it is not what was kept."""
-    parts = msgspec.msgpack.decode(read(path, name), ext_hook=_unpacked)
+def _loaded(data: memoryview) -> Geometry:
+    """Raises something where it is not what was kept."""
+    parts = msgspec.msgpack.decode(data, ext_hook=_unpacked)
     kinds: dict[str, Callable[..., Any]] = {
         "coarse": GridField,
         "fine": GridField,

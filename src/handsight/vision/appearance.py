@@ -21,8 +21,8 @@ DIRECTIONS = 200
 class Appearance:
     """What is worked out of an object once."""
 
-    pairs: tuple[NDArray[np.int64], NDArray[np.int32], Array]
-    """Where each cell's pairs begin, their first points and their spins."""
+    pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
+    """Where each cell's pairs begin, and the pairs: first point and spin of each in one number."""
     voters: Array
     """(2, 256, 3) points and normals of the pairs."""
     sides: tuple[Array, Array, NDArray[np.bool_]]
@@ -35,13 +35,7 @@ class Appearance:
 @lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
 def appearance_of(model: ObjectModel) -> Appearance:
     """The appearance of an object; what takes long is kept on disk beside its fields."""
-    points, normals = model.points_object, model.normals_object
-    cells, spins = np.empty((len(points),) * 2, dtype=np.int64), np.empty((len(points),) * 2)
-    votes.pairs_of(points, normals, model.diameter, cells, spins)
-    order = np.argsort(cells, axis=None, kind="stable")
-    order = order[np.searchsorted(cells.reshape(-1)[order], 0) :]
-    starts = np.searchsorted(cells.reshape(-1)[order], np.arange(votes.CELLS + 1))
-    pairs = starts, (order // len(points)).astype(np.int32), spins.reshape(-1)[order]
+    voters = np.stack([model.points_object, model.normals_object])
     places, facing = model.sample(SAMPLES)
     directions = se3.directions(DIRECTIONS)
     surface = model.surface
@@ -57,4 +51,30 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
     visible = cache.remembered_bits(name, (DIRECTIONS, SAMPLES), visible_sets)
     sides = np.stack([places, facing]), directions, visible
-    return Appearance(pairs, np.stack([points, normals]), sides, model.area / SAMPLES)
+    return Appearance(_pairs(voters, model.diameter), voters, sides, model.area / SAMPLES)
+
+
+def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Of points and normals (2, m, 3) the pairs by cells, as `votes.vote` takes them; kept on disk."""
+    count = voters.shape[1]
+
+    def table() -> NDArray[np.int32]:
+        cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
+        votes.pairs_of(voters[0], voters[1], diameter, cells, spins)
+        cell, spin = cells.reshape(-1), spins.reshape(-1)
+        order = np.argsort(cell, kind="stable")
+        order = order[np.searchsorted(cell[order], 0) :]
+        starts = np.searchsorted(cell[order], np.arange(votes.CELLS + 1))
+        turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
+        return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
+
+    def fits(numbers: NDArray[np.int32]) -> bool:
+        starts, pairs = np.split(numbers, [votes.CELLS + 1])
+        points = pairs >> votes.POINT_BITS
+        whole = len(starts) > votes.CELLS and starts[0] == 0 and starts[-1] == len(pairs)
+        return bool(whole and (np.diff(starts) >= 0).all() and ((points >= 0) & (points < count)).all())
+
+    steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
+    name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
+    starts, pairs = np.split(cache.remembered_numbers(name, fits, table), [votes.CELLS + 1])
+    return starts, pairs

@@ -85,11 +85,16 @@ class PinholeCamera:
         """(h, w, 2) x/z and y/z of each pixel; NaN where the lens leads no ray."""
         return self._optics[1]
 
+    def check_size(self, image: ArrayLike, name: str) -> None:
+        """Raises InvalidInput for an image or a mask (h, w) of another size than this camera's."""
+        if np.shape(image) != self.size[::-1]:
+            expected, came = ("{} x {}".format(*self.size), " x ".join(map(str, np.shape(image)[::-1])))
+            raise InvalidInput(f"{name}: expected {expected} pixels, got {came or 'a number'}")
+
     def check_depth(self, depth: ArrayLike, name: str = "depth") -> Depth:
         """A depth image (h, w) [m] of this camera as float32; raises InvalidInput for another size or whole numbers."""
-        image, (width, height) = np.asarray(depth), self.size
-        if image.shape != (height, width):
-            raise InvalidInput(f"{name}: expected shape {(height, width)} as the camera's, got {image.shape}")
+        image = np.asarray(depth)
+        self.check_size(image, name)
         if image.dtype.kind != "f":
             raise InvalidInput(f"{name}: expected metres as floats, got {image.dtype} (millimetres?)")
         return image.astype(np.float32, copy=False)

@@ -15,7 +15,6 @@ from handsight import checks, se3
 from handsight._kernels import depth_covariance
 from handsight._kernels.sight_records import LOOK
 from handsight.checks import Array, Mask
-from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.close_look import CloseLook, Looked
@@ -122,9 +121,8 @@ class DepthTracker:
         size than the camera's, InvalidTransform for poses that are none.
         """
         for name, image in (("depth", depth), ("hand", hand)):
-            if image is not None and np.shape(image) != self.camera.size[::-1]:
-                wanted, came = "{} x {} pixels".format(*self.camera.size), np.shape(image)[::-1]
-                raise InvalidInput(f"{name}: expected {wanted}, got {' x '.join(map(str, came))}")
+            if image is not None:
+                self.camera.check_size(image, name)
         T_palm = None if T_camera_palm is None else se3.check(T_camera_palm, "T_camera_palm")
         plane = None if table is None else checks.finite(table, "table", (4,))
         hint = None if expected is None else se3.check(expected, "expected")

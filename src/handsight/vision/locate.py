@@ -61,21 +61,20 @@ def scene_in(
     table: Array | None = None,
 ) -> Scene:
     """What of an image may be an object; a plane wider than `extent` [m] is a table. Raises as `locate` does."""
-    for name, image in (("depth", depth), ("wanted", wanted), ("hand", hand)):
-        if image is not None and np.shape(image) != camera.size[::-1]:
-            expected = "{} x {} pixels".format(*camera.size)
-            came = " x ".join(map(str, np.shape(image)[::-1]))
-            raise InvalidInput(f"{name}: expected {expected}, got {came}")
+    depth = camera.check_depth(depth)
+    for name, mask in (("wanted", wanted), ("hand", hand)):
+        if mask is not None:
+            camera.check_size(mask, name)
     known = depth[np.isfinite(depth) & (depth > 0)]
     if len(known) and np.median(known) > FARTHEST:
         guess = f"a median of {np.median(known):.4g} (millimetres?)"
         raise InvalidInput(f"depth: expected metres, got {guess}")
     where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)
-    mask = None if hand is None else np.asarray(hand, dtype=bool)
+    covered = None if hand is None else np.asarray(hand, dtype=bool)
     if table is None:
-        clear = np.ones(depth.shape, dtype=bool) if mask is None else ~mask
+        clear = np.ones(depth.shape, dtype=bool) if covered is None else ~covered
         table = table_plane(camera, depth, clear, extent=extent)
-    return scene_of(camera, depth, wanted=where, hand=mask, table=table)
+    return scene_of(camera, depth, wanted=where, hand=covered, table=table)
 
 
 def nothing_in(scene: Scene) -> str:

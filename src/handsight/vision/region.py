@@ -6,14 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import depth_image
-from handsight._kernels.look_score import HAND, OUT, TABLE
 from handsight._kernels.sight_records import SEEN
 from handsight.checks import Array, Mask
 from handsight.vision.camera import Depth, PinholeCamera
 
 TABLE_WITHIN = 0.010
 """What is nearer to a table's plane is the table's [m]."""
-TRIALS = 200
+NO_TABLE = np.array([0, 0, 0, np.inf])
+"""All is above it."""
+TRIALS, TRIED_ON, REFINED_ON = 200, 750, 3000
+"""Planes through three points each, and pixels that choose among them and that place the chosen one."""
 LEAST_PART = 40
 """Pixels of a part that is looked at."""
 
@@ -35,27 +37,14 @@ def scene_of(
     camera: PinholeCamera, depth: Depth, *, wanted: Mask, hand: Mask | None = None, table: Array | None = None
 ) -> Scene:
     """The parts of an image's wanted pixels (h, w) that are neither hand nor table (4: normal, offset)."""
-    known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
-    here = wanted & (known > 0)
-    if hand is not None:
-        here = here & ~hand
-    if table is not None:
-        n = table[:3].astype(np.float32)
-        height = known * (camera.rays[..., 0] * n[0] + camera.rays[..., 1] * n[1] + n[2]) + np.float32(
-            table[3]
-        )
-        within = TABLE_WITHIN * np.maximum(known * known, 1)
-        here, on_table = here & (height > within), (known > 0) & (np.abs(height) <= within)
-    labels = np.empty(known.shape, dtype=np.int32)
-    count = depth_image.label_parts(known, here, labels)
-    sizes = np.bincount(labels[labels >= 0], minlength=max(count, 1))
-    numbers = np.where(sizes >= LEAST_PART, np.cumsum(sizes >= LEAST_PART) - 1, OUT)
-    labels = np.where(labels >= 0, numbers[labels], OUT).astype(np.int32)
-    if table is not None:
-        labels[on_table] = TABLE
-    if hand is not None:
-        labels[hand] = HAND
-    return Scene(camera, known, labels, sizes[sizes >= LEAST_PART].astype(np.float64))
+    known, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
+    masks = wanted, np.zeros(depth.shape, dtype=bool) if hand is None else hand
+    image = depth.astype(np.float32, copy=False), *masks
+    plane = np.append(NO_TABLE if table is None else table, TABLE_WITHIN)
+    depth_image.sort_pixels(camera.rays, tuple(map(np.ascontiguousarray, image)), plane, known, labels)
+    sizes = np.empty(labels.size // LEAST_PART + 1)
+    count = depth_image.label_parts(known, labels, LEAST_PART, sizes)
+    return Scene(camera, known, labels, sizes[:count].copy())
 
 
 def table_plane(
@@ -65,23 +54,26 @@ def table_plane(
 
     Normal towards the camera, `n·P + offset = 0` on it (random sample consensus).
     """
-    rows, columns = np.nonzero(wanted & np.isfinite(depth) & (depth > 0))
-    if len(rows) < 500:
+    pixels = np.flatnonzero(wanted & (depth > 0) & (depth < np.inf))
+    if len(pixels) < 500:
         return None
     rng = np.random.default_rng(seed)
-    chosen = rng.choice(len(rows), min(len(rows), 3000), replace=False)
-    z = depth[rows[chosen], columns[chosen]].astype(np.float64)
-    points = np.c_[camera.rays[rows[chosen], columns[chosen]] * z[:, None], z]
+    chosen = pixels[rng.choice(len(pixels), min(len(pixels), REFINED_ON), replace=False)]
+    z = depth.reshape(-1)[chosen].astype(np.float64)
+    points = np.c_[camera.rays.reshape(-1, 2)[chosen] * z[:, None], z]
     within = TABLE_WITHIN * np.maximum(z * z, 1)  # as depth is known
     a, b, c = (points[rng.integers(len(points), size=TRIALS)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
     normals, a = normals[length > 1e-6] / length[length > 1e-6, None], a[length > 1e-6]
-    near = np.abs(points @ normals.T - (a * normals).sum(axis=1)) < within[:, None]
-    on = near[:, near.sum(axis=0).argmax()]
+    offsets, some = (a * normals).sum(axis=1), slice(TRIED_ON)
+    near = np.abs(points[some] @ normals.T - offsets) < within[some, None]
+    best = near.sum(axis=0).argmax()
+    on = np.abs(points @ normals[best] - offsets[best]) < within
     for _ in range(3):
         middle = points[on].mean(axis=0)
-        n = np.linalg.svd((points[on] - middle) / within[on, None], full_matrices=False)[2][2]
+        off = (points[on] - middle) / within[on, None]
+        n = np.linalg.eigh(off.T @ off)[1][:, 0]
         on = np.abs((points - middle) @ n) < within
     on = points[on]
     spread = np.sqrt(np.linalg.eigvalsh(np.cov((on - on.mean(axis=0)).T))[-2:] * 12)
@@ -93,16 +85,10 @@ def table_plane(
 
 def seen_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> NDArray[np.void]:
     """SEEN (n,): points of the scene's parts about `spacing` [m] apart, at most so many, in random order."""
-    rows, columns = np.nonzero(scene.labels >= 0)
-    z = scene.depth[rows, columns].astype(np.float64)
-    points = np.c_[scene.camera.rays[rows, columns] * z[:, None], z]
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(len(points))
-    cells = np.floor(points[order] / spacing).astype(np.int64)
-    key = (cells[:, 0] * 1_000_003 + cells[:, 1]) * 1_000_003 + cells[:, 2]
-    first = np.sort(np.unique(key, return_index=True)[1])
-    chosen = order[first[:most]]
-    seen = np.zeros(len(chosen), dtype=SEEN)
-    pixels = np.stack([rows[chosen], columns[chosen]], axis=1)
-    depth_image.look_at(scene.camera.rays, scene.depth, scene.labels, pixels, seen)
+    order = np.flatnonzero(scene.labels >= 0)
+    np.random.default_rng(seed).shuffle(order)
+    chosen = np.empty(most, dtype=np.int64)
+    count = depth_image.spread(scene.camera.rays, scene.depth, order, spacing, chosen)
+    seen = np.zeros(count, dtype=SEEN)
+    depth_image.look_at(scene.camera.rays, scene.depth, scene.labels, chosen[:count], seen)
     return seen

@@ -140,9 +140,7 @@ def followed_hand(
 
 def _checked(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> Array:
     T = se3.check(T_camera_palm, "T_camera_palm")
-    if np.shape(depth) != camera.size[::-1]:
-        expected, came = "{} x {} pixels".format(*camera.size), " x ".join(map(str, np.shape(depth)[::-1]))
-        raise InvalidInput(f"depth: expected {expected}, got {came}")
+    camera.check_size(depth, "depth")
     return T
 
 
