@@ -21,7 +21,8 @@ def depth_points(model: ObjectModel, points_palm: ArrayLike, vision: PosePrior) 
     points_palm: (n, 3) [m], of the object and of what is around it, NaN where a pixel has none. vision: the pose that
     the image gave, in the palm, with all that makes it uncertain: noise, the camera's constant error, where the palm is
     in the camera. Points share these errors, so each counts for so little that all together know in no direction more
-    than that pose does. It is in them then, and is no prior any more. `MOST_POINTS` of those near the surface, evenly; None where none is. Raises InvalidInput.
+    than that pose does. It is in them then, and is no prior any more. `MOST_POINTS` of those near the surface, evenly;
+    None where none is. Raises InvalidInput.
     """
     points = np.asarray(points_palm)
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
