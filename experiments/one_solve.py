@@ -62,6 +62,8 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     T_seen = se3.moved(T_camera_palm, HAND * rng.normal(size=6))
     joints, T_palm_camera = last.observation.joint_positions, se3.inverse(T_seen)
     mask = OwnHand(rig).mask(camera, depth, joints, T_seen)
+    if mask is None:
+        return []
     expected = hs.PosePrior(se3.moved(T, EXPECTED * rng.normal(size=6)), np.diag(EXPECTED**2))
     way, found = rng.uniform(0, 2 * np.pi), []
     for share in COVERED:
