@@ -11,8 +11,13 @@ Everything is SYNTHETIC (MuJoCo); the model of the object is exact.
   seen hand          the hand, seen in the same images, tells where the camera is; nothing is felt
   seen hand + touch  what `Tracker` and `handsight track` do with images
 
-The second table: how touch and sight help each other where so much of the object is covered up (a part of its pixels,
-on one side, has no depth), where the depth is so many times noisier, and where the camera is less wrong.
+The second table: how touch and sight help each other where so much of the object is covered up (from the first quarter
+of a second on a part of its pixels, on one side, has no depth; what is covered from the first image on is never found),
+where the depth is so many times noisier, and where the camera is less wrong.
+
+  touch              contacts alone, and no idea of where the object is
+
+The third: what touch adds to the error of the very same grasps by sight alone, and that where sight was good.
 """
 
 from collections.abc import Iterator
@@ -37,7 +42,11 @@ from shared.report import Array, Row, Rows
 OBJECTS = ("can", "box")
 RATE = 20.0
 WAYS = ("drawn + touch", "pictures", "pictures + touch", "seen hand", "seen hand + touch")
-SHORT = ("pictures + touch", "seen hand", "seen hand + touch")
+SHORT = ("touch", "pictures + touch", "seen hand", "seen hand + touch")
+FREE = 0.25
+"""How long nothing is covered [s]."""
+GOOD = 5.0
+"""Sight that is nearer than this is good [mm]."""
 COVERED, NOISIER, CAMERA = (0.5, 0.8, 0.95), (2.0, 4.0), (0.0, 0.02, 0.04)
 INSIDE = 12.59
 """χ² of six numbers that one in twenty exceeds."""
@@ -51,7 +60,7 @@ def grasped(scenario: Scenario) -> tuple[Sample, ...] | None:
 
 
 def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tuple[Sample, ...]:
-    """The same without depth on that share of the object's pixels, those to one side of the image."""
+    """The same without depth on that share of the object's pixels, those to one side of the image, but at first."""
     if not share:
         return samples
     rig, model = rig_of(scenario), model_of(scenario)
@@ -60,7 +69,7 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
     way = np.random.default_rng(int(scenario.seed)).uniform(0, 2 * np.pi)
     for sample in samples:
         depth = sample.observation.depth
-        if depth is not None:
+        if depth is not None and sample.observation.stamp > samples[0].observation.stamp + FREE:
             T = T_camera_world @ sample.T_world_object
             drawn = camera.draw(se3.apply(T, model.vertices), model.faces).depth
             rows, columns = np.nonzero(np.isfinite(drawn))
@@ -94,8 +103,10 @@ def answers(samples: tuple[Sample, ...], scenario: Scenario, ways: tuple[str, ..
     """The last estimate by each way; None where there is none."""
     rig, model = rig_of(scenario), model_of(scenario)
     seen = list(calibrated(samples, rig, model)) if {"pictures", "pictures + touch"} & {*ways} else []
-    found = {}
+    found: dict[str, Any] = {}
     for way in ways:
+        if way == "touch":
+            continue
         observations = seen if way.startswith("pictures") else [sample.observation for sample in samples]
         if not way.startswith("drawn"):
             observations = [one if one in seen else replace(one, vision=None) for one in observations]
@@ -105,6 +116,9 @@ def answers(samples: tuple[Sample, ...], scenario: Scenario, ways: tuple[str, ..
         for observation in observations:
             tracker.update(observation)
         found[way] = tracker.estimate
+        if "touch" in way and "touch" in ways:
+            touched = tracker.fingertips.contacts
+            found["touch"] = None if touched is None else hs.correct_pose(model, touched)
     return found
 
 
@@ -159,22 +173,22 @@ def main() -> None:
     """Runs the experiment."""
     options = report.options(__doc__, trials=12, quick_trials=2)
     rows = []
-    names = list(settings())[: 1 if options.quick else None]
-    for name, share, wrong in names:
-        ways = WAYS if name == "as it is" else SHORT
-        for k in report.progress(range(options.trials), name):
-            for object_name in OBJECTS:
-                nuisances = Nuisances(**wrong)
-                seed = options.first_seed + 500 + k
+    chosen = list(settings())[: 1 if options.quick else None]
+    for k in report.progress(range(options.trials), "grasps"):
+        for object_name in OBJECTS:
+            seed = options.first_seed + 500 + k
+            for name, share, wrong in chosen:
                 scenario = Scenario(
-                    object=object_name, seed=seed, rate=RATE, images=True, nuisances=nuisances
+                    object=object_name, seed=seed, rate=RATE, images=True, nuisances=Nuisances(**wrong)
                 )
+                ways = (*WAYS, "touch") if name == "as it is" else SHORT
                 found = rows_of(scenario, share, ways)
                 rows += [{"setting": name, "object": object_name, "seed": seed, **row} for row in found]
     report.write_csv(options.output / "from_pictures.csv", rows)
     print_ways(report.chosen(rows, setting="as it is"))
     if not options.quick:
         print_settings(rows)
+    print_gains(rows)
     draw_figure(rows, options.output / "from_pictures.png")
 
 
@@ -217,13 +231,32 @@ def print_settings(rows: Rows) -> None:
     report.print_table("What touch adds to sight (synthetic)", ["", "by", *COLUMNS], table, NOTE)
 
 
+def print_gains(rows: Rows) -> None:
+    """What touch adds to sight's error, grasp by grasp."""
+    table = []
+    for name in report.distinct(rows, "setting"):
+        # The rows of both ways are of the same grasps, in the same order.
+        sight, both = (
+            report.values(rows, "middle", setting=name, way=way) for way in ("seen hand", "seen hand + touch")
+        )
+        good = sight < GOOD
+        added = [both - sight, (both - sight)[good]]
+        medians = [f"{np.nanmedian(some):+.1f}" if np.isfinite(some).any() else "-" for some in added]
+        worst = f"{np.nanmax(added[1]):+.1f}" if good.any() else "-"
+        table.append([name, *medians, worst, f"{good.sum()} of {len(sight)}"])
+    columns = ["", "median mm", f"of those below {GOOD:g} mm", "worst of them", "below"]
+    report.print_table(
+        "What touch adds to the error of the seen hand (synthetic)", columns, table, "Negative: touch gains."
+    )
+
+
 def draw_figure(rows: Rows, path: Any) -> None:
     """Errors of each way in each setting."""
     names = report.distinct(rows, "setting")
     figure, axes = figures.pyplot().subplots(figsize=(7.4, 3.6), layout="constrained")
     for k, way in enumerate(SHORT):
         medians = [np.nanmedian(report.values(rows, "middle", setting=name, way=way)) for name in names]
-        axes.plot(range(len(names)), medians, marker="os^"[k], linestyle=":", label=way)
+        axes.plot(range(len(names)), medians, marker="os^d"[k], linestyle=":", label=way)
     axes.set_xticks(range(len(names)), names, rotation=25, ha="right")
     axes.set(ylabel="median error of the middle [mm]", yscale="log")
     axes.legend()

@@ -106,6 +106,10 @@ class Contacts:
         points, normals = se3.apply(T, self.points_palm), self.normals_palm @ R.T
         return _made(points, normals, self.has_normal, covariance, self.of_residual)
 
+    def joined(self, other: "Contacts") -> "Contacts":
+        """These contacts and then the other ones."""
+        return _made(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _GIVEN))
+
     def select(self, mask_or_indices: ArrayLike) -> "Contacts":
         """Some of the contacts: a mask (n,) bool, or indices, which may reorder and repeat; at least one."""
         chosen, n = np.asarray(mask_or_indices), len(self)

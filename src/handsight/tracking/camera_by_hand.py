@@ -9,6 +9,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.tracking.camera_calibration import corrected, correction_between
 from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.own_hand import OwnHand
@@ -96,7 +97,7 @@ class HandViews:
             return None
         Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
         pivot, believed = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
-        corrections = np.stack([_correction(T, believed, pivot) for T in Ts])
+        corrections = np.stack([correction_between(believed, T, pivot) for T in Ts])
         away = np.abs(corrections[:, None] - corrections)
         far = np.maximum(away[..., :3].max(axis=2) / SPREAD[0], away[..., 3:].max(axis=2) / SPREAD[1])
         agree = far[np.median(far, axis=1).argmin()] < 1
@@ -105,7 +106,7 @@ class HandViews:
         mean = corrections[agree].mean(axis=0)
         spread = corrections[agree] - mean
         return HandCalibration(
-            T_mount_camera=_corrected(mean, believed, pivot),
+            T_mount_camera=corrected(believed, mean, pivot),
             correction=mean,
             covariance=covariances[agree].mean(axis=0),
             pivot=pivot,
@@ -113,18 +114,6 @@ class HandViews:
             views=int(agree.sum()),
             looked_at=self.looked_at,
         )
-
-
-def _correction(T_mount_camera: Array, believed: Array, pivot: Array) -> Array:
-    """(6,) shift of what the camera sees at the pivot, and turn, from the believed pose to this one."""
-    E = T_mount_camera @ se3.inverse(believed)
-    return np.concatenate([se3.apply(E, pivot[None])[0] - pivot, se3.rotation_log(E[:3, :3])])
-
-
-def _corrected(correction: Array, believed: Array, pivot: Array) -> Array:
-    E = se3.compose(se3.rotation_exp(correction[3:]), np.zeros(3))
-    E[:3, 3] = pivot + correction[:3] - E[:3, :3] @ pivot
-    return np.asarray(E @ believed)
 
 
 def _at(seen: SeenHand, arm: Array, R_mount_camera: Array) -> Array:

@@ -36,9 +36,8 @@ class CameraCalibration:
 
     def away_from(self, T_mount_camera: Array) -> tuple[float, float]:
         """How far another pose of the camera puts what is at the pivot from there [m], and turns it [rad]."""
-        E = T_mount_camera @ se3.inverse(self.T_mount_camera)
-        shift = se3.apply(E, self.pivot[None])[0] - self.pivot
-        return float(np.linalg.norm(shift)), float(np.linalg.norm(se3.rotation_log(E[:3, :3])))
+        away = correction_between(self.T_mount_camera, T_mount_camera, self.pivot)
+        return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
 
 
 def calibrate_camera(
@@ -77,14 +76,26 @@ def _calibration(
     camera: Camera, pivot: Array, wrong: Array, covariance: Array, turned: float
 ) -> CameraCalibration:
     """The camera's pose, given vision's bias (6,) about the pivot and its covariance (6, 6)."""
-    # Vision is off by E, so the camera is where E took it from.
-    E = se3.compose(se3.rotation_exp(wrong[3:]), np.zeros(3))
-    E[:3, 3] = pivot + wrong[:3] - E[:3, :3] @ pivot
-    back = E[:3, :3].T
+    # Vision is off by that, so the camera is where it took it from.
+    back = se3.rotation_exp(-wrong[3:])
+    correction = np.concatenate([-back @ wrong[:3], -wrong[3:]])
     return CameraCalibration(
-        T_mount_camera=se3.inverse(E) @ camera.T_mount_camera,
-        correction=np.concatenate([-back @ wrong[:3], -wrong[3:]]),
+        T_mount_camera=corrected(camera.T_mount_camera, correction, pivot),
+        correction=correction,
         covariance=se3.rotate_covariance(back, covariance),
         pivot=pivot,
         turned=turned,
     )
+
+
+def corrected(T_mount_camera: Array, correction: Array, pivot: Array) -> Array:
+    """(4, 4) the camera's pose after a correction (6,): what it sees at the pivot shifts, all turns about it."""
+    E = se3.compose(se3.rotation_exp(correction[3:]), np.zeros(3))
+    E[:3, 3] = pivot + correction[:3] - E[:3, :3] @ pivot
+    return np.asarray(E @ T_mount_camera)
+
+
+def correction_between(T_mount_camera: Array, other: Array, pivot: Array) -> Array:
+    """(6,) the correction that makes one pose of a camera (4, 4) another."""
+    E = other @ se3.inverse(T_mount_camera)
+    return np.concatenate([se3.apply(E, pivot[None])[0] - pivot, se3.rotation_log(E[:3, :3])])

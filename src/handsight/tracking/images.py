@@ -14,7 +14,7 @@ from handsight.tracking.seen_camera import HandView, SeenCamera
 from handsight.vision import PinholeCamera, SeenHand
 from handsight.vision.camera import Depth
 from handsight.vision.depth_noise import PRESETS
-from handsight.vision.depth_tracker import DepthTracker, Sighting
+from handsight.vision.depth_tracker import HIDDEN, DepthTracker, Sighting
 from handsight.vision.own_hand import OwnHand
 
 ERR_TOGETHER = 1.0
@@ -106,16 +106,20 @@ class Eye:
         image = self._camera.check_depth(depth, "observation.depth")
         self.images += 1
         view, mask, T_camera_palm = self._see_hand(stamp, image, then, seen)
+        # What touch says is where to look for what was lost, and no more: a look that began there each time would say
+        # again what touch has said, as if the camera had seen it.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
+        lost = self.sighting is None or self.sighting.T_camera_object is None
         self.sighting = sighting = self.tracker.update(
             stamp,
             image,
             hand=mask,
             T_camera_palm=T_camera_palm,
             gripped=expected is not None,
-            expected=expected,
+            expected=expected if lost else None,
         )
-        if sighting.T_camera_object is None or sighting.covariance is None:
+        # Where hardly anything of it is seen, the pose is what was expected: nothing that the image says.
+        if sighting.T_camera_object is None or sighting.covariance is None or sighting.reason == HIDDEN:
             return None, view
         self.poses += 1
         # So many images tell no more than one.

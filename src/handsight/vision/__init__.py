@@ -2,6 +2,7 @@
 
 from handsight.vision.camera import Drawn, PinholeCamera
 from handsight.vision.depth_noise import DepthNoise
+from handsight.vision.depth_points import depth_points
 from handsight.vision.depth_tracker import DepthTracker, Sighting
 from handsight.vision.files import read_camera, read_color, read_depth
 from handsight.vision.first_pose import Found
@@ -24,6 +25,7 @@ __all__ = [
     "Recognition",
     "SeenHand",
     "Sighting",
+    "depth_points",
     "followed_hand",
     "hand_mask",
     "locate",
