@@ -69,7 +69,7 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     for share in COVERED:
         image = np.where(mask, np.nan, uncovered(depth, drawn, share, way))
         look = CloseLook(model, camera, STRUCTURED_LIGHT)
-        seen = look.at(T_seen @ expected.T_palm_object, image, None, None)
+        seen = look.at(T_seen @ expected.T_palm_object, np.diag(EXPECTED**-2.0), image, None, None)
         points = camera.points(image).reshape(-1, 3)
         points_palm = se3.apply(T_palm_camera, points[np.isfinite(points).all(axis=1)].astype(np.float64))
         enough = seen.points >= LEAST_POINTS and seen.look["explained"][0] >= LEAST_PIXELS
