@@ -1,4 +1,4 @@
-"""ROS messages to what an `Observation` is made of; rosbags reads what `fast_cdr` does not."""
+"""ROS messages to what an `Observation` is made of; rosbags reads what the fast readers do not."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import images
 from handsight.messages.fast_cdr import FastCdrReader
+from handsight.messages.fast_ros1 import FastRos1Reader
 from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 from handsight.vision import PinholeCamera
@@ -60,8 +61,15 @@ class Measurement:
         return 500 + (self.value.nbytes if self.topic.role in ("color", "depth") else 0)
 
 
+class FastReaders(dict[str, FastCdrReader | FastRos1Reader]):
+    """By encoding, what reads the messages that come hundreds of times a second."""
+
+    def __init__(self) -> None:
+        super().__init__(cdr=FastCdrReader(), ros1=FastRos1Reader())
+
+
 def decode(
-    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastCdrReader
+    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastReaders
 ) -> list[Measurement]:
     """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
 
@@ -84,11 +92,14 @@ def decode(
         return []
 
 
-def _decode_fast(raw: RawMessage, role: Role, fast: FastCdrReader) -> tuple[float, Any] | None:
-    """Stamp and value."""
-    if raw.encoding == "cdr" and role == "wrench" and (wrench := fast.wrench(raw.data)):
+def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float, Any] | None:
+    """Stamp and value; None: rosbags must read it."""
+    reader = fast.get(raw.encoding)
+    if reader is None:
+        return None
+    if role == "wrench" and (wrench := reader.wrench(raw.data)):
         return wrench[0], _wrench(wrench[1])
-    if raw.encoding == "cdr" and role == "joints" and (joints := fast.joints(raw.data)):
+    if role == "joints" and (joints := reader.joints(raw.data)):
         return joints[0], _positions(joints[1], joints[2])
     return None
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight.checks import Array
+from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import written
 from handsight.messages.decode import rosbags_module, typestore
@@ -173,7 +174,7 @@ def pose(T: Array) -> Message:
 
 
 def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
-    """A geometry_msgs/PoseWithCovariance; without covariance it is all zero."""
+    """A geometry_msgs/PoseWithCovariance; all zero is what drivers send that do not know it."""
     flat = np.zeros(36) if covariance is None else np.asarray(covariance, dtype=np.float64).ravel()
     return Message(pose=pose(T), covariance=flat)
 
@@ -214,6 +215,8 @@ class TrackRow:
     """tracking, uncertain or lost."""
     reason: str = ""
     """Why it is not tracking; empty: it is."""
+    information: Array | None = None
+    """(6, 6) that may be singular, for where the covariance is None; None: nothing is known."""
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stamp):
@@ -223,17 +226,29 @@ class TrackRow:
         if self.covariance is not None:
             covariance = checks.covariance(self.covariance, "row.covariance", (6, 6))
             object.__setattr__(self, "covariance", covariance)
+        if self.information is not None:
+            information = checks.finite(self.information, "row.information", (6, 6))
+            object.__setattr__(self, "information", information)
+
+    @property
+    def bounded_covariance(self) -> Array:
+        """(6, 6) with a stated large variance where it is unbounded, or not known."""
+        if self.covariance is not None:
+            return self.covariance
+        return bounded_covariance(np.zeros((6, 6)) if self.information is None else self.information)
 
 
 def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
-    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id; no covariance is all zero.
+    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id.
 
-    Raises InvalidFile, MissingExtra.
+    Where a covariance is unbounded, open directions have a variance of a metre and a whole turn (π²/3): its largest
+    eigenvalue is then at least 1. Raises InvalidFile, MissingExtra.
     """
     with McapFile(Path(path)) as file:
         for row in rows:
             if row.T_palm_object is not None:
-                top, pose = header(row.stamp, frame), pose_with_covariance(row.T_palm_object, row.covariance)
+                top = header(row.stamp, frame)
+                pose = pose_with_covariance(row.T_palm_object, row.bounded_covariance)
                 file.append(TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
 
 
