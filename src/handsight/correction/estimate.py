@@ -14,7 +14,6 @@ from handsight import checks, se3
 from handsight._kernels.records import ANSWER, PRIOR
 from handsight.checks import Array
 
-
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
 """(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
 

@@ -12,8 +12,7 @@ import numpy as np
 from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import images
-from handsight.messages.fast_cdr import FastCdrReader
-from handsight.messages.fast_ros1 import FastRos1Reader
+from handsight.messages.fast import FastReaders
 from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 from handsight.vision import PinholeCamera
@@ -59,13 +58,6 @@ class Measurement:
     def size(self) -> int:
         """About how many bytes it holds."""
         return 500 + (self.value.nbytes if self.topic.role in ("color", "depth") else 0)
-
-
-class FastReaders(dict[str, FastCdrReader | FastRos1Reader]):
-    """By encoding, what reads the messages that come hundreds of times a second."""
-
-    def __init__(self) -> None:
-        super().__init__(cdr=FastCdrReader(), ros1=FastRos1Reader())
 
 
 def decode(

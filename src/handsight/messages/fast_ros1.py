@@ -1,7 +1,7 @@
 """JointState and WrenchStamped as ROS 1 writes them, read as `fast_cdr` reads those of ROS 2.
 
-Little-endian, nothing aligned: sequence number, seconds, nanoseconds, frame id, then the fields one after the other. For
-all that is not exactly as expected the answer is None, and rosbags decides.
+Little-endian, nothing aligned: sequence number, seconds, nanoseconds, frame id, then the fields one after the other.
+For all that is not exactly as expected the answer is None, and rosbags decides.
 """
 
 import struct

@@ -1,6 +1,5 @@
 """An order for one who cannot wait: a joint state goes on once what belongs to it is there, or 2 ms later."""
 
-import time
 from collections import deque
 from collections.abc import Iterator
 
@@ -23,8 +22,10 @@ class PromptBuffer(ReorderBuffer):
     """
 
     def __init__(self, report: Report) -> None:
-        """Time is `time.monotonic`."""
+        """`now` must be set with each message and before `ready`."""
         super().__init__(report)
+        self.now = -float("inf")
+        """When the message came that is put; else now, by the same clock [s]."""
         self._begin()
 
     def _begin(self) -> None:
@@ -37,7 +38,7 @@ class PromptBuffer(ReorderBuffer):
 
     @property
     def waits_until(self) -> float:
-        """When the next joint states have waited long enough, by `time.monotonic`; infinite: none wait."""
+        """When the next joint states have waited long enough, by the clock of `now`; infinite: none wait."""
         return self._pending[0][1] if self._pending else float("inf")
 
     def finish(self) -> Iterator[Measurement]:
@@ -54,7 +55,7 @@ class PromptBuffer(ReorderBuffer):
     def _edge(self) -> float:
         while self._pending:
             stamp, until = self._pending[0]
-            if any(self._lacks(stamp, *each) for each in self._reached.values()) and time.monotonic() < until:
+            if any(self._lacks(stamp, *each) for each in self._reached.values()) and self.now < until:
                 break
             self.complete = max(self.complete, stamp)
             self._pending.popleft()
@@ -72,7 +73,7 @@ class PromptBuffer(ReorderBuffer):
             return
         self._newest_of[key] = stamp
         if topic.role == "joints":
-            self._pending.append((stamp, time.monotonic() + WAIT))
+            self._pending.append((stamp, self.now + WAIT))
         elif topic.role in WAITED_FOR:
             before, half = self._reached.get(topic.name, (stamp, 0.0))
             self._reached[topic.name] = max(stamp, before), (stamp - before) / 2 if stamp > before else half

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 from handsight.messages.assemble import ObservationAssembler
 from handsight.messages.clocks import ReorderBuffer
-from handsight.messages.decode import CameraIntrinsics, FastReaders, Measurement, decode
+from handsight.messages.decode import CameraIntrinsics, Measurement, decode
+from handsight.messages.fast import FastReaders
 from handsight.messages.report import Report, missing
 from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
@@ -50,7 +51,7 @@ class ObservationStream:
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
         self._depth_size: tuple[int, ...] | None = None
-        self._fast, self._order = FastReaders(), order(self.report)
+        self._fast, self.order = FastReaders(), order(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
@@ -76,16 +77,16 @@ class ObservationStream:
                     self._depth_size = measurement.value.shape[1::-1]
                 if topic.role == "joints" and len(self._joint_names) < MAX_NAMES:
                     self._joint_names.update(measurement.value)
-                found += self._assembled(self._order.put(measurement))
+                found += self._assembled(self.order.put(measurement))
         return found
 
     def ready(self) -> list[Observation]:
         """The observations that have waited long enough, where the order waits by the clock."""
-        return self._assembled(self._order.ready())
+        return self._assembled(self.order.ready())
 
     def flush(self) -> list[Observation]:
         """The observations that wait, though more may come: nothing has come for long."""
-        found, last = self._assembled(self._order.finish()), self._assembler.finish()
+        found, last = self._assembled(self.order.finish()), self._assembler.finish()
         return found if last is None else [*found, last]
 
     def finish(self) -> list[Observation]:
@@ -97,7 +98,7 @@ class ObservationStream:
     def _assembled(self, ordered: Iterable[Measurement]) -> list[Observation]:
         found = [done for each in ordered if (done := self._assembler.put(each)) is not None]
         due = self._assembler.due
-        if due is not None and due <= self._order.complete and (last := self._assembler.finish()) is not None:
+        if due is not None and due <= self.order.complete and (last := self._assembler.finish()) is not None:
             found.append(last)
         return found
 
