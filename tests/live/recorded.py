@@ -14,8 +14,8 @@ from handsight.rig import Rig
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally, replay
 
-SECONDS = 1.6
-"""The fingers have closed by then."""
+START, SECONDS = 1000.0, 1.6
+"""The first stamp, and how much of it is played [s]: the fingers have closed by then."""
 
 
 @lru_cache

@@ -15,7 +15,7 @@ from handsight.messages.decode import typestore
 from handsight.messages.topics import POSE_COVARIANCE
 from handsight.recording.write import header, pose_with_covariance
 from handsight.tracking import TrackerSettings
-from tests.live.recorded import answered, in_ros1, live, model, poses, read, rig, said, tracked
+from tests.live.recorded import START, answered, in_ros1, live, model, poses, read, rig, said, tracked
 
 Message = type(header(0.0))
 
@@ -92,7 +92,7 @@ def test_without_waiting_an_observation_has_all_of_its_stamp_and_nothing_later(m
         for each in answered_now:
             tracker.put(each)
         tracker.step(0.0)
-    after_first_second = [seen for seen in given if seen.stamp > 1.02]
+    after_first_second = [seen for seen in given if seen.stamp > START + 1.02]
     assert len(after_first_second) >= 55
     assert all(set(seen.wrenches) == {"ff", "mf", "rf", "lf", "th"} for seen in after_first_second)
     by_stamp = {seen.stamp: seen for seen in given}
@@ -209,20 +209,20 @@ def test_a_covariance_is_never_certain_where_nothing_is_known(expected):
     for stamp, (_, covariance) in poses(answers).items():
         values = np.linalg.eigvalsh(covariance.reshape(6, 6))
         assert values.min() > 0
-        if stamp > 1.5:
+        if stamp > START + 1.5:
             assert values.max() >= 1
 
 
 def test_what_is_lost_has_no_transform_but_a_pose_and_a_reason():
-    quiet = [each for each in said() if each.topic != "/vision/object" or each.log_time < 0.2]
+    quiet = [each for each in said() if each.topic != "/vision/object" or each.log_time < START + 0.2]
     quiet = [each for each in quiet if not each.topic.endswith("wrench")]
     tracker = live(equal=True, settings=TrackerSettings(lost_after=0.5))
     answers = answered(tracker, quiet, at_once=20)
     transforms = [read(each).transforms[0] for each in answers if each.topic == "/tf"]
     stamps = [each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec for each in transforms]
     assert {(each.header.frame_id, each.child_frame_id) for each in transforms} == {("palm", "object")}
-    assert max(stamps) == pytest.approx(0.6, abs=0.2)
-    assert max(poses(answers)) > 1.5
+    assert max(stamps) == pytest.approx(START + 0.6, abs=0.2)
+    assert max(poses(answers)) > START + 1.5
     assert any("nothing touched and nothing seen" in sentence for sentence in sentences(tracker))
 
 

@@ -62,7 +62,7 @@ class LiveTracker:
         self.rig, self.settings = rig, settings
         self.markers_wanted: Callable[[], bool] = lambda: False
         """Whether anybody looks at markers."""
-        self._equal, self._inbox, self._tasks = equal, Inbox(), deque[Callable[[], None]]()
+        self.equal, self._inbox, self._tasks = equal, Inbox(), deque[Callable[[], None]]()
         self._writer = Writer(encoding, rig.frames["palm"])
         self._markers = Markers(self._writer, rig.frames["palm"])
         self.tracker = Tracker(rig, model, settings=settings)
@@ -217,7 +217,7 @@ class LiveTracker:
 
     def _newest(self, observations: list[Observation]) -> list[Observation]:
         """Those that are answered: the newest, and all that the camera has something to say in."""
-        if self._equal or len(observations) < 2:
+        if self.equal or len(observations) < 2:
             return observations
         kept = [
             seen

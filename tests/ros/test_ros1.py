@@ -1,0 +1,117 @@
+"""The node of ROS 1 among real processes: a master, rosbag, Ctrl-C."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
+
+from rosbags import rosbag1
+
+from handsight.cli.demo import DATA
+from handsight.messages.decode import typestore
+from handsight.messages.topics import WRENCH
+from tests.live.recorded import in_ros1, said, tracked
+from tests.ros.ros1 import graph, messages_of, needs_ros1, poses_of
+
+pytestmark = [needs_ros1, pytest.mark.slow]
+RIG = DATA / "can.rig.yaml"
+
+
+def bag(path, messages, *, spoilt=""):
+    """A recording of ROS 1; what comes on the topic `spoilt` is of another type than it should be."""
+    store = typestore("ros1")
+    with rosbag1.Writer(path) as writer:
+        connections = {}
+        for each in in_ros1(messages):
+            kind, data = each.type, each.data
+            if each.topic == spoilt:
+                kind, data = (
+                    "std_msgs/msg/Header",
+                    each.data[: 16 + int.from_bytes(each.data[12:16], "little")],
+                )
+            if each.topic not in connections:
+                connections[each.topic] = writer.add_connection(each.topic, kind, typestore=store)
+            sec = int(each.log_time)
+            writer.write(connections[each.topic], sec * 10**9 + round((each.log_time - sec) * 1e9), data)
+    return path
+
+
+def play(running, path, limit=60.0):
+    """The recording, played at its own pace, heard by the node alone and whole."""
+    process = running.run("rosbag", "play", "--quiet", "--wait-for-subscribers", "--delay=0.5", str(path))
+    process.wait(limit)
+    assert process.returncode == 0, process.log.read_text()
+
+
+def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
+    expected = tracked(said())
+    topics = "/handsight/pose", "/tf", "/handsight/markers", "/diagnostics"
+    played = bag(tmp_path / "can.bag", [each for each in said() if each.topic != "/truth/object"])
+    with graph(tmp_path) as running:
+        node = running.node(RIG, object="can", equal="true")
+        recorder = running.record(*topics)
+        play(running, played)
+        time.sleep(2.0)  # the last of them are answered a second after the last message
+        ended = running.interrupt(node)
+        assert (node.returncode, "Traceback" in node.log.read_text()) == (0, False)
+        running.interrupt(recorder)
+        found = poses_of(recorder.path)
+        assert set(found) == set(expected)
+        np.testing.assert_allclose(
+            [found[stamp][:3] for stamp in expected],
+            [T[:3, 3] for T in expected.values()],
+            rtol=0,
+            atol=1e-9,
+        )
+        links = [link for each in messages_of(recorder.path, "/tf") for link in each.transforms]
+        own = [link for link in links if link.child_frame_id == "object"]
+        assert len(own) == len(found)
+        assert len(messages_of(recorder.path, "/handsight/markers")) > 5
+        statuses = [s for each in messages_of(recorder.path, "/diagnostics") for s in each.status]
+        assert "tracking" in {status.message for status in statuses}
+        assert ended < 5.0  # of a machine that may be busy; alone it is below one
+
+
+def test_a_restarted_master_a_wrong_type_and_services(tmp_path):
+    """Without waiting: poses go on after the master came back, and what is wrong is named."""
+    played = bag(tmp_path / "can.bag", said(), spoilt="/th/wrench")
+    with graph(tmp_path) as running:
+        node = running.node(RIG)
+        running.master.kill()
+        running.master.wait()
+        running.start_master()
+        running.wait_for(lambda: running.subscribers("/joint_states"), "the node's return", node)
+        services = running.state()[2]
+        assert {"/handsight/reset", "/handsight/set_object"} <= set(services)
+        recorder = running.record("/handsight/pose", "/diagnostics")
+        play(running, played)
+        called = running.run("rosservice", "call", "/handsight/reset")
+        assert called.wait(60) == 0
+        assert "success: True" in called.log.read_text()
+        time.sleep(1.5)
+        running.interrupt(recorder)
+        assert max(poses_of(recorder.path)) > said()[-1].log_time - 0.5
+        told = [
+            value.value
+            for each in messages_of(recorder.path, "/diagnostics")
+            for status in each.status
+            for value in status.values
+        ]
+        wrong = f"/th/wrench: expected {WRENCH}, got std_msgs/msg/Header"
+        assert any(wrong in sentence for sentence in told), told[-20:]
+        assert "registered anew" in node.log.read_text()
+
+
+def test_a_wrong_parameter_is_said_in_a_sentence(tmp_path):
+    with graph(tmp_path) as running:
+        for given, said_of_it in (
+            ({"rig": "nowhere.yaml"}, "nowhere.yaml"),
+            ({"rig": RIG, "object": "spoon"}, "object: expected one of the rig (can)"),
+        ):
+            with pytest.raises(AssertionError, match="the node ended") as error:
+                running.node(**given)
+            assert said_of_it in str(error.value)
+            assert "Traceback" not in str(error.value)
