@@ -83,9 +83,9 @@ def test_a_restarted_master_a_wrong_type_and_services(tmp_path):
         running.master.kill()
         running.master.wait()
         running.start_master()
-        running.wait_for(lambda: running.subscribers("/joint_states"), "the node's return", node)
-        services = running.state()[2]
-        assert {"/handsight/reset", "/handsight/set_object"} <= set(services)
+        offered = {"/handsight/reset", "/handsight/set_object"}
+        running.wait_for(lambda: offered <= set(running.state()[2]), "the node's return", node)
+        assert running.subscribers("/joint_states")
         recorder = running.record("/handsight/pose", "/diagnostics")
         play(running, played)
         called = running.run("rosservice", "call", "/handsight/reset")

@@ -11,7 +11,7 @@ from handsight.messages.clocks import MAX_JUMP
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.units import Units
-from handsight.observation import Observation
+from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
 MAX_AGE_JOINTS, MAX_AGE_TRANSFORM, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.1, 0.05, 0.2
@@ -41,6 +41,7 @@ class ObservationAssembler:
         """Nothing was heard but what holds for ever."""
         self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
         self._sensors: dict[str, WrenchSensor] = {}
+        self._contacts: dict[str, Measurement] = {}
         self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
         self.due: float | None = None
         """Stamp of joint states without an observation."""
@@ -62,6 +63,8 @@ class ObservationAssembler:
             self.due = measurement.stamp
         elif role == "wrench":
             self._take_wrench(measurement)
+        elif role == "contact":
+            self._contacts[measurement.topic.finger] = measurement
         elif role == "tf":
             self.tree.put(measurement.value, measurement.stamp)
         elif role == "truth":
@@ -97,6 +100,7 @@ class ObservationAssembler:
             wrenches=self._wrenches(stamp),
             T_world_palm=T_world_palm,
             image_stamp=None if image is None else image.stamp,
+            contacts=self._contacts_at(stamp),
             **vision,
         )
         self._units.put(observation)
@@ -114,6 +118,16 @@ class ObservationAssembler:
             sensor = self._sensors.get(finger)
             if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= MAX_AGE_WRENCH:
                 found[finger] = sensor.wrench
+            else:
+                self._report.without[finger] += 1
+        return found
+
+    def _contacts_at(self, stamp: float) -> dict[str, ContactMeasurement | None]:
+        found = {}
+        for finger in self._rig.topics.contacts:
+            said = self._contacts.get(finger)
+            if said is not None and stamp - said.stamp <= MAX_AGE_WRENCH:
+                found[finger] = said.value
             else:
                 self._report.without[finger] += 1
         return found

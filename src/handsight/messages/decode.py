@@ -11,9 +11,9 @@ import numpy as np
 
 from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import images
+from handsight.messages import images, touch
 from handsight.messages.fast import FastReaders
-from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
+from handsight.messages.topics import CONTACT, TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 from handsight.vision import PinholeCamera
 
@@ -51,7 +51,7 @@ class Measurement:
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
-    """By role: dict of positions; (6,); PoseMeasurement; (4, 4); image; CameraIntrinsics;
+    """By role: dict of positions; (6,); ContactMeasurement or None; PoseMeasurement; (4, 4); image; CameraIntrinsics;
     parent, child and `T_parent_child` (4, 4)."""
 
     @property
@@ -75,7 +75,8 @@ def decode(
             message = _deserialized(raw)
             if topic.role in ("tf", "tf_static"):
                 return _transforms(message, raw, topic)
-            found = _stamp(message), READERS[topic.role](message, frames)
+            named = frames if topic.role != "contact" else {**frames, "tip": topic.body}
+            found = _stamp(message), READERS[topic.role](message, named)
         topic.messages += 1
         return [Measurement(topic, found[0], raw.log_time, found[1])]
     except MessageRejected as error:
@@ -134,6 +135,7 @@ def typestore(encoding: str) -> Any:
     store = typesys.get_typestore(stores[encoding])
     if TF not in store.types:  # ROS 1's own messages have only its forerunner
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    store.register(typesys.get_types_from_msg(touch.SHADOW_CONTACT, CONTACT))
     return store
 
 
@@ -286,6 +288,7 @@ def _cut(K: Array, message: Any) -> tuple[Array, tuple[int, int]]:
 READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {
     "joints": lambda message, _: _positions(message.name, message.position.tolist()),
     "wrench": _wrench_message,
+    "contact": touch.contact,
     "vision": _vision,
     "truth": _truth,
     "color": lambda message, _: images.color(message),

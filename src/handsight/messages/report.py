@@ -29,7 +29,7 @@ class Report:
     placed: int = 0
     """How many have `T_world_palm`."""
     without: Counter[str] = field(default_factory=Counter)
-    """By finger: observations without its wrench."""
+    """By finger: observations without its wrench, or without word of its contact."""
     fingers: dict[str, str] = field(default_factory=dict)
     """By finger: what is wrong with its sensor."""
     backwards: tuple[int, float, float] | None = None
@@ -82,6 +82,7 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None
     for what, topic in (
         *((f"finger {finger}: no wrench", topic) for finger, topic in topics.wrenches.items()),
+        *((f"finger {finger}: no contacts", topic) for finger, topic in topics.contacts.items()),
         ("no vision", topics.vision),
         ("no color images", topics.color),
         ("no depth images", topics.depth),

@@ -19,8 +19,8 @@ from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import written
 from handsight.messages.decode import rosbags_module, typestore
-from handsight.messages.topics import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
-from handsight.observation import Observation
+from handsight.messages.topics import CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
+from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
 LATEST = float(2**31)
@@ -102,6 +102,8 @@ class RecordingWriter(McapFile):
             self.append(topics.joint_states, JOINTS, stamp, header=top, **joints)
         for finger, wrench in observation.wrenches.items():
             self._write_wrench(stamp, finger, wrench)
+        for finger, contact in observation.contacts.items():
+            self._write_contact(stamp, finger, contact)
         if observation.T_world_palm is not None:
             palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
             top = header(stamp, frames["world"])
@@ -133,6 +135,22 @@ class RecordingWriter(McapFile):
         body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
         # The sensor's own frame; none of the rig's frame ids.
         self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
+
+    def _write_contact(self, stamp: float, finger: str, contact: ContactMeasurement | None) -> None:
+        """A contact's own covariance has no place in the message."""
+        topics, none = self._rig.topics.contacts, np.zeros(3)
+        if finger not in topics:
+            raise InvalidInput(f"contacts: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
+        named = {"tip": "", "palm": self._rig.frames["palm"]}
+        frame = "" if contact is None else named.get(contact.frame, contact.frame)
+        # Who does not say how hard it is touched is touched.
+        force = 0.0 if contact is None else 1.0 if contact.force is None else contact.force
+        point, normal = (none, none) if contact is None else (contact.point, contact.normal)
+        said = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
+        unsaid = {"tangential_force": parts("xyz", none), "l_torque": 0.0}
+        self.append(
+            topics[finger], CONTACT, stamp, header=header(stamp, frame), f_normal=force, **said, **unsaid
+        )
 
     def _write_image(
         self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[Any]
