@@ -111,10 +111,10 @@ def measured(running: Graph, rig: Path, bag: Path, name: str) -> str:
     play = running.run("rosbag", "play", "--quiet", "--wait-for-subscribers", "--delay=1", str(bag))
     play.wait()
     share = (sum(psutil.Process(node.pid).cpu_times()[:2]) - before) / (os.times().elapsed - began)
-    running.interrupt(recorder)
+    path = running.recorded(recorder)
     ended = running.interrupt(node)
-    late = 1e3 * latencies(recorder.path, inputs)
-    told = messages_of(recorder.path, "/diagnostics")[-1].status[1].values
+    late = 1e3 * latencies(path, inputs)
+    told = messages_of(path, "/diagnostics")[-1].status[1].values
     numbers = {each.key: each.value for each in told if re.fullmatch(r"[\d.]+", each.value)}
     skipped, dropped = numbers["skipped as newer ones waited"], numbers["dropped"]
     middle, most, worst = np.percentile(late, [50, 90, 99])
