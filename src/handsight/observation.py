@@ -48,6 +48,36 @@ class PoseMeasurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ContactMeasurement:
+    """Where a fingertip that senses contacts itself says it is touched."""
+
+    point: Array
+    """(3,) [m]."""
+    normal: Array
+    """(3,) the way the object pushes the tip. It is turned to lead into the tip, and its length does not matter."""
+    frame: str = "tip"
+    """In what both are given: `tip` (the rig's: origin at the surface's centre, the tip points along +z), `palm`, or
+    the name of the body that the tip moves with."""
+    force: float | None = None
+    """Along the normal [N]; None: it does not say. Below the tip's `min_force` there is no contact."""
+    covariance: Array | None = None
+    """(6, 6) of point [m] and normal [rad] along the frame's axes, the joints' errors not in it; None: as the rig's
+    finger says."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", checks.position(self.point, "contact.point", (3,)))
+        object.__setattr__(self, "normal", checks.unit(self.normal, "contact.normal", (3,)))
+        if not isinstance(self.frame, str) or not self.frame:
+            came = checks.brief(repr(self.frame))
+            raise InvalidInput(f"contact.frame: expected tip, palm or the name of a body, got {came}")
+        if self.force is not None:
+            checks.load(self.force, "contact.force", ())
+        if self.covariance is not None:
+            covariance = checks.covariance(self.covariance, "contact.covariance", (6, 6))
+            object.__setattr__(self, "covariance", covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Observation:
     """Joints, wrenches, vision and the palm's pose at one instant, each only if it was measured.
 
@@ -72,6 +102,9 @@ class Observation:
     """(h, w) along the optical axis [m], NaN where there is none."""
     image_stamp: float | None = None
     """When the images were taken [s], of the same clock; None: at `stamp`."""
+    contacts: Mapping[str, ContactMeasurement | None] = field(default_factory=dict)
+    """By finger, of tips that sense contacts themselves; None: it says that it touches nothing. Such a finger's
+    wrench is not asked for a contact."""
 
 
 def checked(observation: Observation) -> Observation:
@@ -93,7 +126,8 @@ def checked(observation: Observation) -> Observation:
     joints, wrenches, taken = observation.joint_positions, observation.wrenches, observation.image_stamp
     if taken is not None:
         taken = _seconds(taken, "observation.image_stamp")
-    return Observation(stamp, joints, wrenches, vision, T, observation.color, observation.depth, taken)
+    color, depth, contacts = observation.color, observation.depth, observation.contacts
+    return Observation(stamp, joints, wrenches, vision, T, color, depth, taken, contacts)
 
 
 def _seconds(stamp: float, name: str) -> float:

@@ -170,18 +170,37 @@ def test_a_simulator_at_a_tenth_of_real_time_is_one_clock():
     assert not stream.report.topics["/vision/object"].shifted
 
 
-def test_a_recording_played_in_a_loop_says_so():
-    rows = touched(300)
-    again = [(topic, log + 3.0, message) for topic, log, message in rows]
-    observations, stream = heard(rows + again)
-    assert len(observations) == 300
-    stamps = [seen.stamp for seen in observations]
-    assert stamps == sorted(set(stamps))
+def test_a_recording_played_in_a_loop_begins_anew_each_time_and_says_so():
+    """A transform of the end of the first round is none of the second's; a static one holds."""
+    rows, static = touched(300), [("/tf_static", START, M.tf(START, ("world", "base", np.eye(4))))]
+    moving = [("/tf", s, M.tf(s, ("base", "palm", np.eye(4)))) for s in grid(100)]
+    played = by_log(rows + static + moving)
+    observations, stream = heard([(topic, log + 3.0 * k, m) for k in range(3) for topic, log, m in played])
     report = stream.report
-    assert report.backwards[0] == pytest.approx(199, abs=2)
-    assert report.topics["/joint_states"].late + report.topics["/joint_states"].duplicated == 300
-    (said,) = (s for s in report.sentences() if "go back" in s)
-    assert said.startswith("/joint_states: stamps go back by up to 2.990 s from 1700000002.990 s on (")
+    assert len(observations) == 900
+    for once in (observations[k : k + 300] for k in (0, 300, 600)):
+        assert [seen.stamp for seen in once] == pytest.approx(grid(300), abs=1e-6)
+        assert all(set(seen.wrenches) == {"ff", "th"} for seen in once[1:])
+        placed = [seen.T_world_palm is not None for seen in once]
+        assert all(placed[2:109])
+        assert not any(placed[111:])
+    assert report.topics["/joint_states"].late == report.topics["/joint_states"].duplicated == 0
+    assert report.backwards[0] == 2
+    (said,) = (s for s in report.sentences() if "went back" in s)
+    assert said.startswith(
+        "/joint_states: stamps went back 2 times, by up to 2.990 s, first from 1700000002.990 s ("
+    )
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_or_two_stamps_far_back_are_late_and_begin_nothing(count):
+    rows = joints(grid(100))
+    for k in range(count):
+        rows[50 + k] = ("/joint_states", rows[50 + k][1], M.joints(START - 100 + 0.01 * k))
+    observations, stream = heard(rows)
+    assert len(observations) == 100 - count
+    assert stream.report.topics["/joint_states"].late == count
+    assert stream.report.backwards is None
 
 
 def test_one_stamp_far_ahead_does_not_silence_what_follows():

@@ -1,4 +1,4 @@
-"""The fast reader agrees with rosbags, and leaves to it what is out of the ordinary."""
+"""The fast readers agree with rosbags, and leave to it what is out of the ordinary."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight.messages.fast_cdr import FastCdrReader
+from handsight.messages.fast_ros1 import FastRos1Reader
 from messages.ros import START, Messages
 
-M = Messages()
+M, M1 = Messages(), Messages(ros=1)
 NAMES = st.lists(
     st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=9), max_size=6, unique=True
 )
+
+
+def encoded_ros1(message):
+    return bytes(M1.store.serialize_ros1(message, message.__msgtype__))
 
 
 def encoded(message, little=True):
@@ -21,19 +26,21 @@ def encoded(message, little=True):
 @given(NAMES, st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=9), st.data())
 def test_joint_states_are_what_rosbags_reads(names, frame, draw):
     lengths = st.integers(0, 5)
-    message = M.make(
-        "sensor_msgs/msg/JointState",
-        header=M.header(START + 0.25, frame),
-        name=names,
-        position=np.arange(draw.draw(lengths), dtype=np.float64),
-        velocity=np.ones(draw.draw(lengths)),
-        effort=np.ones(draw.draw(lengths)),
-    )
-    quick = FastCdrReader()
-    for _ in range(2):  # the second by the names it remembers
-        stamp, found, positions = quick.joints(encoded(message))
-        assert (stamp, list(found)) == (START + 0.25, names)
-        np.testing.assert_array_equal(positions, message.position)
+    counts = [draw.draw(lengths) for _ in range(3)]
+    for made, encode, quick in ((M, encoded, FastCdrReader()), (M1, encoded_ros1, FastRos1Reader())):
+        position, velocity, effort = (np.arange(count, dtype=np.float64) for count in counts)
+        message = made.make(
+            "sensor_msgs/msg/JointState",
+            header=made.header(START + 0.25, frame),
+            name=names,
+            position=position,
+            velocity=velocity,
+            effort=effort,
+        )
+        for _ in range(2):  # the second by the names it remembers
+            stamp, found, positions = quick.joints(encode(message))
+            assert (stamp, list(found)) == (START + 0.25, names)
+            np.testing.assert_array_equal(positions, position)
 
 
 def test_other_names_are_read_anew():
@@ -47,11 +54,14 @@ def test_other_names_are_read_anew():
     st.text(st.characters(codec="ascii", min_codepoint=32), max_size=9),
 )
 def test_wrenches_are_what_rosbags_reads(six, frame):
-    message = M.wrench(START + 0.25, six)
-    message = M.make(message.__msgtype__, header=M.header(START + 0.25, frame), wrench=message.wrench)
-    stamp, values = FastCdrReader().wrench(encoded(message))
-    assert stamp == START + 0.25
-    np.testing.assert_array_equal(values, six)
+    for made, encode, quick in ((M, encoded, FastCdrReader()), (M1, encoded_ros1, FastRos1Reader())):
+        message = made.wrench(START + 0.25, six)
+        message = made.make(
+            message.__msgtype__, header=made.header(START + 0.25, frame), wrench=message.wrench
+        )
+        stamp, values = quick.wrench(encode(message))
+        assert stamp == START + 0.25
+        np.testing.assert_array_equal(values, six)
 
 
 def test_big_endian_is_left_to_the_general_reader():
@@ -60,15 +70,16 @@ def test_big_endian_is_left_to_the_general_reader():
     assert quick.wrench(encoded(M.wrench(1.0, np.ones(6)), little=False)) is None
 
 
-@pytest.mark.parametrize("message", [M.joints(1.0), M.wrench(1.0, np.ones(6))], ids=["joints", "wrench"])
-@settings(max_examples=300, derandomize=True)
+@pytest.mark.parametrize("kind", ["joints", "wrench"])
+@pytest.mark.parametrize("ros", [1, 2])
+@settings(max_examples=150, derandomize=True)
 @given(data=st.data())
-def test_what_is_damaged_is_left_to_the_general_reader_or_is_well_formed(message, data):
-    spoilt = bytearray(encoded(message))
+def test_what_is_damaged_is_left_to_the_general_reader_or_is_well_formed(ros, kind, data):
+    made, encode, quick = ((M1, encoded_ros1, FastRos1Reader()), (M, encoded, FastCdrReader()))[ros - 1]
+    spoilt = bytearray(encode(made.joints(1.0) if kind == "joints" else made.wrench(1.0, np.ones(6))))
     for _ in range(data.draw(st.integers(1, 4))):
         spoilt[data.draw(st.integers(0, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
     spoilt = bytes(spoilt[: data.draw(st.integers(0, len(spoilt)))])
-    quick = FastCdrReader()
     found = quick.joints(spoilt)
     assert found is None or all(isinstance(name, str) for name in found[1])
     found = quick.wrench(spoilt)

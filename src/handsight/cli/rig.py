@@ -229,7 +229,7 @@ def _sensor(rig: "Rig", name: str) -> list[str]:
     finger = rig.fingers[name]
     scale = ("?", "?") if finger.full_scale is None else (f"{value:g}" for value in finger.full_scale)
     return [
-        rig.topics.wrenches.get(name, "none"),
+        rig.topics.wrenches.get(name, rig.topics.contacts.get(name, "none")),
         f"{1e3 * finger.sigma_force:g}",
         f"{1e3 * finger.sigma_torque:g}",
         *scale,

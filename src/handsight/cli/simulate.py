@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from handsight.rig import ObjectEntry, Rig
     from handsight.simulation import Grasp, Nuisances, Scenario
 
+BEGINS = 1000.0
+"""Stamp of a recording's first observation [s]: 0 is what robots say that do not know the time."""
 MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
@@ -116,8 +118,9 @@ def record(scenario: "Scenario", path: Path, grasp: "Grasp | None" = None) -> tu
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
         write_rig(rig, own_rig(path))
         for sample in simulate(scenario, advance, grasp):
-            writer.write(sample.observation)
-            writer.write_truth(sample.observation.stamp, sample.T_palm_object)
+            observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
+            writer.write(observation)
+            writer.write_truth(observation.stamp, sample.T_palm_object)
             samples, dropped = samples + 1, sample.dropped
     return samples, dropped
 

@@ -163,7 +163,14 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
     with written(folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows = [
-        TrackRow(step.stamp, step.estimate.T_palm_object, step.estimate.covariance, step.state, step.reason)
+        TrackRow(
+            step.stamp,
+            step.estimate.T_palm_object,
+            step.estimate.covariance,
+            step.state,
+            step.reason,
+            step.estimate.information,
+        )
         for step in ended.steps
     ]
     files: dict[str, Callable[..., None]] = {

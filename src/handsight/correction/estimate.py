@@ -14,6 +14,9 @@ from handsight import checks, se3
 from handsight._kernels.records import ANSWER, PRIOR
 from handsight.checks import Array
 
+OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
+"""(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
+
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
@@ -155,6 +158,11 @@ class PoseEstimate:
         return information
 
     @property
+    def bounded_covariance(self) -> Array:
+        """(6, 6): `covariance`, or where that is None one whose open directions have a stated large variance."""
+        return bounded_covariance(self.information) if self.covariance is None else self.covariance
+
+    @property
     def converged(self) -> bool:
         """Whether the solver ended on a step too small to matter."""
         return bool(self.answer["converged"])
@@ -188,6 +196,16 @@ class PoseEstimate:
         fits = "consistent" if self.consistent else "inconsistent"
         count = f"{len(self.modes)} mode{'s' * (len(self.modes) != 1)}"
         return f"<PoseEstimate at ({place}) mm: {ended}, {fits}, {count}, {len(self.unobservable)} directions open>"
+
+
+def bounded_covariance(information: Array) -> Array:
+    """(6, 6) of (δp [m], δθ [rad]): the inverse of an information (6, 6) that may be singular.
+
+    The information is taken together with a prior that knows nothing, `OPEN_VARIANCES`. So where a direction is open,
+    the largest eigenvalue is at least 1, about a spin through the origin π²/3; no pose that is known has one near it.
+    For those that take covariances alone: a filter reads zeros as certainty.
+    """
+    return np.asarray(np.linalg.inv(information + np.diag(1 / OPEN_VARIANCES)))
 
 
 def _hypothesis(mode: np.void) -> Hypothesis:

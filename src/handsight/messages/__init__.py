@@ -10,8 +10,9 @@ observations that are complete by then. What may be relied on:
   by the difference; but a vision pose, an image or a truth that comes up to 2 s later than its stamp was slow, not
   wrong, and keeps it.
 * **Order**: messages are put in order of stamp through a window of 0.2 s (and the differences of offset that were
-  left as they are). What comes later than that is dropped, and counted as late. So is what follows where stamps go
-  back for good. Joint states that jump ahead by more than 1 s must agree with the next ones, else they are bad.
+  left as they are). What comes later than that is dropped, and counted as late. Joint states that jump ahead by more
+  than 1 s must agree with the next ones, else they are bad. Three in a row that are back by more than 1 s say that the
+  clock was set back, or that a recording is played in a loop: what was heard is let go, and all begins anew.
 * **Observations**: one per joint state message, at its stamp (messages of one stamp give one), with the positions of
   all that publish joint states (at most 0.1 s old), the newest wrench of each finger (0.05 s), `T_world_palm` from
   /tf (each transform static or 0.1 s), and the newest vision pose and images since the last one (0.2 s).

@@ -7,10 +7,11 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import FARTHEST, Array
+from handsight.messages.clocks import MAX_JUMP
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.units import Units
-from handsight.observation import Observation
+from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
 MAX_AGE_JOINTS, MAX_AGE_TRANSFORM, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.1, 0.05, 0.2
@@ -31,25 +32,39 @@ class ObservationAssembler:
 
     def __init__(self, rig: Rig, report: Report) -> None:
         self._rig, self._report = rig, report
-        self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
-        self._sensors: dict[str, WrenchSensor] = {}
-        self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
-        self._due: float | None = None  # stamp of joint states without an observation
         self._units = report.units = Units(rig)
         self.tree = TransformTree()
         self.truth: list[tuple[float, Array]] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing was heard but what holds for ever."""
+        self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
+        self._sensors: dict[str, WrenchSensor] = {}
+        self._contacts: dict[str, Measurement] = {}
+        self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
+        self.due: float | None = None
+        """Stamp of joint states without an observation."""
+        self._newest = -float("inf")
+        self.tree.keep_static()
 
     def put(self, measurement: Measurement) -> Observation | None:
         """The observation of the joint states before this measurement, if it completes it."""
-        done = self.finish() if self._due is not None and measurement.stamp > self._due else None
+        again = measurement.stamp < self._newest - MAX_JUMP  # in order as they are: the clock went back
+        done = self.finish() if self.due is not None and (again or measurement.stamp > self.due) else None
+        if again:
+            self._begin()
+        self._newest = max(self._newest, measurement.stamp)
         role = measurement.topic.role
         if role == "joints":
             if len(self._joints) >= MAX_PUBLISHERS:
                 self._joints.clear()
             self._joints[tuple(measurement.value)] = measurement
-            self._due = measurement.stamp
+            self.due = measurement.stamp
         elif role == "wrench":
             self._take_wrench(measurement)
+        elif role == "contact":
+            self._contacts[measurement.topic.finger] = measurement
         elif role == "tf":
             self.tree.put(measurement.value, measurement.stamp)
         elif role == "truth":
@@ -60,9 +75,9 @@ class ObservationAssembler:
 
     def finish(self) -> Observation | None:
         """The observation of the newest joint states, if they have none yet."""
-        if self._due is None:
+        if self.due is None:
             return None
-        stamp, self._due = self._due, None
+        stamp, self.due = self.due, None
         self._joints = {
             names: each for names, each in self._joints.items() if stamp - each.stamp <= MAX_AGE_JOINTS
         }
@@ -85,6 +100,7 @@ class ObservationAssembler:
             wrenches=self._wrenches(stamp),
             T_world_palm=T_world_palm,
             image_stamp=None if image is None else image.stamp,
+            contacts=self._contacts_at(stamp),
             **vision,
         )
         self._units.put(observation)
@@ -102,6 +118,16 @@ class ObservationAssembler:
             sensor = self._sensors.get(finger)
             if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= MAX_AGE_WRENCH:
                 found[finger] = sensor.wrench
+            else:
+                self._report.without[finger] += 1
+        return found
+
+    def _contacts_at(self, stamp: float) -> dict[str, ContactMeasurement | None]:
+        found = {}
+        for finger in self._rig.topics.contacts:
+            said = self._contacts.get(finger)
+            if said is not None and stamp - said.stamp <= MAX_AGE_WRENCH:
+                found[finger] = said.value
             else:
                 self._report.without[finger] += 1
         return found
@@ -172,6 +198,10 @@ class TransformTree:
         parent, child, T_parent_child = transform
         if child in self._to_child or len(self._to_child) < MAX_FRAMES:
             self._to_child[child] = parent, T_parent_child, stamp
+
+    def keep_static(self) -> None:
+        """Forgets all transforms that are of a time."""
+        self._to_child = {child: each for child, each in self._to_child.items() if each[2] == float("inf")}
 
     @property
     def frames(self) -> set[str]:

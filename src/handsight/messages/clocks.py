@@ -20,7 +20,10 @@ SLOW = ("vision", "truth", "color", "depth")
 REORDER_WINDOW = 0.2
 """Of stamps, to put messages in order [s]."""
 MAX_JUMP = 1.0
-"""Joint states that jump ahead by more must be confirmed by the next, and back by more are told [s]."""
+"""Joint states that jump ahead by more must be confirmed by the next, and back by more by the next two [s]."""
+CONFIRMED_BACK = 3
+"""So many joint states in a row that are back say that the clock is."""
+FAR_AHEAD = "stamp far ahead of those before and after"
 MAX_WAITING, MAX_WAITING_BYTES, MAX_PUBLISHERS = 50_000, 1 << 28, 1000
 """What is kept at most: measurements, and whose stamps are known."""
 
@@ -61,6 +64,10 @@ class Clocks:
         over = over or (is_joints and measurement.stamp > first.stamp + COMPARED)
         return self.finish() if full or over else ()
 
+    def restart(self) -> None:
+        """The joint states' clock was set back: what begins from now on is compared with those from now on."""
+        self._joint_offsets.clear()
+
     def finish(self) -> list[Measurement]:
         """Those that wait, as `put`: nothing more comes in the first second."""
         begun, self._begun = self._begun or (), None
@@ -99,7 +106,13 @@ class Clocks:
 
 
 class ReorderBuffer:
-    """Measurements on one clock, in order of stamp, through a window that the joint states move on."""
+    """Measurements on one clock, in order of stamp, through a window that the joint states move on.
+
+    Where the joint states go back for good, all that waits is let go, and the order begins anew.
+    """
+
+    complete = -float("inf")
+    """Nothing up to this stamp is waited for: joint states up to it are observations [s]."""
 
     def __init__(self, report: Report) -> None:
         self._report, self._clocks = report, Clocks()
@@ -107,26 +120,65 @@ class ReorderBuffer:
         self._bytes, self._count = 0, itertools.count()
         self._newest, self._released = -float("inf"), -float("inf")
         self._jumped: Measurement | None = None
+        self._back: list[Measurement] = []  # since joint states went back, as long as that is not confirmed
         self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
 
     def put(self, measurement: Measurement) -> Iterator[Measurement]:
-        """Those that are in order with this one, without the late and the duplicated."""
+        """Those that are in order with this one, without the late and the duplicated; some have waited till now."""
         for aligned in self._clocks.put(measurement):
-            self._insert(aligned)
-            yield from self._pop(self._edge())
+            yield from self._insert(aligned)
+
+    def ready(self) -> Iterator[Measurement]:
+        """Those that are in order by now, without another."""
+        yield from self._pop(self._edge())
 
     def finish(self) -> Iterator[Measurement]:
-        """Those that wait: no more come."""
+        """Those that wait: no more come, or none for long."""
         for aligned in self._clocks.finish():
-            self._insert(aligned)
-            yield from self._pop(self._edge())
-        if self._jumped is not None:
-            self._push(self._jumped)
+            yield from self._insert(aligned)
+        for each in self._not_back() if self._jumped is None else (*self._not_back(), self._jumped):
+            self._push(each)
+        self._jumped = None
         yield from self._pop(float("inf"))
 
-    def _insert(self, measurement: Measurement) -> None:
-        for each in self._confirmed(measurement) if measurement.topic.role == "joints" else (measurement,):
+    def _insert(self, measurement: Measurement) -> Iterator[Measurement]:
+        """Those that are in order with this one, which is in the clock of the joint states."""
+        is_joints = measurement.topic.role == "joints"
+        if measurement.stamp < self._newest - MAX_JUMP and (is_joints or self._back):
+            self._back.append(measurement)
+            if sum(each.topic.role == "joints" for each in self._back) < CONFIRMED_BACK:
+                return
+            yield from self._restart()
+        else:
+            put = (*self._not_back(), *self._confirmed(measurement)) if is_joints else (measurement,)
+            for each in put:
+                self._push(each)
+        yield from self._pop(self._edge())
+
+    def _not_back(self) -> list[Measurement]:
+        """What seemed to begin anew, and does not: it is late."""
+        back, self._back = self._back, []
+        return back
+
+    def _restart(self) -> Iterator[Measurement]:
+        """All that waits; then the order begins with what is back."""
+        joints = [each for each in self._back if each.topic.role == "joints"]
+        count, far, stamp = self._report.backwards or (0, 0.0, self._newest)
+        self._report.backwards = count + 1, max(far, self._newest - joints[0].stamp), stamp
+        if self._jumped is not None:
+            self._jumped.topic.reject(MessageRejected(FAR_AHEAD))
+            self._jumped = None
+        yield from self._pop(float("inf"))
+        self._forget()
+        self._newest = max(each.stamp for each in joints)
+        for each in self._not_back():
             self._push(each)
+
+    def _forget(self) -> None:
+        """What was released is of an earlier time."""
+        self._released = -float("inf")
+        self._last_stamps.clear()
+        self._clocks.restart()
 
     def _edge(self) -> float:
         """Stamps up to this are in order."""
@@ -140,13 +192,10 @@ class ReorderBuffer:
             if ahead and abs(joints.stamp - jumped.stamp) <= MAX_JUMP:
                 self._newest = max(joints.stamp, jumped.stamp)
                 return jumped, joints
-            joints.topic.reject(MessageRejected("stamp far ahead of those before and after"))
+            joints.topic.reject(MessageRejected(FAR_AHEAD))
         if ahead:
             self._jumped = joints
             return ()
-        if joints.stamp < self._newest - MAX_JUMP:
-            count, far, stamp = self._report.backwards or (0, 0.0, self._newest)
-            self._report.backwards = (count + 1, max(far, self._newest - joints.stamp), stamp)
         self._newest = max(self._newest, joints.stamp)
         return (joints,)
 
@@ -154,6 +203,9 @@ class ReorderBuffer:
         if measurement.stamp < max(self._released, self._edge()):
             measurement.topic.late += 1
             return
+        self._keep(measurement)
+
+    def _keep(self, measurement: Measurement) -> None:
         heapq.heappush(self._waiting, (measurement.stamp, next(self._count), measurement))
         self._bytes += measurement.size
 
@@ -165,9 +217,8 @@ class ReorderBuffer:
             self._released, _, measurement = heapq.heappop(self._waiting)
             self._bytes -= measurement.size
             topic = measurement.topic
-            # Several may publish transforms, or joint states, with one stamp: each its own names.
             if topic.role != "tf":
-                publisher = topic.name, tuple(measurement.value) if topic.role == "joints" else ()
+                publisher = publisher_of(measurement)
                 if self._last_stamps.get(publisher) == self._released:
                     topic.duplicated += 1
                     continue
@@ -176,3 +227,10 @@ class ReorderBuffer:
                 self._last_stamps[publisher] = self._released
             topic.use(self._released)
             yield measurement
+
+
+def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:
+    """What is told apart of one stamp: several may publish joint states or transforms, each its own names."""
+    topic, value = measurement.topic, measurement.value
+    names = {"joints": tuple, "tf": lambda link: link[:2]}
+    return topic.name, names[topic.role](value) if topic.role in names else ()

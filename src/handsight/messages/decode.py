@@ -1,4 +1,4 @@
-"""ROS messages to what an `Observation` is made of; rosbags reads what `fast_cdr` does not."""
+"""ROS messages to what an `Observation` is made of; rosbags reads what the fast readers do not."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ import numpy as np
 
 from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import images
-from handsight.messages.fast_cdr import FastCdrReader
-from handsight.messages.topics import TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
+from handsight.messages import images, touch
+from handsight.messages.fast import FastReaders
+from handsight.messages.topics import CONTACT, TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 from handsight.vision import PinholeCamera
 
@@ -51,7 +51,7 @@ class Measurement:
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
-    """By role: dict of positions; (6,); PoseMeasurement; (4, 4); image; CameraIntrinsics;
+    """By role: dict of positions; (6,); ContactMeasurement or None; PoseMeasurement; (4, 4); image; CameraIntrinsics;
     parent, child and `T_parent_child` (4, 4)."""
 
     @property
@@ -61,7 +61,7 @@ class Measurement:
 
 
 def decode(
-    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastCdrReader
+    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastReaders
 ) -> list[Measurement]:
     """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
 
@@ -75,7 +75,8 @@ def decode(
             message = _deserialized(raw)
             if topic.role in ("tf", "tf_static"):
                 return _transforms(message, raw, topic)
-            found = _stamp(message), READERS[topic.role](message, frames)
+            named = frames if topic.role != "contact" else {**frames, "tip": topic.body}
+            found = _stamp(message), READERS[topic.role](message, named)
         topic.messages += 1
         return [Measurement(topic, found[0], raw.log_time, found[1])]
     except MessageRejected as error:
@@ -84,11 +85,14 @@ def decode(
         return []
 
 
-def _decode_fast(raw: RawMessage, role: Role, fast: FastCdrReader) -> tuple[float, Any] | None:
-    """Stamp and value."""
-    if raw.encoding == "cdr" and role == "wrench" and (wrench := fast.wrench(raw.data)):
+def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float, Any] | None:
+    """Stamp and value; None: rosbags must read it."""
+    reader = fast.get(raw.encoding)
+    if reader is None:
+        return None
+    if role == "wrench" and (wrench := reader.wrench(raw.data)):
         return wrench[0], _wrench(wrench[1])
-    if raw.encoding == "cdr" and role == "joints" and (joints := fast.joints(raw.data)):
+    if role == "joints" and (joints := reader.joints(raw.data)):
         return joints[0], _positions(joints[1], joints[2])
     return None
 
@@ -131,6 +135,7 @@ def typestore(encoding: str) -> Any:
     store = typesys.get_typestore(stores[encoding])
     if TF not in store.types:  # ROS 1's own messages have only its forerunner
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    store.register(typesys.get_types_from_msg(touch.SHADOW_CONTACT, CONTACT))
     return store
 
 
@@ -283,6 +288,7 @@ def _cut(K: Array, message: Any) -> tuple[Array, tuple[int, int]]:
 READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {
     "joints": lambda message, _: _positions(message.name, message.position.tolist()),
     "wrench": _wrench_message,
+    "contact": touch.contact,
     "vision": _vision,
     "truth": _truth,
     "color": lambda message, _: images.color(message),

@@ -29,12 +29,12 @@ class Report:
     placed: int = 0
     """How many have `T_world_palm`."""
     without: Counter[str] = field(default_factory=Counter)
-    """By finger: observations without its wrench."""
+    """By finger: observations without its wrench, or without word of its contact."""
     fingers: dict[str, str] = field(default_factory=dict)
     """By finger: what is wrong with its sensor."""
     backwards: tuple[int, float, float] | None = None
-    """Joint states whose stamp is more than 1 s before an earlier one's: how many, how far back at most [s], and the
-    stamp from where the first of them went back [s]."""
+    """Joint states went back by more than 1 s for good: how often, how far at most [s], and the stamp from where they
+    did so first [s]."""
     units: Units | None = None
     """What came in other units, it seems."""
     ended: bool = False
@@ -46,8 +46,8 @@ class Report:
         if self.backwards:
             count, far, stamp = self.backwards
             said.append(
-                f"{self.joint_states}: stamps go back by up to {far:.3f} s from "
-                f"{stamp:.3f} s on ({count} messages; played in a loop, or a clock that was set back?)"
+                f"{self.joint_states}: stamps went back {count} times, by up to {far:.3f} s, first from {stamp:.3f} s "
+                "(played in a loop, or a clock that was set back?): a new track each time"
             )
         said += few([f"finger {finger}: {what}" for finger, what in self.fingers.items()])
         said += [] if self.units is None else self.units.sentences()
@@ -82,6 +82,7 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None
     for what, topic in (
         *((f"finger {finger}: no wrench", topic) for finger, topic in topics.wrenches.items()),
+        *((f"finger {finger}: no contacts", topic) for finger, topic in topics.contacts.items()),
         ("no vision", topics.vision),
         ("no color images", topics.color),
         ("no depth images", topics.depth),

@@ -1,11 +1,11 @@
 """Raw messages to Observations, one at a time: what recordings and live robots have in common."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from handsight.messages.assemble import ObservationAssembler
 from handsight.messages.clocks import ReorderBuffer
 from handsight.messages.decode import CameraIntrinsics, Measurement, decode
-from handsight.messages.fast_cdr import FastCdrReader
+from handsight.messages.fast import FastReaders
 from handsight.messages.report import Report, missing
 from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
@@ -27,11 +27,16 @@ class ObservationStream:
     """
 
     def __init__(
-        self, rig: Rig, topics: Mapping[str, str] | None = None, *, report: Report | None = None
+        self,
+        rig: Rig,
+        topics: Mapping[str, str] | None = None,
+        *,
+        report: Report | None = None,
+        order: Callable[[Report], ReorderBuffer] = ReorderBuffer,
     ) -> None:
         """`topics`: type by topic, of all that are known to be there; others are taken in as they are heard.
 
-        `report`: a new one that is to be filled.
+        `report`: a new one that is to be filled. `order`: what makes of measurements as they come those in order.
         """
         self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
         """What the rig listens to, by name; what is put in of others is passed over."""
@@ -46,7 +51,7 @@ class ObservationStream:
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
         self._depth_size: tuple[int, ...] | None = None
-        self._fast, self._order = FastCdrReader(), ReorderBuffer(self.report)
+        self._fast, self.order = FastReaders(), order(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
@@ -72,17 +77,30 @@ class ObservationStream:
                     self._depth_size = measurement.value.shape[1::-1]
                 if topic.role == "joints" and len(self._joint_names) < MAX_NAMES:
                     self._joint_names.update(measurement.value)
-                found += self._assembled(self._order.put(measurement))
+                found += self._assembled(self.order.put(measurement))
         return found
+
+    def ready(self) -> list[Observation]:
+        """The observations that have waited long enough, where the order waits by the clock."""
+        return self._assembled(self.order.ready())
+
+    def flush(self) -> list[Observation]:
+        """The observations that wait, though more may come: nothing has come for long."""
+        found, last = self._assembled(self.order.finish()), self._assembler.finish()
+        return found if last is None else [*found, last]
 
     def finish(self) -> list[Observation]:
         """The last observations: no message comes any more."""
-        found, last = self._assembled(self._order.finish()), self._assembler.finish()
+        found = self.flush()
         self.report.ended = True
-        return found if last is None else [*found, last]
+        return found
 
     def _assembled(self, ordered: Iterable[Measurement]) -> list[Observation]:
-        return [done for each in ordered if (done := self._assembler.put(each)) is not None]
+        found = [done for each in ordered if (done := self._assembler.put(each)) is not None]
+        due = self._assembler.due
+        if due is not None and due <= self.order.complete and (last := self._assembler.finish()) is not None:
+            found.append(last)
+        return found
 
     def lacks(self) -> list[str]:
         """What the rig needs and was not heard, or of another size, a sentence each; empty: nothing.

@@ -7,11 +7,12 @@ from typing import Literal, NamedTuple
 
 from handsight.rig import Rig
 
-Role = Literal["joints", "wrench", "vision", "truth", "color", "depth", "tf", "tf_static", "info"]
+Role = Literal["joints", "wrench", "contact", "vision", "truth", "color", "depth", "tf", "tf_static", "info"]
 
 JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
+CONTACT = "sr_robot_msgs/msg/ShadowContactStateStamped"
 TF, TF_ROS1 = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, TF_ROS1)
 
@@ -54,7 +55,9 @@ class TopicReport:
     expected: tuple[str, ...]
     """Types that it may have."""
     finger: str = ""
-    """Of a wrench."""
+    """Of a wrench or a contact."""
+    body: str = ""
+    """Of a contact: the body of the hand that the tip moves with."""
     type: str = ""
     messages: int = 0
     used: int = 0
@@ -122,6 +125,9 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     topics = rig.topics
     found = [TopicReport(topics.joint_states, "joints", (JOINTS,))]
     found += [TopicReport(topic, "wrench", (WRENCH,), finger) for finger, topic in topics.wrenches.items()]
+    for finger, topic in topics.contacts.items():
+        body = rig.fingers[finger].frame if finger in rig.fingers else ""
+        found.append(TopicReport(topic, "contact", (CONTACT,), finger, body))
     with_tf = topics.tf is not None and rig.world_from == "tf"
     others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
         ("tf", topics.tf if with_tf else None, TRANSFORMS),

@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight.checks import Array
+from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import written
 from handsight.messages.decode import rosbags_module, typestore
-from handsight.messages.topics import IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
-from handsight.observation import Observation
+from handsight.messages.topics import CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
+from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
 LATEST = float(2**31)
@@ -101,6 +102,8 @@ class RecordingWriter(McapFile):
             self.append(topics.joint_states, JOINTS, stamp, header=top, **joints)
         for finger, wrench in observation.wrenches.items():
             self._write_wrench(stamp, finger, wrench)
+        for finger, contact in observation.contacts.items():
+            self._write_contact(stamp, finger, contact)
         if observation.T_world_palm is not None:
             palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
             top = header(stamp, frames["world"])
@@ -132,6 +135,22 @@ class RecordingWriter(McapFile):
         body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
         # The sensor's own frame; none of the rig's frame ids.
         self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
+
+    def _write_contact(self, stamp: float, finger: str, contact: ContactMeasurement | None) -> None:
+        """A contact's own covariance has no place in the message."""
+        topics, none = self._rig.topics.contacts, np.zeros(3)
+        if finger not in topics:
+            raise InvalidInput(f"contacts: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
+        named = {"tip": "", "palm": self._rig.frames["palm"]}
+        frame = "" if contact is None else named.get(contact.frame, contact.frame)
+        # Who does not say how hard it is touched is touched.
+        force = 0.0 if contact is None else 1.0 if contact.force is None else contact.force
+        point, normal = (none, none) if contact is None else (contact.point, contact.normal)
+        said = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
+        unsaid = {"tangential_force": parts("xyz", none), "l_torque": 0.0}
+        self.append(
+            topics[finger], CONTACT, stamp, header=header(stamp, frame), f_normal=force, **said, **unsaid
+        )
 
     def _write_image(
         self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[Any]
@@ -173,7 +192,7 @@ def pose(T: Array) -> Message:
 
 
 def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
-    """A geometry_msgs/PoseWithCovariance; without covariance it is all zero."""
+    """A geometry_msgs/PoseWithCovariance; all zero is what drivers send that do not know it."""
     flat = np.zeros(36) if covariance is None else np.asarray(covariance, dtype=np.float64).ravel()
     return Message(pose=pose(T), covariance=flat)
 
@@ -214,6 +233,8 @@ class TrackRow:
     """tracking, uncertain or lost."""
     reason: str = ""
     """Why it is not tracking; empty: it is."""
+    information: Array | None = None
+    """(6, 6) that may be singular, for where the covariance is None; None: nothing is known."""
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stamp):
@@ -223,17 +244,29 @@ class TrackRow:
         if self.covariance is not None:
             covariance = checks.covariance(self.covariance, "row.covariance", (6, 6))
             object.__setattr__(self, "covariance", covariance)
+        if self.information is not None:
+            information = checks.finite(self.information, "row.information", (6, 6))
+            object.__setattr__(self, "information", information)
+
+    @property
+    def bounded_covariance(self) -> Array:
+        """(6, 6) with a stated large variance where it is unbounded, or not known."""
+        if self.covariance is not None:
+            return self.covariance
+        return bounded_covariance(np.zeros((6, 6)) if self.information is None else self.information)
 
 
 def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
-    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id; no covariance is all zero.
+    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id.
 
-    Raises InvalidFile, MissingExtra.
+    Where a covariance is unbounded, open directions have a variance of a metre and a whole turn (π²/3): its largest
+    eigenvalue is then at least 1. Raises InvalidFile, MissingExtra.
     """
     with McapFile(Path(path)) as file:
         for row in rows:
             if row.T_palm_object is not None:
-                top, pose = header(row.stamp, frame), pose_with_covariance(row.T_palm_object, row.covariance)
+                top = header(row.stamp, frame)
+                pose = pose_with_covariance(row.T_palm_object, row.bounded_covariance)
                 file.append(TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
 
 

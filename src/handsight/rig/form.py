@@ -228,6 +228,8 @@ class FramesForm(Form):
 class TopicsForm(Form):
     joint_states: Text | None = None
     wrenches: dict[str, Text] | None = None
+    contacts: dict[str, Text] | None = None
+    """Of tips that sense contacts themselves."""
     vision: Text | None = None
     tf: Text | None = None
     color: Text | None = None

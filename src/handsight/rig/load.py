@@ -65,8 +65,10 @@ def _hand(form: RigForm, file: YamlFile) -> Hand:
 
 def _topics(form: RigForm, file: YamlFile) -> Topics:
     said = {} if form.topics is None else form.topics.given()
-    for name in said.get("wrenches", ()):
-        if name not in form.fingers:
-            unknown = f"unknown finger{checks.among(name, form.fingers)}"
-            raise file.wrong(("topics", "wrenches", name), unknown)
-    return Topics(**({"wrenches": {name: f"/{name}/wrench" for name in form.fingers}} | said))
+    for kind in ("wrenches", "contacts"):
+        for name in said.get(kind, ()):
+            if name not in form.fingers:
+                unknown = f"unknown finger{checks.among(name, form.fingers)}"
+                raise file.wrong(("topics", kind, name), unknown)
+    felt = [name for name in form.fingers if name not in said.get("contacts", ())]
+    return Topics(**({"wrenches": {name: f"/{name}/wrench" for name in felt}} | said))

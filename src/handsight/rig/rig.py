@@ -134,6 +134,8 @@ class Topics:
     joint_states: str = "/joint_states"
     wrenches: Mapping[str, str] = field(default_factory=dict)
     """By finger."""
+    contacts: Mapping[str, str] = field(default_factory=dict)
+    """By finger, of tips that sense contacts themselves: ShadowContactStateStamped."""
     vision: str | None = "/vision/object"
     """PoseStamped or PoseWithCovarianceStamped."""
     tf: str | None = "/tf"
@@ -241,9 +243,10 @@ def shared(rig: Rig) -> tuple[FieldPath, str] | None:
     topics: dict[FieldPath, str] = {
         ("topics", item.name): getattr(rig.topics, item.name)
         for item in fields(rig.topics)
-        if item.name != "wrenches" and getattr(rig.topics, item.name) is not None
+        if isinstance(getattr(rig.topics, item.name), str)
     }
     topics |= {("topics", "wrenches", name): topic for name, topic in rig.topics.wrenches.items()}
+    topics |= {("topics", "contacts", name): topic for name, topic in rig.topics.contacts.items()}
     for kind, values in (("body", frames), ("topic", topics)):
         owners = dict[str, FieldPath]()
         for path, value in values.items():

@@ -122,8 +122,10 @@ table:   # objects stand on it until they are lifted
 def _topics(topics: Topics) -> str:
     keys = ("joint_states", "vision", "tf", "color", "depth", "camera_info", "truth")
     named = _section("topics", {key: getattr(topics, key) for key in keys})
-    wrenches = {_said(name): topic for name, topic in topics.wrenches.items()}
-    return named + indent(_section("wrenches", wrenches), "  ")
+    for kind in ("wrenches", "contacts"):
+        by_finger = {_said(name): topic for name, topic in getattr(topics, kind).items()}
+        named += indent(_section(kind, by_finger), "  ")
+    return named
 
 
 def _object(entry: ObjectEntry) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig, Table
 from handsight.tracking.joint_offsets import JointOffsets
+from handsight.tracking.ready_contacts import put_ready
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
@@ -61,6 +62,7 @@ class FingertipSensors:
         a finger that touches it seems to touch the object.
         """
         readings = self._readings(observation.wrenches)
+        readings[[name in observation.contacts for name in self.names]] = np.nan  # they say more themselves
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
@@ -76,6 +78,8 @@ class FingertipSensors:
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         felt = np.empty(len(self.names), dtype=PALM_CONTACT)
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, felt)
+        if observation.contacts:
+            put_ready(self.rig, observation.contacts, Ts_palm_tip, by_error, felt)
         if T is not None and self.rig.table is not None:
             felt["reason"][_on_table(felt, self.rig.table, T)] = ON_TABLE
 
@@ -109,11 +113,13 @@ def _on_table(felt: NDArray[np.void], table: Table, T_world_palm: Array) -> Indi
     rows, up = np.flatnonzero(felt["reason"] == 0), T_world_palm[2, :3]
     covariance, normals = felt["covariance"][rows], felt["normal"][rows]
     height = felt["point"][rows] @ up + (T_world_palm[2, 3] - table.height)
-    variance_height = np.einsum("i,nij,j->n", up, covariance[:, :3, :3], up) + table.sigma_height**2
-    angle = np.arctan2(np.linalg.norm(np.cross(normals, up), axis=1), normals @ up)
+    variance_height = (covariance[:, :3, :3] @ up) @ up + table.sigma_height**2
+    near = height**2 < TABLE_WITHIN**2 * variance_height
+    if not near.any():
+        return np.asarray(rows[near])
+    angle = np.arccos(np.clip(normals @ up, -1.0, 1.0))
     variance_angle = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + table.sigma_tilt**2
-    near = np.maximum(height**2 / variance_height, angle**2 / variance_angle) < TABLE_WITHIN**2
-    return np.asarray(rows[near])
+    return np.asarray(rows[near & (angle**2 < TABLE_WITHIN**2 * variance_angle)])
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:

@@ -1,0 +1,26 @@
+"""Messages of ROS 1 as the bytes they are, in and out: decoding and encoding are handsight's."""
+
+import rospy
+
+from handsight.messages import RawMessage
+from handsight.messages.decode import typestore
+
+
+def ros2_name(kind):
+    """`package/msg/Name`, of a type as ROS 1 writes it."""
+    package, _, name = kind.partition("/")
+    return f"{package}/msg/{name}"
+
+
+def heard(topic, message):
+    """An AnyMsg that came now."""
+    kind = ros2_name(message._connection_header["type"])
+    return RawMessage(topic, kind, "ros1", rospy.get_time(), message._buff)
+
+
+def bytes_of(kind):
+    """A class of messages of that type that are published as the bytes they are given."""
+    definition, md5 = typestore("ros1").generate_msgdef(kind, ros_version=1)
+    package, _, name = kind.split("/")
+    fields = {"__slots__": [], "_type": f"{package}/{name}", "_md5sum": md5, "_full_text": definition}
+    return type(name, (rospy.AnyMsg,), fields)

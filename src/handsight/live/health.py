@@ -1,0 +1,93 @@
+"""How a running tracker does, as diagnostics: in words why its state is what it is, and in numbers."""
+
+import time
+from collections import Counter, deque
+from statistics import median
+
+from handsight.errors import printable
+from handsight.live.answers import LEVELS, OK, WARN, Status
+from handsight.messages import ObservationStream
+from handsight.tracking import Tracker
+
+EVERY = 1.0
+"""Between two, while nothing changes [s]."""
+SOONEST = 0.1
+"""Between two, if the state flickers [s]."""
+MOST_TOLD = 20
+NOTED_FOR = 10.0
+"""What was asked for is told so long [s]."""
+
+
+class Health:
+    """What is told once a second, and when the state changes."""
+
+    def __init__(self, stream: ObservationStream, dropped: Counter[str]) -> None:
+        self.skipped = 0
+        self._stream, self._dropped = stream, dropped
+        self._refusals = Counter[str]()
+        self._latencies = deque[float](maxlen=500)
+        self._said: tuple[str, str] = ("", "")
+        self._told, self._notes = -EVERY, deque[tuple[float, str]](maxlen=5)
+
+    def noted(self, said: str) -> None:
+        """Takes note of what came of something that was asked for."""
+        self._notes.append((time.monotonic(), printable(said)))
+        self._said = ("", "")
+
+    def refused(self, said: str) -> None:
+        """Counts an observation that was wrong in itself."""
+        self._refusals[said if said in self._refusals or len(self._refusals) < MOST_TOLD else "others"] += 1
+
+    def answered(self, seconds: float) -> None:
+        """Takes note of how long a message took to be answered."""
+        self._latencies.append(seconds)
+
+    def due(self, tracker: Tracker) -> bool:
+        """Whether it is time to tell, or there is something new."""
+        now, passed = time.monotonic(), time.monotonic() - self._told
+        state = tracker.state, tracker.reason if tracker.state == "lost" else ""
+        if passed < (SOONEST if state[0] != self._said[0] else EVERY):
+            return False
+        self._told, self._said = now, state
+        return True
+
+    def statuses(self, tracker: Tracker, stream: ObservationStream) -> list[Status]:
+        """Of the pose, and of what is heard."""
+        return [self._of_pose(tracker), self._of_input(tracker, stream)]
+
+    def _of_pose(self, tracker: Tracker) -> Status:
+        estimate = tracker.estimate
+        values: dict[str, object] = {
+            "state": tracker.state,
+            "object": tracker.model.name,
+            "touching": ", ".join(tracker.fingertips.fingers) or "nothing",
+            "position known to [mm]": f"{1e3 * tracker.sigma:.1f}",
+            "open directions": "" if estimate is None else len(estimate.unobservable),
+            "corrections": tracker.corrections,
+        }
+        values |= {f"no contact of {name}": why for name, why in tracker.fingertips.reasons.items()}
+        return Status("pose", LEVELS[tracker.state], tracker.reason or "tracking", values)
+
+    def _of_input(self, tracker: Tracker, stream: ObservationStream) -> Status:
+        now = time.monotonic()
+        said = [note for when, note in self._notes if now - when < NOTED_FOR]
+        wrong = [
+            f"{count} messages on {topic} dropped: too many came" for topic, count in self._dropped.items()
+        ]
+        wrong += [f"{count} observations left out: {why}" for why, count in self._refusals.items()]
+        wrong += [*stream.lacks(), *stream.report.sentences()]
+        if not stream.report.observations:
+            wrong.insert(0, f"no joint states on {stream.report.joint_states} so far")
+        latencies = sorted(self._latencies)
+        values: dict[str, object] = {
+            "observations": stream.report.observations,
+            "skipped as newer ones waited": self.skipped,
+            "late": tracker.late,
+            "dropped": self._dropped.total(),
+        }
+        if latencies:
+            values["answered after [ms], median"] = f"{1e3 * median(latencies):.2f}"
+            values["answered after [ms], 99 %"] = f"{1e3 * latencies[int(0.99 * (len(latencies) - 1))]:.2f}"
+        values |= {f"said {k}": sentence for k, sentence in enumerate([*said, *wrong][:MOST_TOLD], start=1)}
+        first = next(iter(said + wrong), "all is heard")
+        return Status("input", WARN if wrong else OK, first, values)

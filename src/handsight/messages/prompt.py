@@ -1,0 +1,80 @@
+"""An order for one who cannot wait: a joint state goes on once what belongs to it is there, or 2 ms later."""
+
+from collections import deque
+from collections.abc import Iterator
+
+from handsight.messages.assemble import MAX_AGE_TRANSFORM
+from handsight.messages.clocks import ReorderBuffer, publisher_of
+from handsight.messages.decode import Measurement
+from handsight.messages.report import Report
+
+WAIT = 0.002
+"""The longest that joint states wait [s]."""
+WAITED_FOR = ("wrench", "contact", "tf")
+"""What comes as often as joint states do. A camera's word comes late whatever is waited: it counts with the next."""
+
+
+class PromptBuffer(ReorderBuffer):
+    """Measurements in order of stamp as far as 2 ms allow; what comes later counts if it is its topic's newest.
+
+    A joint state waits until each wrench and transform that is due has reached its stamp. Due is what has come within
+    the last 0.1 s and, by the time between its last two, should have come again.
+    """
+
+    def __init__(self, report: Report) -> None:
+        """`now` must be set with each message and before `ready`."""
+        super().__init__(report)
+        self.now = -float("inf")
+        """When the message came that is put; else now, by the same clock [s]."""
+        self._begin()
+
+    def _begin(self) -> None:
+        self.complete = -float("inf")
+        self._pending = deque[tuple[float, float]]()  # joint states' stamps, and until when they wait
+        self._reached: dict[
+            str, tuple[float, float]
+        ] = {}  # by topic: newest stamp, and half of the time since the last
+        self._newest_of: dict[tuple[str, tuple[str, ...]], float] = {}
+
+    @property
+    def waits_until(self) -> float:
+        """When the next joint states have waited long enough, by the clock of `now`; infinite: none wait."""
+        return self._pending[0][1] if self._pending else float("inf")
+
+    def finish(self) -> Iterator[Measurement]:
+        """Those that wait: no more come, or none for long."""
+        yield from super().finish()
+        if self._pending:
+            self.complete = max(stamp for stamp, _ in self._pending)
+            self._pending.clear()
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._begin()
+
+    def _edge(self) -> float:
+        while self._pending:
+            stamp, until = self._pending[0]
+            if any(self._lacks(stamp, *each) for each in self._reached.values()) and self.now < until:
+                break
+            self.complete = max(self.complete, stamp)
+            self._pending.popleft()
+        return self.complete
+
+    @staticmethod
+    def _lacks(stamp: float, newest: float, half: float) -> bool:
+        return newest + half < stamp <= newest + MAX_AGE_TRANSFORM
+
+    def _push(self, measurement: Measurement) -> None:
+        topic, stamp, key = measurement.topic, measurement.stamp, publisher_of(measurement)
+        newest = self._newest_of.get(key, -float("inf"))
+        if stamp < newest or (topic.role == "joints" and stamp < self.complete):
+            topic.late += 1
+            return
+        self._newest_of[key] = stamp
+        if topic.role == "joints":
+            self._pending.append((stamp, self.now + WAIT))
+        elif topic.role in WAITED_FOR:
+            before, half = self._reached.get(topic.name, (stamp, 0.0))
+            self._reached[topic.name] = max(stamp, before), (stamp - before) / 2 if stamp > before else half
+        self._keep(measurement)

@@ -1,0 +1,170 @@
+"""A ROS 1 graph of processes on a free port of this machine alone, ended with the test."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import xmlrpc.client
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handsight.messages.decode import typestore
+from handsight.recording.rosbag1 import Rosbag1Source
+
+PACKAGE = Path(__file__).parents[2] / "ros" / "handsight_ros1"
+MISSING = [name for name in ("rosmaster", "rosbag") if shutil.which(name) is None]
+needs_ros1 = pytest.mark.skipif(bool(MISSING), reason=f"ROS 1 is not installed: no {', '.join(MISSING)}")
+
+
+class Graph:
+    """A master and what talks to it."""
+
+    def __init__(self, folder):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.uri, self.folder, self.processes = f"http://127.0.0.1:{self.port}", folder, []
+        self.environment = {key: value for key, value in os.environ.items() if not key.startswith("ROS")} | {
+            "ROS_MASTER_URI": self.uri,
+            "ROS_IP": "127.0.0.1",
+            "ROS_LOG_DIR": str(folder),
+            "ROS_HOME": str(folder),
+            "PYTHONUNBUFFERED": "1",
+        }
+        self.master = self.start_master()
+
+    def start_master(self):
+        process = self.run("rosmaster", "--core", "-p", str(self.port))
+        self.wait_for(lambda: self.state() is not None, "the master")
+        return process
+
+    def run(self, *command):
+        """A process; what it says is in `said`. Debian's own Python runs Debian's commands."""
+        environment = dict(self.environment)
+        if command[0] != sys.executable:
+            environment.pop("PYTHONPATH", None)
+        log = self.folder / f"{len(self.processes)}.log"
+        with log.open("wb") as file:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,
+            )
+        process.log = log
+        self.processes.append(process)
+        return process
+
+    def node(self, rig, **parameters):
+        """The node, ready."""
+        script = PACKAGE / "scripts" / "handsight_node"
+        given = [f"_{key}:={value}" for key, value in {"rig": rig, **parameters}.items()]
+        process = self.run(sys.executable, str(script), *given)
+        self.wait_for(lambda: "is ready" in process.log.read_text(), "the node", process)
+        return process
+
+    def state(self):
+        """Publishers, subscribers and services, by name those who are; None: no master."""
+        try:
+            code, _, found = xmlrpc_call(self.uri, "getSystemState", "/test")
+        except (OSError, xmlrpc.client.Error):
+            return None
+        return [dict(each) for each in found] if code == 1 else None
+
+    def subscribers(self, topic):
+        return (self.state() or [{}, {}])[1].get(topic, [])
+
+    @contextmanager
+    def stuck_reader(self, topic, kind):
+        """Somebody who subscribes and never reads: TCPROS by hand."""
+        code, _, where = xmlrpc_call(self.uri, "lookupNode", "/test", "/handsight")
+        assert code == 1
+        _, _, (_, host, port) = xmlrpc_call(where, "requestTopic", "/stuck", topic, [["TCPROS"]])
+        fields = {"callerid": "/stuck", "topic": topic, "type": kind, "md5sum": "*"}
+        lines = [f"{key}={value}".encode() for key, value in fields.items()]
+        said = b"".join(len(line).to_bytes(4, "little") + line for line in lines)
+        with socket.socket() as stuck:
+            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            stuck.connect((host, port))
+            stuck.sendall(len(said).to_bytes(4, "little") + said)
+            yield
+
+    def record(self, *topics):
+        """`rosbag record`, listening."""
+        path = self.folder / f"recorded{len(self.processes)}.bag"
+        before = {topic: len(self.subscribers(topic)) for topic in topics}
+        process = self.run("rosbag", "record", "--buffsize=0", "-O", str(path), *topics)
+        self.wait_for(
+            lambda: all(len(self.subscribers(topic)) > before[topic] for topic in topics), "record", process
+        )
+        process.path = path
+        return process
+
+    def wait_for(self, condition, what, process=None, limit=90.0):
+        begun = time.monotonic()
+        while not condition():
+            if process is not None and process.poll() is not None:
+                raise AssertionError(f"{what} ended: {process.log.read_text()[-2000:]}")
+            if time.monotonic() - begun > limit:
+                told = "" if process is None else process.log.read_text()[-2000:]
+                raise AssertionError(f"waited {limit} s for {what}: {told}")
+            time.sleep(0.05)
+
+    @staticmethod
+    def interrupt(process, limit=60.0):
+        """Ctrl-C; how long it took to end [s]."""
+        begun = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        process.wait(limit)
+        return time.monotonic() - begun
+
+    def recorded(self, recorder):
+        """Where it is, once it is closed: `rosbag record` is ended before what it has begun."""
+        self.interrupt(recorder)
+        self.wait_for(recorder.path.exists, f"{recorder.path.name} to be closed")
+        return recorder.path
+
+    def close(self):
+        for process in reversed(self.processes):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait(30)
+
+
+def xmlrpc_call(uri, name, *arguments):
+    with xmlrpc.client.ServerProxy(uri) as server:
+        return getattr(server, name)(*arguments)
+
+
+@contextmanager
+def graph(folder):
+    running = Graph(folder)
+    try:
+        yield running
+    finally:
+        running.close()
+
+
+def messages_of(path, topic):
+    """What was recorded on a topic, read."""
+    with closing(Rosbag1Source(path)) as source:
+        return [
+            typestore("ros1").deserialize_ros1(each.data, each.type) for each in source.messages((topic,))
+        ]
+
+
+def poses_of(path):
+    """By stamp the position and quaternion that were recorded."""
+    found = {}
+    for message in messages_of(path, "/handsight/pose"):
+        stamp, p, q = message.header.stamp, message.pose.pose.position, message.pose.pose.orientation
+        found[round(stamp.sec + 1e-9 * stamp.nanosec, 6)] = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+    return found

@@ -1,0 +1,119 @@
+"""The node of ROS 1 among real processes: a master, rosbag, Ctrl-C."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
+
+from rosbags import rosbag1
+
+from handsight.cli.demo import DATA
+from handsight.messages.decode import typestore
+from handsight.messages.topics import WRENCH
+from tests.live.recorded import in_ros1, said, tracked
+from tests.ros.ros1 import graph, messages_of, needs_ros1, poses_of
+
+pytestmark = [needs_ros1, pytest.mark.slow]
+RIG = DATA / "can.rig.yaml"
+
+
+def bag(path, messages, *, spoilt=""):
+    """A recording of ROS 1 without the truth; what comes on the topic `spoilt` is of another type than it should be."""
+    store = typestore("ros1")
+    with rosbag1.Writer(path) as writer:
+        connections = {}
+        for each in in_ros1(each for each in messages if each.topic != "/truth/object"):
+            kind, data = each.type, each.data
+            if each.topic == spoilt:
+                kind, data = (
+                    "std_msgs/msg/Header",
+                    each.data[: 16 + int.from_bytes(each.data[12:16], "little")],
+                )
+            if each.topic not in connections:
+                connections[each.topic] = writer.add_connection(each.topic, kind, typestore=store)
+            sec = int(each.log_time)
+            writer.write(connections[each.topic], sec * 10**9 + round((each.log_time - sec) * 1e9), data)
+    return path
+
+
+def play(running, path, limit=60.0):
+    """The recording, played at its own pace, heard by the node alone and whole."""
+    process = running.run("rosbag", "play", "--quiet", "--wait-for-subscribers", "--delay=0.5", str(path))
+    process.wait(limit)
+    assert process.returncode == 0, process.log.read_text()
+
+
+def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
+    expected = tracked(said())
+    topics = "/handsight/pose", "/tf", "/handsight/markers", "/diagnostics"
+    played = bag(tmp_path / "can.bag", said())
+    with graph(tmp_path) as running:
+        node = running.node(RIG, object="can", equal="true")
+        recorder = running.record(*topics)
+        play(running, played)
+        time.sleep(2.0)  # the last of them are answered a second after the last message
+        ended = running.interrupt(node)
+        assert (node.returncode, "Traceback" in node.log.read_text()) == (0, False)
+        path = running.recorded(recorder)
+        found = poses_of(path)
+        assert set(found) == set(expected)
+        np.testing.assert_allclose(
+            [found[stamp][:3] for stamp in expected],
+            [T[:3, 3] for T in expected.values()],
+            rtol=0,
+            atol=1e-9,
+        )
+        links = [link for each in messages_of(path, "/tf") for link in each.transforms]
+        own = [link for link in links if link.child_frame_id == "object"]
+        assert len(own) == len(found)
+        assert len(messages_of(path, "/handsight/markers")) > 5
+        statuses = [s for each in messages_of(path, "/diagnostics") for s in each.status]
+        assert "tracking" in {status.message for status in statuses}
+        assert ended < 5.0  # of a machine that may be busy; alone it is below one
+
+
+def test_what_happens_in_a_lab_ends_nothing(tmp_path):
+    """A master that is restarted, a sender that dies, a reader that never reads, a wrong type; and services."""
+    played = bag(tmp_path / "can.bag", said(), spoilt="/th/wrench")
+    with graph(tmp_path) as running:
+        node = running.node(RIG)
+        running.master.kill()
+        running.master.wait()
+        running.start_master()
+        offered = {"/handsight/reset", "/handsight/set_object"}
+        running.wait_for(lambda: offered <= set(running.state()[2]), "the node's return", node)
+        assert running.subscribers("/joint_states")
+        recorder = running.record("/handsight/pose", "/diagnostics")
+        dies = running.run("rosbag", "play", "--quiet", "--wait-for-subscribers", str(played))
+        running.wait_for(
+            lambda: "tracking" in node.log.read_text() or "uncertain" in node.log.read_text(), "poses", node
+        )
+        dies.kill()
+        with running.stuck_reader("/handsight/pose", "geometry_msgs/PoseWithCovarianceStamped"):
+            play(running, played)
+        called = running.run("rosservice", "call", "/handsight/reset")
+        assert called.wait(60) == 0
+        assert "success: True" in called.log.read_text()
+        time.sleep(1.5)
+        path = running.recorded(recorder)
+        assert max(poses_of(path)) > said()[-1].log_time - 0.5
+        told = [
+            value.value
+            for each in messages_of(path, "/diagnostics")
+            for status in each.status
+            for value in status.values
+        ]
+        wrong = f"/th/wrench: expected {WRENCH}, got std_msgs/msg/Header"
+        assert any(wrong in sentence for sentence in told), told[-20:]
+        assert "registered anew" in node.log.read_text()
+
+
+def test_a_wrong_parameter_is_said_in_a_sentence(tmp_path):
+    with graph(tmp_path) as running:
+        with pytest.raises(AssertionError, match="the node ended") as error:
+            running.node(RIG, object="spoon")
+        assert "object: expected one of the rig (can)" in str(error.value)
+        assert "Traceback" not in str(error.value)
