@@ -30,7 +30,8 @@ class HandWarning(UserWarning):
 def read(path: str | Path, *, visual: bool = False) -> tuple[Any, tuple[str, ...]]:
     """The robot of a URDF or MJCF file as a mujoco.MjModel, and the mesh files whose shapes were left out.
 
-    A URDF's link has the shapes that touch, else those that are seen; with `visual` the other way round. Raises InvalidFile, MissingExtra; warns where meshes of a URDF's collision shapes are left out.
+    A URDF's link has the shapes that touch, else those that are seen; with `visual` the other way round.
+    Raises InvalidFile, MissingExtra; warns where meshes of a URDF's collision shapes are left out.
     """
     found = find_file(path)
     try:

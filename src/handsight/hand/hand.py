@@ -20,6 +20,8 @@ from handsight.hand.shape import HandShape, LinkMesh
 from handsight.hand.surface import HandSurface, seen_triangles, spread, triangles_of
 
 _WORLD = 0
+MOST_CHAINS = 8
+"""Sets of joints that are not heard of, whose links are kept in mind."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,13 +178,13 @@ class Hand:
         is neither hinge nor slide. Raises InvalidInput for positions that are no finite numbers.
         """
         missing = tuple(name for name in self._joints_of_links if name not in joint_positions)
-        if missing not in self._link_chains:
+        found = self._link_chains.get(missing)
+        if found is None:
             bodies = [body for body, joints in self._links_on.items() if not set(joints) & set(missing)]
-            found = chains(self._model, self._palm, bodies, self._name)
-            # Only the last one but the whole: which joints are heard may change, but hardly often.
-            whole = {(): self._link_chains[()]} if () in self._link_chains else {}
-            self._link_chains = {**whole, missing: (self._names(bodies), found)}
-        names, links = self._link_chains[missing]
+            found = self._names(bodies), chains(self._model, self._palm, bodies, self._name)
+            kept = self._link_chains if len(self._link_chains) < MOST_CHAINS else {}
+            self._link_chains = {**kept, missing: found}
+        names, links = found
         return dict(zip(names, links.poses(joint_positions)[0], strict=True))
 
     def _shape_of(self, model: Any, links: list[int]) -> HandShape:

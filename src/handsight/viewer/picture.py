@@ -1,0 +1,142 @@
+"""A camera's image made small, with the object's outline over it, and its depth as points in the palm."""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from handsight import se3
+from handsight.checks import Array, Mask
+from handsight.objects import ObjectModel
+from handsight.observation import Observation
+from handsight.rig import Rig
+from handsight.tracking.seen_camera import SeenCamera
+from handsight.viewer.silhouette import silhouette
+from handsight.vision import PinholeCamera, pixels
+from handsight.vision.camera import Depth
+from handsight.vision.pixels import Color
+
+WIDEST = 320
+"""Of an image that is shown [pixels]."""
+MOST_POINTS = 3000
+QUALITY = 80
+"""Of a JPEG."""
+REACH = 0.35
+"""Points farther from the palm are not shown [m]: they are the room's."""
+GREY = 110
+"""Of points whose colour is not known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """An image of the rig's camera."""
+
+    camera: PinholeCamera | None
+    """Of these pixels; None: nobody knows."""
+    image: Color | bytes
+    """(h, w, 3) colour, else depth in grey, near ones light; or that as a JPEG."""
+    points_palm: NDArray[np.floating]
+    """(n, 3) [m]; none where the camera's place is not known."""
+    colors: Color
+    """(n, 3) of the points."""
+    T_camera_palm: Array | None
+    """(4, 4); None where nobody knows."""
+
+    def with_outlines(self, model: ObjectModel, outlines: Mapping[tuple[int, int, int], Array]) -> Color:
+        """The image with the object's outlines: by colour, at T_palm_object (4, 4); the last one on top."""
+        image = pixels.color(self.image) if isinstance(self.image, bytes) else self.image
+        if self.camera is None or self.T_camera_palm is None or not outlines:
+            return image
+        image = image.copy()
+        for color, T_palm_object in outlines.items():
+            there = np.isfinite(silhouette(self.camera, model, self.T_camera_palm @ T_palm_object))
+            image[edge(there)] = color
+        return image
+
+    def packed(self) -> "Picture":
+        """The same in a fifth of the memory."""
+        if isinstance(self.image, bytes):
+            return self
+        from PIL import Image  # which viser needs
+
+        buffer = io.BytesIO()
+        Image.fromarray(self.image).save(buffer, "JPEG", quality=QUALITY)
+        return replace(self, image=buffer.getvalue(), points_palm=self.points_palm.astype(np.float16))
+
+
+def edge(there: Mask) -> Mask:
+    """(h, w) the pixels just outside of an area, two wide."""
+    return np.asarray(binary_dilation(there, iterations=2) & ~there)
+
+
+def picture(
+    rig: Rig, observation: Observation, seen: SeenCamera, T_world_palm: Array | None
+) -> Picture | None:
+    """What an observation's images show; None where it has none."""
+    color, depth = observation.color, observation.depth
+    if color is None and depth is None:
+        return None
+    camera = _camera_of(rig, depth.shape if depth is not None else color.shape[:2])
+    T_camera_palm = palm_in_camera(rig, seen, T_world_palm)
+    alike = color is not None and (depth is None or color.shape[:2] == depth.shape)
+    image = color if color is not None and alike else _grey(depth)
+    step = max(1, -(-image.shape[1] // WIDEST))
+    image = np.ascontiguousarray(image[::step, ::step])
+    points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    small = None if camera is None else _smaller(camera, step, image)
+    if small is not None and depth is not None and T_camera_palm is not None:
+        points, places = _cloud(small, depth[::step, ::step], T_camera_palm)
+        colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
+    return Picture(small, image, points, colors, T_camera_palm)
+
+
+def palm_in_camera(rig: Rig, seen: SeenCamera, T_world_palm: Array | None) -> Array | None:
+    """T_camera_palm (4, 4): as the hand in the camera's images has shown, else as the camera was calibrated.
+
+    None where the rig has no camera, or one in the world and the palm's place in it is not known.
+    """
+    mounted = rig.camera
+    if mounted is None:
+        return None
+    T_mount_palm = np.eye(4) if mounted.on == "palm" else T_world_palm
+    if T_mount_palm is None:
+        return None
+    if seen.believed:
+        T_mount_palm = seen.believed[-1].expected(T_mount_palm)
+    return np.asarray(se3.inverse(mounted.T_mount_camera) @ T_mount_palm)
+
+
+def _camera_of(rig: Rig, shape: tuple[int, ...]) -> PinholeCamera | None:
+    """The rig's camera, if images of that shape (h, w) are its."""
+    mounted = rig.camera
+    if mounted is None or mounted.intrinsics is None or mounted.size != (shape[1], shape[0]):
+        return None
+    return PinholeCamera.of(mounted)
+
+
+def _smaller(camera: PinholeCamera, step: int, image: Color) -> PinholeCamera:
+    """Of every `step`-th row and column."""
+    matrix = camera.matrix / step
+    matrix[2, 2] = 1.0
+    return PinholeCamera(matrix, (image.shape[1], image.shape[0]), camera.lens)
+
+
+def _grey(depth: Depth) -> Color:
+    known = np.isfinite(depth) & (depth > 0)
+    z = np.where(known, depth, 1)
+    near, far = np.percentile(z[known][::16], [1, 95]) if known.any() else (0, 1)
+    grey = np.where(known, 230 - 190 * np.clip((z - near) / max(far - near, 1e-6), 0, 1), 0)
+    return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+
+
+def _cloud(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[np.float32], Array]:
+    """Points in the palm (n, 3) around it, and their places among the pixels (n,)."""
+    points = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
+    center = T_camera_palm[:3, 3].astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        places = np.flatnonzero(np.abs(points - center).max(axis=1) < REACH)
+    places = places[:: max(1, -(-len(places) // MOST_POINTS))]
+    return se3.apply(se3.inverse(T_camera_palm), points[places].astype(float)).astype(np.float32), places

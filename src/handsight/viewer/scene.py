@@ -1,0 +1,166 @@
+"""A moment in three dimensions, in the palm's frame, as nodes of a viser scene."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.objects import ObjectModel
+from handsight.rig import Rig
+from handsight.viewer.moment import Moment
+from handsight.viewer.sentence import LIKELY
+from handsight.viewer.shapes import ellipsoid, middle, opened
+
+Color = tuple[int, int, int]
+HAND: Color = (196, 200, 208)
+LAYERS: dict[str, tuple[str, Color]] = {
+    "hand": ("hand", HAND),
+    "object": ("object, corrected", (224, 161, 0)),
+    "vision": ("object, as vision measured", (70, 100, 150)),
+    "modes": ("other likely poses", (0, 137, 123)),
+    "contacts": ("contacts and their normals", (194, 24, 91)),
+    "forces": ("forces on the fingers", (229, 57, 53)),
+    "covariance": ("where its middle is, 95 %", (123, 31, 162)),
+    "open": ("left open by touch", (21, 101, 192)),
+    "depth": ("depth image", (110, 110, 110)),
+}
+"""What can be shown, by name: in words, and in which colour."""
+MOST_MODES = 3
+MOVED, TURNED = 2e-5, 1e-4
+"""A link that has moved [m] or turned by less (in its quaternion) is not sent again."""
+NORMAL, FORCE = 0.02, 0.012
+"""Lengths of a normal [m] and of a force [m/N]."""
+LONGEST = 0.12
+"""Of a force's arrow [m]."""
+CLOUD = 4000
+REJECTED: Color = (30, 30, 30)
+
+
+class Scene:
+    """Hand, object and contacts. Each `draw` sends what has changed."""
+
+    def __init__(self, scene: Any, rig: Rig, model: ObjectModel) -> None:
+        """`scene`: viser's, of the server."""
+        self._scene, self._rig, self._model = scene, rig, model
+        self.layers = dict.fromkeys(LAYERS, True)
+        """Which are wanted."""
+        self.links = {
+            name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, color=HAND, visible=False)
+            for name, mesh in rig.hand.link_meshes().items()
+        }
+        self.object = self._copy("/object", "object", 0.8)
+        self.vision = self._copy("/vision", "vision", 0.3)
+        self.modes = [self._copy(f"/modes/{k}", "modes", 0.25) for k in range(MOST_MODES)]
+        none, gone = np.zeros((0, 3), np.float32), {"visible": False}
+        size = {"point_size": 0.006, "point_shape": "circle"}
+        self.contacts = scene.add_point_cloud("/contacts", none, LAYERS["contacts"][1], **size, **gone)
+        self.rejected = scene.add_point_cloud("/rejected", none, REJECTED, **size, **gone)
+        self.normals = self._arrows("/normals", "contacts", 0.0008)
+        self.forces = self._arrows("/forces", "forces", 0.0016)
+        self.slides = self._arrows("/open/slides", "open", 0.0015)
+        lines, blue = np.zeros((0, 2, 3), np.float32), LAYERS["open"][1]
+        self.turns = scene.add_line_segments("/open/turns", lines, blue, line_width=4, **gone)
+        purple = LAYERS["covariance"][1]
+        self.covariance = scene.add_icosphere(
+            "/covariance", 1.0, purple, opacity=0.6, cast_shadow=False, **gone
+        )
+        self.depth = scene.add_point_cloud("/depth", none, none.astype(np.uint8), point_size=0.0015, **gone)
+
+    def draw(self, moment: Moment) -> None:
+        """Shows a moment in place of the last one."""
+        self._draw_hand(moment.links(self._rig))
+        estimate = moment.estimate
+        self._put(self.object, "object", None if estimate is None else estimate.T_palm_object)
+        self._put(self.vision, "vision", None if moment.vision is None else moment.vision.T_palm_object)
+        others = [] if estimate is None else [m for m in estimate.hypotheses[1:] if m.weight >= LIKELY]
+        for k, handle in enumerate(self.modes):
+            self._put(handle, "modes", others[k].T_palm_object if k < len(others) else None)
+        self._draw_contacts(moment)
+        self._draw_uncertainty(moment)
+        points = None if moment.picture is None else moment.picture.points_palm
+        if points is not None and self.layers["depth"] and len(points):
+            self.depth.points, self.depth.colors = points, moment.picture.colors  # type: ignore[union-attr]
+        self.depth.visible = self.layers["depth"] and points is not None and len(points) > 0
+
+    def _draw_hand(self, links: Mapping[str, Array]) -> None:
+        there = [name for name in self.links if name in links and self.layers["hand"]]
+        for name in self.links.keys() - set(there):
+            self.links[name].visible = False
+        if not there:
+            return
+        Ts = np.stack([links[name] for name in there])
+        for name, position, quaternion in zip(there, Ts[:, :3, 3], quaternions_wxyz(Ts), strict=True):
+            handle = self.links[name]
+            if np.abs(handle.position - position).max() > MOVED:
+                handle.position = position
+            if np.abs(handle.wxyz - quaternion).max() > TURNED:
+                handle.wxyz = quaternion
+            handle.visible = True
+
+    def _draw_contacts(self, moment: Moment) -> None:
+        felt, wanted = moment.fingertips, self.layers["contacts"]
+        points, normals = np.zeros((2, 0, 3))
+        if felt.contacts is not None:
+            points, normals = felt.contacts.points_palm, felt.contacts.normals_palm
+        wrong = np.isin(felt.fingers, moment.outliers)
+        self._set(self.contacts, points[~wrong] if len(points) else points, wanted)
+        self._set(self.rejected, points[wrong] if len(points) else points, wanted)
+        self._set(self.normals, np.stack([points, points + NORMAL * normals], axis=1), wanted)
+        forces = moment.forces(self._rig) if self.layers["forces"] else {}
+        arrows = [
+            (point, point + force * min(FORCE, LONGEST / max(np.linalg.norm(force), 1e-9)))
+            for name, point in zip(felt.fingers, points, strict=True)
+            if (force := forces.get(name)) is not None
+        ]
+        self._set(self.forces, np.array(arrows).reshape(-1, 2, 3), self.layers["forces"])
+
+    def _draw_uncertainty(self, moment: Moment) -> None:
+        estimate, model = moment.estimate, self._model
+        found = None if estimate is None else ellipsoid(estimate, model)
+        self._put(self.covariance, "covariance", None if found is None else found.T_palm_axes)
+        if found is not None and self.layers["covariance"]:
+            self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
+        slides, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
+        if estimate is not None and moment.fingertips.fingers:
+            center = middle(model, estimate.T_palm_object)
+            for direction in estimate.unobservable:
+                line, turn = opened(direction, center, model)
+                if turn:
+                    turns.append(np.stack([line[:-1], line[1:]], axis=1))
+                    slides.append(line[None, [-6, -1]])
+                else:
+                    slides.append(np.stack([[center, line[0]], [center, line[1]]]))
+        self._set(self.slides, np.concatenate(slides), self.layers["open"])
+        self._set(self.turns, np.concatenate(turns), self.layers["open"])
+
+    def _put(self, handle: Any, layer: str, T_palm_node: Array | None) -> None:
+        """A node at a pose in the palm; gone where that is None or its layer is not wanted."""
+        if T_palm_node is not None and self.layers[layer]:
+            handle.position, handle.wxyz = T_palm_node[:3, 3], quaternions_wxyz(T_palm_node)
+        handle.visible = T_palm_node is not None and self.layers[layer]
+
+    def _set(self, handle: Any, points: Array, wanted: bool) -> None:
+        if wanted and len(points):
+            handle.points = points
+        handle.visible = wanted and len(points) > 0
+
+    def _copy(self, name: str, layer: str, opacity: float) -> Any:
+        """The object, as triangles or as points."""
+        model, color = self._model, LAYERS[layer][1]
+        if len(model.faces):
+            style = {"color": color, "opacity": opacity, "visible": False, "cast_shadow": False}
+            return self._scene.add_mesh_simple(name, model.vertices, model.faces, side="double", **style)
+        points, _ = model.sample(CLOUD)
+        return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
+
+    def _arrows(self, name: str, layer: str, radius: float) -> Any:
+        points, color = np.zeros((0, 2, 3), np.float32), LAYERS[layer][1]
+        sizes = {"shaft_radius": radius, "head_radius": 2.6 * radius, "head_length": 6 * radius}
+        return self._scene.add_arrows(name, points, color, **sizes, visible=False)
+
+
+def quaternions_wxyz(Ts: Array) -> Array:
+    """(..., 4) of poses (..., 4, 4), as viser takes them."""
+    return se3.quaternion_from_rotation(Ts[..., :3, :3])[..., [3, 0, 1, 2]]
