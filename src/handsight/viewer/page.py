@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import threading
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from handsight.viewer.scene import LAYERS, Scene
 
 HOST = "127.0.0.1"
 PORT = 8080
-AWAY = 3.2
+AWAY = 2.4
 """The camera's distance from the object and the palm, in half their span."""
 
 
@@ -43,11 +44,15 @@ class Page:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
         self.port: int = self.server.get_port()
         """That it has."""
-        self.begin(rig, model, title)
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            self.begin(rig, model, title)
+            undo.pop_all()
 
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Shows another object, or in another hand, and nothing of before."""
         self._rig, self._model = rig, model
+        self._lock = threading.Lock()  # who plays draws, and who chooses what is shown
         self._aimed, self._drawn = False, object()
         self.last: Moment | None = None
         """What is shown."""
@@ -70,12 +75,12 @@ class Page:
 
     def draw(self, moment: Moment) -> None:
         """Shows a moment in place of the last one."""
-        self.last = moment
-        with self.server.atomic():
+        with self._lock, self.server.atomic():
             self._aim(moment)
             self.scene.draw(moment)
             self.panel.draw(moment, moment.forces(self._rig))
             self._draw_picture(moment)
+            self.last = moment
 
     def draw_curves(self, curves: Curves, now: float) -> None:
         """Plots curves, with a mark at a time [s] of theirs."""
@@ -84,8 +89,9 @@ class Page:
 
     def redraw(self) -> None:
         """Shows the same moment, for what is wanted now."""
-        if self.last is not None:
-            self.draw(self.last)
+        last = self.last
+        if last is not None:
+            self.draw(last)
 
     def close(self) -> None:
         """Ends it; browsers that look keep what they have."""

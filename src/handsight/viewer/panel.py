@@ -75,7 +75,7 @@ class Panel:
         marked = np.full(len(curves.times), np.nan)
         k = int(np.searchsorted(curves.times, now, side="right")) - 1
         marked[max(k, 0)] = curves.sigmas[max(k, 0)]
-        lines = [(curves.sigmas, "σ of the position [mm]", SIGMA)]
+        lines = [(curves.sigmas, "σ [mm]", SIGMA)]
         if curves.errors is not None:
             lines.append((curves.errors, "error [mm]", ERROR))
         data = (curves.times, *(values for values, _, _ in lines), marked)
@@ -90,7 +90,8 @@ class Panel:
             data,
             (self._uplot.Series(label="time [s]"), *series, self._uplot.Series(label="now", points=dot)),
             scales={"x": self._uplot.Scale(time=False), "y": self._uplot.Scale(distr=3)},
-            height=190,
+            height=200,
+            padding=(12, 16, 0, 0),
             order=CURVES,
         )
 

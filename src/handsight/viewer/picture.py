@@ -24,7 +24,7 @@ WIDEST = 320
 MOST_POINTS = 3000
 QUALITY = 80
 """Of a JPEG."""
-REACH = 0.35
+REACH = 0.2
 """Points farther from the palm are not shown [m]: they are the room's."""
 GREY = 110
 """Of points whose colour is not known."""
@@ -83,14 +83,13 @@ def picture(
     T_camera_palm = palm_in_camera(rig, seen, T_world_palm)
     alike = color is not None and (depth is None or color.shape[:2] == depth.shape)
     image = color if color is not None and alike else _grey(depth)
+    points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    if camera is not None and depth is not None and T_camera_palm is not None:
+        points, places = _cloud(camera, depth, T_camera_palm)
+        colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
     step = max(1, -(-image.shape[1] // WIDEST))
     image = np.ascontiguousarray(image[::step, ::step])
-    points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
-    small = None if camera is None else _smaller(camera, step, image)
-    if small is not None and depth is not None and T_camera_palm is not None:
-        points, places = _cloud(small, depth[::step, ::step], T_camera_palm)
-        colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
-    return Picture(small, image, points, colors, T_camera_palm)
+    return Picture(None if camera is None else _smaller(camera, step, image), image, points, colors, T_camera_palm)
 
 
 def palm_in_camera(rig: Rig, seen: SeenCamera, T_world_palm: Array | None) -> Array | None:

@@ -119,13 +119,12 @@ class Player:
     def _run(self) -> None:
         last = time.monotonic()
         while not self._closed:
-            watched = self._page.watched and self._timeline.moments
-            if not watched or not self.playing:
+            if not (self.playing and self._watched):
                 # A timeline that grows makes its plots longer.
-                self._wake.wait(0.5 if self._growing else None)
+                self._wake.wait(CURVES_EVERY if self._growing else None)
                 self._wake.clear()
                 last = time.monotonic()
-            if not watched:
+            if self._closed or not self._watched:
                 continue
             now = time.monotonic()
             if self.playing:
@@ -134,6 +133,11 @@ class Player:
             self._show()
             if self.playing:
                 time.sleep(max(0.0, FRAME - (time.monotonic() - now)))
+
+    @property
+    def _watched(self) -> bool:
+        """Whether there is something to show, and somebody to show it to."""
+        return bool(self._timeline.moments) and self._page.watched
 
     def _advance(self, seconds: float) -> None:
         self.time = min(self.time + self.speed * seconds, self._timeline.length)

@@ -14,16 +14,18 @@ from handsight.viewer.sentence import LIKELY
 from handsight.viewer.shapes import ellipsoid, middle, opened
 
 Color = tuple[int, int, int]
-HAND: Color = (196, 200, 208)
+HAND: Color = (176, 182, 194)
+HAND_OPACITY, OBJECT_OPACITY, GHOST_OPACITY = 0.55, 0.75, 0.22
+"""Contacts, and arrows that begin there, are seen through both."""
 LAYERS: dict[str, tuple[str, Color]] = {
     "hand": ("hand", HAND),
     "object": ("object, corrected", (224, 161, 0)),
-    "vision": ("object, as vision measured", (70, 100, 150)),
-    "modes": ("other likely poses", (0, 137, 123)),
+    "vision": ("object, as vision measured", (0, 160, 190)),
+    "modes": ("other likely poses", (67, 160, 71)),
     "contacts": ("contacts and their normals", (194, 24, 91)),
     "forces": ("forces on the fingers", (229, 57, 53)),
     "covariance": ("where its middle is, 95 %", (123, 31, 162)),
-    "open": ("left open by touch", (21, 101, 192)),
+    "open": ("left open by touch", (13, 71, 161)),
     "depth": ("depth image", (110, 110, 110)),
 }
 """What can be shown, by name: in words, and in which colour."""
@@ -47,12 +49,14 @@ class Scene:
         self.layers = dict.fromkeys(LAYERS, True)
         """Which are wanted."""
         self.links = {
-            name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, color=HAND, visible=False)
+            name: scene.add_mesh_simple(
+                f"/hand/{name.replace('/', '_')}", *mesh, color=HAND, opacity=HAND_OPACITY, visible=False
+            )
             for name, mesh in rig.hand.link_meshes().items()
         }
-        self.object = self._copy("/object", "object", 0.8)
-        self.vision = self._copy("/vision", "vision", 0.3)
-        self.modes = [self._copy(f"/modes/{k}", "modes", 0.25) for k in range(MOST_MODES)]
+        self.object = self._copy("/object", "object", OBJECT_OPACITY)
+        self.vision = self._copy("/vision", "vision", GHOST_OPACITY)
+        self.modes = [self._copy(f"/modes/{k}", "modes", GHOST_OPACITY) for k in range(MOST_MODES)]
         none, gone = np.zeros((0, 3), np.float32), {"visible": False}
         size = {"point_size": 0.006, "point_shape": "circle"}
         self.contacts = scene.add_point_cloud("/contacts", none, LAYERS["contacts"][1], **size, **gone)
@@ -61,12 +65,12 @@ class Scene:
         self.forces = self._arrows("/forces", "forces", 0.0016)
         self.slides = self._arrows("/open/slides", "open", 0.0015)
         lines, blue = np.zeros((0, 2, 3), np.float32), LAYERS["open"][1]
-        self.turns = scene.add_line_segments("/open/turns", lines, blue, line_width=4, **gone)
+        self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
         purple = LAYERS["covariance"][1]
-        self.covariance = scene.add_icosphere(
-            "/covariance", 1.0, purple, opacity=0.6, cast_shadow=False, **gone
-        )
-        self.depth = scene.add_point_cloud("/depth", none, none.astype(np.uint8), point_size=0.0015, **gone)
+        # Opaque, so that it is drawn before the object that it is in.
+        self.covariance = scene.add_icosphere("/covariance", 1.0, purple, cast_shadow=False, **gone)
+        grey = LAYERS["depth"][1]
+        self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 
     def draw(self, moment: Moment) -> None:
         """Shows a moment in place of the last one."""

@@ -8,6 +8,7 @@ import numpy as np
 from handsight.correction import PoseEstimate
 from handsight.viewer.moment import Moment
 
+COUNTS = ("no", "a", "two", "three", "four", "five")
 LIKELY = 0.02
 """Weight from which another pose is worth a word."""
 
@@ -51,7 +52,7 @@ def open_directions(estimate: PoseEstimate) -> str:
         return "every direction"
     slides = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
     counts = ((slides, "slide"), (len(rows) - slides, "turn"))
-    return " and ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in counts if n)
+    return " and ".join(f"{COUNTS[n]} {name}{'s' * (n > 1)}" for n, name in counts if n)
 
 
 def _listed(names: Sequence[str]) -> str:
