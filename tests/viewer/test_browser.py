@@ -6,8 +6,10 @@ import time
 import numpy as np
 import pytest
 
+from handsight import se3
 from handsight.viewer.curves import curves
 from handsight.viewer.player import Player
+from handsight.viewer.scene import quaternions_wxyz
 from viewer.conftest import needs_viser
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -40,13 +42,15 @@ def until(condition):
 
 def amber(page):
     """(2,) column and row of the middle of what is drawn in the object's colour, from a camera that stands still."""
-    (client,) = page.server.get_clients().values()
-    image = client.get_render(
-        height=120, width=160, position=(0.0, -0.6, 0.1), wxyz=(0.70710678, -0.70710678, 0.0, 0.0), fov=0.9
-    ).astype(int)
-    red, green, blue = image[..., 0], image[..., 1], image[..., 2]
-    rows, columns = np.nonzero((red - blue > 70) & (red - green > 15) & (green - blue > 30))
-    assert len(rows) > 50
+    (client,), camera = page.server.get_clients().values(), page.server.initial_camera
+    forward = camera.look_at - camera.position
+    right = np.cross(forward, camera.up)
+    axes = [axis / np.linalg.norm(axis) for axis in (right, np.cross(forward, right), forward)]
+    turned = quaternions_wxyz(se3.compose(np.stack(axes, axis=1), np.zeros(3)))
+    image = client.get_render(height=120, width=160, position=camera.position, wxyz=turned, fov=1.0)
+    red, green, blue = image[..., :3].astype(int).transpose(2, 0, 1)
+    rows, columns = np.nonzero((red - blue > 60) & (red - green > 10) & (green - blue > 30))
+    assert len(rows) > 50, image.reshape(-1, image.shape[-1]).mean(axis=0)
     return np.array([columns.mean(), rows.mean()])
 
 

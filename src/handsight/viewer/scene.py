@@ -30,6 +30,8 @@ LAYERS: dict[str, tuple[str, Color]] = {
 }
 """What can be shown, by name: in words, and in which colour."""
 MOST_MODES = 3
+INSIDE = 0.7
+"""An ellipsoid smaller than so many of the object's radii is taken to be in it."""
 MOVED, TURNED = 2e-5, 1e-4
 """A link that has moved [m] or turned by less (in its quaternion) is not sent again."""
 NORMAL, FORCE = 0.02, 0.012
@@ -67,7 +69,6 @@ class Scene:
         lines, blue = np.zeros((0, 2, 3), np.float32), LAYERS["open"][1]
         self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
         purple = LAYERS["covariance"][1]
-        # Opaque, so that it is drawn before the object that it is in.
         self.covariance = scene.add_icosphere("/covariance", 1.0, purple, cast_shadow=False, **gone)
         grey = LAYERS["depth"][1]
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
@@ -126,6 +127,9 @@ class Scene:
         self._put(self.covariance, "covariance", None if found is None else found.T_palm_axes)
         if found is not None and self.layers["covariance"]:
             self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
+            # Within the object it must be opaque to be drawn before it; around it, it must be seen through.
+            inside = found.semi_axes.max() < INSIDE * model.radius
+            self.covariance.opacity = None if inside else GHOST_OPACITY / 2
         slides, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:
             center = middle(model, estimate.T_palm_object)
