@@ -9,10 +9,6 @@ from types import SimpleNamespace
 
 import pytest
 
-for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):
-    if find_spec(name) is None:
-        pytest.skip(f"needs handsight[{extra}]: {name} is not installed", allow_module_level=True)
-
 import handsight
 from handsight.evaluation import Truths
 from handsight.recording import open_recording
@@ -21,6 +17,10 @@ from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally
 from handsight.viewer.player import Timeline
 from handsight.viewer.replayed import follow
+
+for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):
+    if find_spec(name) is None:
+        pytest.skip(f"needs handsight[{extra}]: {name} is not installed", allow_module_level=True)
 
 DATA = Path(handsight.__file__).parent / "data"
 OBSERVATIONS = 120

@@ -24,7 +24,9 @@ PATIENCE = 120.0
 @pytest.fixture
 def browser():
     needs_viser()
-    playwright = pytest.importorskip("playwright.sync_api", reason="the browser needs playwright (handsight[lab])")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="the browser needs playwright (handsight[lab])"
+    )
     if CHROMIUM is None:
         pytest.skip("needs a browser: Debian's package chromium")
     with playwright.sync_playwright() as running:

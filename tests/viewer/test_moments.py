@@ -34,7 +34,11 @@ def test_a_recording_is_shown_as_track_gives_it(tracked):
     for moment in moments:
         step = steps[moment.stamp]
         np.testing.assert_array_equal(moment.estimate.T_palm_object, step.estimate.T_palm_object)
-        assert (moment.state, moment.sigma, moment.fingertips.fingers) == (step.state, step.sigma, step.fingers)
+        assert (moment.state, moment.sigma, moment.fingertips.fingers) == (
+            step.state,
+            step.sigma,
+            step.fingers,
+        )
     assert min(np.diff([moment.stamp for moment in moments])) >= FRAME - 1e-9
 
 
@@ -109,11 +113,13 @@ def said(tracked, **changes):
 def test_one_sentence_says_why_the_state_is_what_it_is(tracked):
     nothing = dataclasses.replace(touched(tracked).fingertips, fingers=(), contacts=None)
     one = dataclasses.replace(nothing, fingers=("th",))
-    assert said(tracked).startswith("Tracking: ff, mf, rf, lf and th touch and fit the object; the position is known to ")
-    assert said(tracked).endswith(" mm; touch leaves a slide and a turn open.")
-    assert said(tracked, state="lost", reason="no pose yet", estimate=None, sigma=math.inf, fingertips=nothing) == (
-        "Lost: no pose yet; no finger touches."
+    assert said(tracked).startswith(
+        "Tracking: ff, mf, rf, lf and th touch and fit the object; the position is known to "
     )
+    assert said(tracked).endswith(" mm; touch leaves a slide and a turn open.")
+    assert said(
+        tracked, state="lost", reason="no pose yet", estimate=None, sigma=math.inf, fingertips=nothing
+    ) == ("Lost: no pose yet; no finger touches.")
     reason = "the position is known to 12 mm only"
     assert said(tracked, state="uncertain", reason=reason, fingertips=one).startswith(
         f"Uncertain: {reason}; only th touches; touch leaves"
@@ -137,7 +143,7 @@ def test_the_ellipsoid_holds_95_of_100_places_of_the_middle():
     places = np.array([middle(model, se3.moved(T, draw)) for draw in draws])
     inside = se3.apply(se3.inverse(found.T_palm_axes), places) / found.semi_axes
     assert (np.linalg.norm(inside, axis=1) < 1).mean() == pytest.approx(0.95, abs=0.012)
-    assert WITHIN_95 == pytest.approx(math.sqrt(7.8147), abs=1e-3)
+    assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == WITHIN_95
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -162,7 +168,8 @@ def seen(tracked):
     """The built-in picture, as an observation of a rig whose camera is on the palm."""
     import json
 
-    from handsight.cli.demo import DATA, picture as frame_of
+    from handsight.cli.demo import DATA
+    from handsight.cli.demo import picture as frame_of
 
     known = json.loads((DATA / "can.picture.json").read_bytes())
     frame = frame_of(tracked.rig, known)
@@ -190,7 +197,9 @@ def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     points, _ = tracked.model.sample(2000)
     points = points * 0.94  # a pixel within
     inside = np.zeros_like(outline)
-    columns, rows = np.round(found.camera.project(se3.apply(found.T_camera_palm @ T_palm_object, points))).astype(int).T
+    columns, rows = (
+        np.round(found.camera.project(se3.apply(found.T_camera_palm @ T_palm_object, points))).astype(int).T
+    )
     inside[rows, columns] = True
     from scipy.ndimage import binary_dilation
 
@@ -236,6 +245,8 @@ def test_a_moment_now_is_the_trackers(tracked):
         assert moment.fingertips is tracker.fingertips
 
 
-@pytest.mark.parametrize(("time", "expected"), [(0, "0.00%"), (5, "50.00%"), (10, "100.00%"), (-1, "0.00%"), (12, "100.00%")])
+@pytest.mark.parametrize(
+    ("time", "expected"), [(0, "0.00%"), (5, "50.00%"), (10, "100.00%"), (-1, "0.00%"), (12, "100.00%")]
+)
 def test_times_are_shares_of_the_whole(time, expected):
     assert share(time, 0, 10) == expected

@@ -77,8 +77,9 @@ class Page:
         """Shows a moment in place of the last one."""
         with self._lock, self.server.atomic():
             self._aim(moment)
-            self.scene.draw(moment)
-            self.panel.draw(moment, moment.forces(self._rig))
+            forces = moment.forces(self._rig)
+            self.scene.draw(moment, forces)
+            self.panel.draw(moment, forces)
             self._draw_picture(moment)
             self.last = moment
 

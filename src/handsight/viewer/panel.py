@@ -43,10 +43,11 @@ class Panel:
     def _box(self, name: str, said: str, layers: dict[str, bool], redraw: Callable[[], None]) -> None:
         box = self._gui.add_checkbox(said, layers[name])
 
-        @box.on_update
-        def _(_: object) -> None:
+        def chosen(_: object) -> None:
             layers[name] = box.value
             redraw()
+
+        box.on_update(chosen)
 
     def draw(self, moment: Moment, forces: dict[str, Array]) -> None:
         """Says how it is at a moment."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from handsight import se3
-from handsight.checks import Array, Mask
+from handsight.checks import Array, Indices, Mask
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -77,19 +77,24 @@ def picture(
 ) -> Picture | None:
     """What an observation's images show; None where it has none."""
     color, depth = observation.color, observation.depth
-    if color is None and depth is None:
-        return None
-    camera = _camera_of(rig, depth.shape if depth is not None else color.shape[:2])
-    T_camera_palm = palm_in_camera(rig, seen, T_world_palm)
+    # An image of other pixels than depth's is of another camera than the rig's.
     alike = color is not None and (depth is None or color.shape[:2] == depth.shape)
-    image = color if color is not None and alike else _grey(depth)
+    if color is not None and alike:
+        image = color
+    elif depth is not None:
+        image = _grey(depth)
+    else:
+        return None
+    camera, T_camera_palm = _camera_of(rig, image.shape), palm_in_camera(rig, seen, T_world_palm)
     points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if camera is not None and depth is not None and T_camera_palm is not None:
         points, places = _cloud(camera, depth, T_camera_palm)
         colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
     step = max(1, -(-image.shape[1] // WIDEST))
     image = np.ascontiguousarray(image[::step, ::step])
-    return Picture(None if camera is None else _smaller(camera, step, image), image, points, colors, T_camera_palm)
+    return Picture(
+        None if camera is None else _smaller(camera, step, image), image, points, colors, T_camera_palm
+    )
 
 
 def palm_in_camera(rig: Rig, seen: SeenCamera, T_world_palm: Array | None) -> Array | None:
@@ -131,7 +136,7 @@ def _grey(depth: Depth) -> Color:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
 
 
-def _cloud(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[np.float32], Array]:
+def _cloud(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[np.float32], Indices]:
     """Points in the palm (n, 3) around it, and their places among the pixels (n,)."""
     points = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
     center = T_camera_palm[:3, 3].astype(np.float32)

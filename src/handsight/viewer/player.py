@@ -60,7 +60,9 @@ class Player:
         self._page, self._timeline, self._curves = page, timeline, curves
         self.time, self.speed, self.playing = 0.0, 1.0, True
         """Since the first moment [s], and seconds of the recording in one."""
-        self._growing, self._drawn = True, None
+        self._growing = True
+        self._drawn: Moment | None = None
+        self._plot: Curves | None = None
         self._moved = self._plotted = self._looked = -math.inf
         """When a person moved the slider, and when there was a plot and a look at the timeline's curves last; infinite:
         they change no more."""
@@ -104,16 +106,16 @@ class Player:
         speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x", order=CONTROLS + 2)
         self._button.on_click(lambda _: self.play(not self.playing))
 
-        @slider.on_update
-        def _(event: Any) -> None:
+        def moved(event: Any) -> None:
             if event.client is not None:  # else it is ours
                 self._moved = time.monotonic()
                 self.seek(slider.value)
 
-        @speed.on_update
-        def _(_: object) -> None:
+        def chosen(_: object) -> None:
             self.speed = float(speed.value.rstrip("x"))
 
+        slider.on_update(moved)
+        speed.on_update(chosen)
         return slider
 
     def _run(self) -> None:
@@ -161,6 +163,7 @@ class Player:
             self._looked = clock if self._growing else math.inf
             self._plot = self._curves()
             self._slider.max = max(round(self._timeline.length, 2), 0.01)
-        self._page.draw_curves(self._plot, now)
+        if self._plot is not None:
+            self._page.draw_curves(self._plot, now)
         if clock - self._moved > HELD:
             self._slider.value = round(now, 2)

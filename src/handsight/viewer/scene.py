@@ -10,6 +10,7 @@ from handsight.checks import Array
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.viewer.moment import Moment
+from handsight.viewer.picture import Picture
 from handsight.viewer.sentence import LIKELY
 from handsight.viewer.shapes import ellipsoid, middle, opened
 
@@ -32,8 +33,8 @@ LAYERS: dict[str, tuple[str, Color]] = {
 MOST_MODES = 3
 INSIDE = 0.7
 """An ellipsoid smaller than so many of the object's radii is taken to be in it."""
-MOVED, TURNED = 2e-5, 1e-4
-"""A link that has moved [m] or turned by less (in its quaternion) is not sent again."""
+MOVED, TURNED = 3e-4, 2e-3
+"""A link that has moved [m] or turned by less (in its quaternion) is not sent again: joints tremble by their noise."""
 NORMAL, FORCE = 0.02, 0.012
 """Lengths of a normal [m] and of a force [m/N]."""
 LONGEST = 0.12
@@ -56,6 +57,12 @@ class Scene:
             )
             for name, mesh in rig.hand.link_meshes().items()
         }
+        self._handles = list(self.links.values())
+        self._sent = {
+            part: np.full((len(self.links), n), np.inf) for part, n in (("position", 3), ("wxyz", 4))
+        }
+        """Of each link, as it was last sent."""
+        self._picture: Picture | None = None
         self.object = self._copy("/object", "object", OBJECT_OPACITY)
         self.vision = self._copy("/vision", "vision", GHOST_OPACITY)
         self.modes = [self._copy(f"/modes/{k}", "modes", GHOST_OPACITY) for k in range(MOST_MODES)]
@@ -73,49 +80,44 @@ class Scene:
         grey = LAYERS["depth"][1]
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 
-    def draw(self, moment: Moment) -> None:
-        """Shows a moment in place of the last one."""
-        self._draw_hand(moment.links(self._rig))
-        estimate = moment.estimate
+    def draw(self, moment: Moment, forces: Mapping[str, Array]) -> None:
+        """Shows a moment in place of the last one; `forces` by finger, as the moment has them."""
+        self._draw_hand(moment.links(self._rig) if self.layers["hand"] else {})
+        estimate, vision = moment.estimate, moment.vision
         self._put(self.object, "object", None if estimate is None else estimate.T_palm_object)
-        self._put(self.vision, "vision", None if moment.vision is None else moment.vision.T_palm_object)
-        others = [] if estimate is None else [m for m in estimate.hypotheses[1:] if m.weight >= LIKELY]
+        self._put(self.vision, "vision", None if vision is None else vision.T_palm_object)
+        others = [] if estimate is None else [mode for mode in estimate.modes[1:] if mode["weight"] >= LIKELY]
         for k, handle in enumerate(self.modes):
-            self._put(handle, "modes", others[k].T_palm_object if k < len(others) else None)
-        self._draw_contacts(moment)
+            self._put(handle, "modes", others[k]["T_palm_object"] if k < len(others) else None)
+        self._draw_contacts(moment, forces)
         self._draw_uncertainty(moment)
-        points = None if moment.picture is None else moment.picture.points_palm
-        if points is not None and self.layers["depth"] and len(points):
-            self.depth.points, self.depth.colors = points, moment.picture.colors  # type: ignore[union-attr]
-        self.depth.visible = self.layers["depth"] and points is not None and len(points) > 0
+        self._draw_depth(moment.picture)
 
     def _draw_hand(self, links: Mapping[str, Array]) -> None:
-        there = [name for name in self.links if name in links and self.layers["hand"]]
-        for name in self.links.keys() - set(there):
-            self.links[name].visible = False
-        if not there:
+        there = [name in links for name in self.links]
+        for handle, visible in zip(self.links.values(), there, strict=True):
+            _see(handle, visible)
+        if not any(there):
             return
-        Ts = np.stack([links[name] for name in there])
-        for name, position, quaternion in zip(there, Ts[:, :3, 3], quaternions_wxyz(Ts), strict=True):
-            handle = self.links[name]
-            if np.abs(handle.position - position).max() > MOVED:
-                handle.position = position
-            if np.abs(handle.wxyz - quaternion).max() > TURNED:
-                handle.wxyz = quaternion
-            handle.visible = True
+        Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
+        new = {"position": (Ts[:, :3, 3], MOVED), "wxyz": (quaternions_wxyz(Ts), TURNED)}
+        for part, (values, least) in new.items():
+            sent = self._sent[part]
+            for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & there):
+                setattr(self._handles[k], part, values[k])
+                sent[k] = values[k]
 
-    def _draw_contacts(self, moment: Moment) -> None:
+    def _draw_contacts(self, moment: Moment, forces: Mapping[str, Array]) -> None:
         felt, wanted = moment.fingertips, self.layers["contacts"]
         points, normals = np.zeros((2, 0, 3))
         if felt.contacts is not None:
             points, normals = felt.contacts.points_palm, felt.contacts.normals_palm
-        wrong = np.isin(felt.fingers, moment.outliers)
-        self._set(self.contacts, points[~wrong] if len(points) else points, wanted)
-        self._set(self.rejected, points[wrong] if len(points) else points, wanted)
+        wrong = np.array([name in moment.outliers for name in felt.fingers], dtype=bool)
+        self._set(self.contacts, points[~wrong], wanted)
+        self._set(self.rejected, points[wrong], wanted)
         self._set(self.normals, np.stack([points, points + NORMAL * normals], axis=1), wanted)
-        forces = moment.forces(self._rig) if self.layers["forces"] else {}
         arrows = [
-            (point, point + force * min(FORCE, LONGEST / max(np.linalg.norm(force), 1e-9)))
+            (point, point + force * min(FORCE, LONGEST / max(float(np.linalg.norm(force)), 1e-9)))
             for name, point in zip(felt.fingers, points, strict=True)
             if (force := forces.get(name)) is not None
         ]
@@ -143,16 +145,24 @@ class Scene:
         self._set(self.slides, np.concatenate(slides), self.layers["open"])
         self._set(self.turns, np.concatenate(turns), self.layers["open"])
 
+    def _draw_depth(self, picture: Picture | None) -> None:
+        there = picture is not None and len(picture.points_palm) > 0 and self.layers["depth"]
+        if there and picture is not None and picture is not self._picture:
+            self._picture = picture
+            self.depth.points, self.depth.colors = picture.points_palm, picture.colors
+        _see(self.depth, there)
+
     def _put(self, handle: Any, layer: str, T_palm_node: Array | None) -> None:
         """A node at a pose in the palm; gone where that is None or its layer is not wanted."""
-        if T_palm_node is not None and self.layers[layer]:
+        there = T_palm_node is not None and self.layers[layer]
+        if there and T_palm_node is not None:
             handle.position, handle.wxyz = T_palm_node[:3, 3], quaternions_wxyz(T_palm_node)
-        handle.visible = T_palm_node is not None and self.layers[layer]
+        _see(handle, there)
 
     def _set(self, handle: Any, points: Array, wanted: bool) -> None:
         if wanted and len(points):
             handle.points = points
-        handle.visible = wanted and len(points) > 0
+        _see(handle, wanted and len(points) > 0)
 
     def _copy(self, name: str, layer: str, opacity: float) -> Any:
         """The object, as triangles or as points."""
@@ -167,6 +177,11 @@ class Scene:
         points, color = np.zeros((0, 2, 3), np.float32), LAYERS[layer][1]
         sizes = {"shaft_radius": radius, "head_radius": 2.6 * radius, "head_length": 6 * radius}
         return self._scene.add_arrows(name, points, color, **sizes, visible=False)
+
+
+def _see(handle: Any, visible: bool) -> None:
+    if handle.visible is not visible:
+        handle.visible = visible
 
 
 def quaternions_wxyz(Ts: Array) -> Array:

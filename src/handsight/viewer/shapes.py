@@ -48,7 +48,7 @@ def creases(model: ObjectModel) -> Array:
 
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
     """(3,) the object's middle in the palm [m]."""
-    return se3.apply(T_palm_object, model.center_object[None])[0]
+    return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
 
 
 def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
