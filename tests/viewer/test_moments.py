@@ -239,7 +239,7 @@ def test_a_moment_now_is_the_trackers(tracked):
     tracker = Tracker(tracked.rig, tracked.model)
     for observation in tracked.observations[:60]:
         tracker.update(observation)
-        moment = Moment.now(tracker, observation)
+        moment = Moment.now(tracker)
         assert (moment.stamp, moment.state, moment.reason) == (tracker.stamp, tracker.state, tracker.reason)
         assert moment.estimate is tracker.estimate
         assert moment.fingertips is tracker.fingertips

@@ -203,6 +203,13 @@ def test_the_newest_answer_is_shown_however_fast_they_come(tracked, free_port, w
             viewer.update(observation, tracker)
         until(lambda: viewer._page.last is not None and viewer._page.last.stamp == tracker.stamp)
         until(lambda: np.allclose(pose(viewer._page.scene.object), tracker.estimate.T_palm_object, atol=1e-9))
+        # One that comes late changes nothing, whatever is in it.
+        late = dataclasses.replace(
+            tracked.observations[5], wrenches={"th": np.full(6, np.nan)}, depth=np.zeros((2, 2))
+        )
+        tracker.update(late)
+        viewer.update(late, tracker)
+        assert viewer._shot is None
         other = Tracker(tracked.rig, ObjectModel.box([0.05, 0.05, 0.1]))
         other.update(tracked.observations[0])
         viewer.update(tracked.observations[0], other)

@@ -59,8 +59,8 @@ def view(
     require_viser()
     announce_compiling()
     settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
-    found, model = rig_and_object(recording, rig, object)
     with contextlib.suppress(KeyboardInterrupt):
+        found, model = rig_and_object(recording, rig, object)
         page = Page(found, model, port=port, title=f"{model.name or 'object'} in {recording.name}")
         with contextlib.closing(page):
             taken = "" if page.port == port else f" ({port} is taken)"

@@ -30,10 +30,8 @@ class Curves(NamedTuple):
 
 def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Curves:
     """Of moments in order of stamp, of many as many as can be told apart, the first and the last among them."""
-    chosen = (
-        np.unique(np.linspace(0, len(moments) - 1, min(len(moments), MOST)).astype(int)) if moments else []
-    )
-    shown = [moments[k] for k in chosen]
+    places = np.linspace(0, len(moments) - 1, min(len(moments), MOST)).astype(int)
+    shown = [moments[k] for k in places]
     times = np.array([moment.stamp for moment in shown])
     sigmas = 1e3 * np.array([moment.sigma for moment in shown])
     sigmas[~np.isfinite(sigmas)] = np.nan

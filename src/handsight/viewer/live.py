@@ -86,7 +86,7 @@ class Viewer(NullViewer):
         """See `view`."""
         self._shown = tracker.rig, tracker.model
         self._page = Page(*self._shown, port=port, title=tracker.model.name)
-        self._newest: tuple[Observation, Tracker] | None = None
+        self._newest: Tracker | None = None
         self._moment: Moment | None = None
         """Of the newest, if anybody looked."""
         self._shot: Shot | None = None
@@ -108,12 +108,14 @@ class Viewer(NullViewer):
         return self._page.watched
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
-        """Shows what a tracker knows after an observation that it has just taken.
+        """Shows what a tracker knows after an observation that it was just given.
 
         The observation's arrays must not be changed afterwards. It may be another tracker than before, of another
         object too: the page then begins anew.
         """
-        self._newest, self._moment = (observation, tracker), None
+        if observation.stamp != tracker.stamp:
+            return  # it came late: the tracker has not taken it
+        self._newest, self._moment = tracker, None
         now = time.monotonic()
         if now - self._noted >= NOTE_EVERY:
             self._noted = now
@@ -121,7 +123,7 @@ class Viewer(NullViewer):
         if observation.color is not None or observation.depth is not None:
             self._shot = Shot(observation, tracker.vision.seen_camera, tracker.T_world_palm)
         if self._page.watched:
-            self._moment = Moment.now(tracker, observation)
+            self._moment = Moment.now(tracker)
             self._changed.set()
 
     def close(self) -> None:
@@ -139,16 +141,16 @@ class Viewer(NullViewer):
             self._changed.clear()
             if self._closed:
                 return
-            newest, moment, shot = self._newest, self._moment, self._shot
-            if newest is None or not self._page.watched:
+            tracker, moment, shot = self._newest, self._moment, self._shot
+            if tracker is None or not self._page.watched:
                 continue
-            began, (observation, tracker) = time.monotonic(), newest
+            began = time.monotonic()
             if self._shown != (tracker.rig, tracker.model):
                 self._shown, last = (tracker.rig, tracker.model), None
                 self._page.begin(*self._shown, tracker.model.name)
             image = picture(tracker.rig, *shot) if shot is not None and shot is not made else None
             made = shot
-            last = (moment or Moment.now(tracker, observation)).after(last, image)
+            last = (moment or Moment.now(tracker)).after(last, image)
             self._page.draw(last)
             if began - plotted >= CURVES_EVERY:
                 plotted = began

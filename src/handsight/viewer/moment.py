@@ -55,8 +55,9 @@ class Moment:
     """The last image; None where there was none."""
 
     @classmethod
-    def now(cls, tracker: Tracker, observation: Observation) -> "Moment":
-        """Of a tracker that has just taken the observation."""
+    def now(cls, tracker: Tracker) -> "Moment":
+        """Of a tracker, after the last observation that it has taken."""
+        taken = tracker.looked
         return cls(
             stamp=tracker.stamp,
             state=tracker.state,
@@ -65,9 +66,9 @@ class Moment:
             sigma=tracker.sigma,
             fingertips=tracker.fingertips,
             T_world_palm=tracker.T_world_palm,
-            joint_positions=observation.joint_positions,
-            wrenches=observation.wrenches,
-            vision=_measured(tracker.stamp, tracker.vision.in_palm(tracker.looked, tracker.T_world_palm)),
+            joint_positions=None if taken is None else taken.joint_positions,
+            wrenches={} if taken is None else taken.wrenches,
+            vision=_measured(tracker.stamp, tracker.vision.in_palm(taken, tracker.T_world_palm)),
         )
 
     @classmethod
