@@ -18,6 +18,7 @@ from handsight.viewer.moment import VISION_FOR, Measured, Moment
 from handsight.viewer.panel import share
 from handsight.viewer.picture import edge, picture
 from handsight.viewer.player import FRAME, Timeline
+from handsight.viewer.scene import LAYERS
 from handsight.viewer.sentence import sentence
 from handsight.viewer.shapes import WITHIN_95, ellipsoid, middle, opened
 
@@ -124,6 +125,10 @@ def test_one_sentence_says_why_the_state_is_what_it_is(tracked):
     assert said(tracked, state="uncertain", reason=reason, fingertips=one).startswith(
         f"Uncertain: {reason}; only th touches; touch leaves"
     )
+    reason = "nothing is touched: the pose is vision's"
+    assert said(tracked, state="uncertain", reason=reason, fingertips=nothing, sigma=0.063) == (
+        f"Uncertain: {reason}; the position is known to 63 mm."
+    )
     assert "known to 0.8 mm" in said(tracked, sigma=0.0008)
     wrong = touched(tracked).estimate
     wrong = PoseEstimate(wrong.answer, wrong.modes, wrong.residual_rows, False, (1,))
@@ -191,7 +196,7 @@ def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     pytest.importorskip("PIL")
     rig, observation, T_palm_object = seen(tracked)
     found, amber = picture(rig, observation, SeenCamera(), None), (224, 161, 0)
-    image = found.with_outlines(tracked.model, {amber: T_palm_object})
+    image = found.with_outlines(tracked.model, {amber: found.T_camera_palm @ T_palm_object})
     outline = (image == amber).all(axis=2)
     assert outline.sum() > 100
     points, _ = tracked.model.sample(2000)
@@ -213,6 +218,20 @@ def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     np.testing.assert_allclose(packed.points_palm, found.points_palm, atol=2e-4)
     unpacked = packed.with_outlines(tracked.model, {})
     assert np.abs(unpacked.astype(int) - found.image).mean() < 4
+
+
+def test_what_vision_saw_is_outlined_where_it_saw_it(page, tracked):
+    """Whatever is known of the camera's error since."""
+    rig, observation, T_palm_object = seen(tracked)
+    off = se3.compose(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    shown = picture(rig, observation, SeenCamera(), None)
+    T_camera_object = shown.T_camera_palm @ T_palm_object
+    shown = dataclasses.replace(shown, T_camera_palm=shown.T_camera_palm @ off)
+    page.scene.layers["object"] = False
+    page.draw(dataclasses.replace(touched(tracked), vision=Measured(0.0, T_palm_object), picture=shown))
+    cyan = LAYERS["vision"][1]
+    expected = shown.with_outlines(tracked.model, {cyan: T_camera_object})
+    np.testing.assert_array_equal(page.panel.image.image, expected)
 
 
 def test_an_edge_is_just_outside():

@@ -104,12 +104,16 @@ class Page:
         shown, estimate = moment.picture, moment.estimate
         if shown is None:
             return
+        vision = None if moment.vision is None else moment.vision.T_palm_object
         poses = {
-            "vision": None if moment.vision is None else moment.vision.T_palm_object,
-            "object": None if estimate is None else estimate.T_palm_object,
+            # Where the camera saw it: what took it into the palm takes it back.
+            "vision": (shown.T_camera_palm_calibrated, vision),
+            "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
         }
         outlines = {
-            LAYERS[name][1]: T for name, T in poses.items() if T is not None and self.scene.layers[name]
+            LAYERS[name][1]: T_camera_palm @ T
+            for name, (T_camera_palm, T) in poses.items()
+            if T is not None and T_camera_palm is not None and self.scene.layers[name]
         }
         # The same image with the same outlines need not be made again.
         drawn = id(shown), tuple((color, T.tobytes()) for color, T in outlines.items())

@@ -43,16 +43,18 @@ class Picture:
     colors: Color
     """(n, 3) of the points."""
     T_camera_palm: Array | None
-    """(4, 4); None where nobody knows."""
+    """(4, 4) as the hand in images has shown, else as calibrated; None where nobody knows."""
+    T_camera_palm_calibrated: Array | None
+    """(4, 4) with the calibration's error in it, as what vision measures is placed in the palm."""
 
     def with_outlines(self, model: ObjectModel, outlines: Mapping[tuple[int, int, int], Array]) -> Color:
-        """The image with the object's outlines: by colour, at T_palm_object (4, 4); the last one on top."""
+        """The image with the object's outlines: by colour, at T_camera_object (4, 4); the last one on top."""
         image = pixels.color(self.image) if isinstance(self.image, bytes) else self.image
-        if self.camera is None or self.T_camera_palm is None or not outlines:
+        if self.camera is None or not outlines:
             return image
         image = image.copy()
-        for color, T_palm_object in outlines.items():
-            there = np.isfinite(silhouette(self.camera, model, self.T_camera_palm @ T_palm_object))
+        for color, T_camera_object in outlines.items():
+            there = np.isfinite(silhouette(self.camera, model, T_camera_object))
             image[edge(there)] = color
         return image
 
@@ -85,16 +87,16 @@ def picture(
         image = _grey(depth)
     else:
         return None
-    camera, T_camera_palm = _camera_of(rig, image.shape), palm_in_camera(rig, seen, T_world_palm)
+    camera, T_calibrated = _camera_of(rig, image.shape), palm_in_camera(rig, SeenCamera(), T_world_palm)
+    T_camera_palm = palm_in_camera(rig, seen, T_world_palm)
     points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if camera is not None and depth is not None and T_camera_palm is not None:
         points, places = _cloud(camera, depth, T_camera_palm)
         colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
     step = max(1, -(-image.shape[1] // WIDEST))
     image = np.ascontiguousarray(image[::step, ::step])
-    return Picture(
-        None if camera is None else _smaller(camera, step, image), image, points, colors, T_camera_palm
-    )
+    smaller = None if camera is None else _smaller(camera, step, image)
+    return Picture(smaller, image, points, colors, T_camera_palm, T_calibrated)
 
 
 def palm_in_camera(rig: Rig, seen: SeenCamera, T_world_palm: Array | None) -> Array | None:

@@ -30,6 +30,7 @@ LAYERS: dict[str, tuple[str, Color]] = {
     "depth": ("depth image", (110, 110, 110)),
 }
 """What can be shown, by name: in words, and in which colour."""
+GHOST_SCALE = 1.01
 MOST_MODES = 3
 INSIDE = 0.7
 """An ellipsoid smaller than so many of the object's radii is taken to be in it."""
@@ -168,7 +169,15 @@ class Scene:
         """The object, as triangles or as points."""
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
-            style = {"color": color, "opacity": opacity, "visible": False, "cast_shadow": False}
+            # Two of them at one place would flicker.
+            scale = 1.0 if layer == "object" else GHOST_SCALE
+            style = {
+                "color": color,
+                "opacity": opacity,
+                "scale": scale,
+                "visible": False,
+                "cast_shadow": False,
+            }
             return self._scene.add_mesh_simple(name, model.vertices, model.faces, side="double", **style)
         points, _ = model.sample(CLOUD)
         return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)

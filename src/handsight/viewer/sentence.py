@@ -9,13 +9,15 @@ from handsight.correction import PoseEstimate
 from handsight.viewer.moment import Moment
 
 COUNTS = ("no", "a", "two", "three", "four", "five")
+NO_TOUCH = "no finger touches"
 LIKELY = 0.02
 """Weight from which another pose is worth a word."""
 
 
 def sentence(moment: Moment) -> str:
     """The state, why it is no better, and what the answer rests on."""
-    parts = [part for part in (moment.reason, *_grounds(moment)) if part]
+    said = "touched" in moment.reason and not moment.fingertips.fingers
+    parts = [part for part in (moment.reason, *_grounds(moment)) if part and not (said and part == NO_TOUCH)]
     return f"{moment.state.capitalize()}: {'; '.join(parts)}."
 
 
@@ -39,7 +41,7 @@ def _grounds(moment: Moment) -> Iterator[str]:
 
 def _touch(fingers: Sequence[str], fit: str) -> str:
     if not fingers:
-        return "no finger touches"
+        return NO_TOUCH
     if len(fingers) == 1:
         return f"only {fingers[0]} touches"
     return f"{_listed(fingers)} touch{fit}"
