@@ -120,6 +120,16 @@ def test_a_moment_that_is_drawn_again_sends_nothing_of_the_scene(page, tracked):
     assert messages(page) == before
 
 
+def test_a_frame_is_few_messages(page, tracked):
+    """What a frame costs is what it sends: the hand is sent where it has moved, what is gone is not sent at all."""
+    moments = tracked.timeline.moments
+    page.draw(moments[0])
+    before = messages(page)
+    for moment in moments[1:]:
+        page.draw(moment)
+    assert (messages(page) - before) / (len(moments) - 1) < 50
+
+
 def test_seek_shows_that_instant(page, tracked, watched):
     player = Player(page, tracked.timeline, lambda: None)
     page.draw_curves = lambda curves, now: None

@@ -61,7 +61,7 @@ class Page:
             self.server.gui.reset()
             self.server.scene.configure_default_lights(cast_shadow=False)
             self.scene = Scene(self.server.scene, rig, model)
-            self.panel = Panel(self.server.gui, title, self.scene.layers, self.redraw)
+            self.panel = Panel(self.server.gui, title or "object", self.scene.layers, self.redraw)
 
     @property
     def address(self) -> str:

@@ -21,6 +21,8 @@ from handsight.vision.pixels import Color
 
 WIDEST = 320
 """Of an image that is shown [pixels]."""
+AROUND, LEAST = 0.25, 40.0
+"""Half of what is shown around the palm, where that is in the image [m], and how little at least [pixels]."""
 MOST_POINTS = 3000
 QUALITY = 80
 """Of a JPEG."""
@@ -93,9 +95,9 @@ def picture(
     if camera is not None and depth is not None and T_camera_palm is not None:
         points, places = _cloud(camera, depth, T_camera_palm)
         colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
-    step = max(1, -(-image.shape[1] // WIDEST))
-    image = np.ascontiguousarray(image[::step, ::step])
-    smaller = None if camera is None else _smaller(camera, step, image)
+    shown = _window(camera, T_camera_palm, image)
+    image = np.ascontiguousarray(image[shown])
+    smaller = None if camera is None else _within(camera, shown, image)
     return Picture(smaller, image, points, colors, T_camera_palm, T_calibrated)
 
 
@@ -123,10 +125,27 @@ def _camera_of(rig: Rig, shape: tuple[int, ...]) -> PinholeCamera | None:
     return PinholeCamera.of(mounted)
 
 
-def _smaller(camera: PinholeCamera, step: int, image: Color) -> PinholeCamera:
-    """Of every `step`-th row and column."""
-    matrix = camera.matrix / step
-    matrix[2, 2] = 1.0
+def _window(camera: PinholeCamera | None, T_camera_palm: Array | None, image: Color) -> tuple[slice, slice]:
+    """The rows and columns that are shown: around the hand where it is in the image, and not too many."""
+    rows, columns = slice(0, image.shape[0]), slice(0, image.shape[1])
+    if camera is not None and T_camera_palm is not None:
+        pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]
+        if np.isfinite(pixel).all() and ((pixel >= 0) & (pixel < camera.size)).all():
+            half = max(focal * AROUND / T_camera_palm[2, 3], LEAST)
+            rows, columns = (
+                slice(int(max(middle - size, 0)), int(min(middle + size, end)) + 1)
+                for middle, size, end in zip(pixel[::-1], (0.75 * half, half), image.shape[:2], strict=True)
+            )
+    step = max(1, -(-(columns.stop - columns.start) // WIDEST))
+    return slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step)
+
+
+def _within(camera: PinholeCamera, shown: tuple[slice, slice], image: Color) -> PinholeCamera:
+    """Of some of its rows and columns."""
+    rows, columns = shown
+    matrix = camera.matrix.copy()
+    matrix[:2, 2] -= columns.start, rows.start
+    matrix[:2] /= columns.step
     return PinholeCamera(matrix, (image.shape[1], image.shape[0]), camera.lens)
 
 
