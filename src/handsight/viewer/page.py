@@ -14,10 +14,14 @@ from handsight.rig import Rig
 from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.panel import Panel
-from handsight.viewer.scene import LAYERS, Scene
+from handsight.viewer.picture import Picture
+from handsight.viewer.scene import LAYERS, Color, Scene
 
 HOST = "127.0.0.1"
 PORT = 8080
+UNSEEN, IMAGE_EVERY = 1e-3, 0.1
+"""On the same image an outline whose pose has changed by less in any of its numbers is not drawn again, nor is any so
+soon [s]."""
 AWAY = 2.4
 """The camera's distance from the object and the palm, in half their span."""
 
@@ -53,7 +57,9 @@ class Page:
         """Shows another object, or in another hand, and nothing of before."""
         self._rig, self._model = rig, model
         self._lock = threading.Lock()  # who plays draws, and who chooses what is shown
-        self._aimed, self._drawn = False, object()
+        self._aimed = False
+        self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
+        """The image that is shown, for which moment [s], and its outlines."""
         self.last: Moment | None = None
         """What is shown."""
         with self.server.atomic():
@@ -115,11 +121,13 @@ class Page:
             for name, (T_camera_palm, T) in poses.items()
             if T is not None and T_camera_palm is not None and self.scene.layers[name]
         }
-        # The same image with the same outlines need not be made again.
-        drawn = id(shown), tuple((color, T.tobytes()) for color, T in outlines.items())
-        if drawn != self._drawn:
-            self._drawn = drawn
-            self.panel.draw_image(shown.with_outlines(self._model, outlines))
+        before, stamp, drawn = self._drawn
+        if shown is before and outlines.keys() == drawn.keys():
+            moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)
+            if moved < UNSEEN or abs(moment.stamp - stamp) < IMAGE_EVERY:
+                return
+        self._drawn = shown, moment.stamp, outlines
+        self.panel.draw_image(shown.with_outlines(self._model, outlines))
 
     def _aim(self, moment: Moment) -> None:
         """Has cameras look at the hand from the side, as the world stands, the first time."""

@@ -1,5 +1,6 @@
 """What stands beside the scene: the state and its reason, the camera's image, how errors went, what is shown."""
 
+import base64
 import html
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -10,6 +11,7 @@ from handsight.checks import Array
 from handsight.tracking import State
 from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
+from handsight.viewer.picture import jpeg
 from handsight.viewer.scene import LAYERS
 from handsight.viewer.sentence import sentence
 from handsight.vision.pixels import Color
@@ -35,7 +37,7 @@ class Panel:
         self.status = gui.add_html("", order=STATUS)
         self.strip = gui.add_html("", order=STRIP)
         self.curves: Any = None
-        self.image: Any = None
+        self.image = gui.add_html("", order=IMAGE)
         with gui.add_folder("What is shown", order=SHOWN, expand_by_default=False):
             for name, (said, _) in LAYERS.items():
                 self._box(name, said, layers, redraw)
@@ -63,10 +65,12 @@ class Panel:
 
     def draw_image(self, image: Color) -> None:
         """Shows an image."""
-        if self.image is None:
-            self.image = self._gui.add_image(image, label="camera", format="jpeg", order=IMAGE)
-        else:
-            self.image.image = image
+        # viser's own element encodes it in five times the time.
+        data = base64.b64encode(jpeg(image)).decode()
+        self.image.content = (
+            '<div style="padding:0 .8em"><img alt="camera" style="width:100%;border-radius:.3em" '
+            f'src="data:image/jpeg;base64,{data}"></div>'
+        )
 
     def draw_curves(self, curves: Curves, now: float) -> None:
         """Plots curves, with a mark at a time [s] of theirs."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from handsight import se3
 from handsight.checks import Array, Indices, Mask
@@ -64,16 +63,28 @@ class Picture:
         """The same in a fifth of the memory."""
         if isinstance(self.image, bytes):
             return self
-        from PIL import Image  # which viser needs
-
-        buffer = io.BytesIO()
-        Image.fromarray(self.image).save(buffer, "JPEG", quality=QUALITY)
-        return replace(self, image=buffer.getvalue(), points_palm=self.points_palm.astype(np.float16))
+        return replace(self, image=jpeg(self.image), points_palm=self.points_palm.astype(np.float16))
 
 
 def edge(there: Mask) -> Mask:
     """(h, w) the pixels just outside of an area, two wide."""
-    return np.asarray(binary_dilation(there, iterations=2) & ~there)
+    grown = there.copy()
+    for _ in range(2):  # scipy.ndimage takes twenty times as long
+        before = grown.copy()
+        grown[1:] |= before[:-1]
+        grown[:-1] |= before[1:]
+        grown[:, 1:] |= before[:, :-1]
+        grown[:, :-1] |= before[:, 1:]
+    return grown & ~there
+
+
+def jpeg(image: Color) -> bytes:
+    """An image (h, w, 3) as a file."""
+    from PIL import Image  # which viser needs
+
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "JPEG", quality=QUALITY)
+    return buffer.getvalue()
 
 
 def picture(
