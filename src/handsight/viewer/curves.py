@@ -19,7 +19,7 @@ class Curves(NamedTuple):
     """Uncertainty, error and state over time."""
 
     times: Array
-    """(n,) ascending [s]."""
+    """(n,) ascending, since a recording's beginning or until now [s]."""
     sigmas: Array
     """(n,) of the position [mm], NaN where nothing is known."""
     errors: Array | None
@@ -32,7 +32,7 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
     """Of moments in order of stamp, of many as many as can be told apart, the first and the last among them."""
     places = np.linspace(0, len(moments) - 1, min(len(moments), MOST)).astype(int)
     shown = [moments[k] for k in places]
-    times = np.array([moment.stamp for moment in shown])
+    times = np.array([moment.stamp - moments[0].stamp for moment in shown])
     sigmas = 1e3 * np.array([moment.sigma for moment in shown])
     sigmas[~np.isfinite(sigmas)] = np.nan
     return Curves(times, sigmas, _errors(shown, model, truths), [moment.state for moment in shown])

@@ -162,8 +162,7 @@ class Viewer(NullViewer):
         notes = list(self._past)
         stamps = np.array([note[0] for note in notes])
         begin = int(np.flatnonzero(np.diff(stamps, prepend=math.inf) < 0)[-1]) if len(stamps) else 0
-        known = notes[begin:]
-        times = stamps[begin:]
+        known, times = notes[begin:], stamps[begin:] - stamps[-1]
         sigmas = 1e3 * np.array([note[1] for note in known])
         sigmas[~np.isfinite(sigmas)] = np.nan
-        self._page.draw_curves(Curves(times, sigmas, None, [note[2] for note in known]), float(times[-1]))
+        self._page.draw_curves(Curves(times, sigmas, None, [note[2] for note in known]), 0.0)

@@ -14,6 +14,8 @@ from handsight.viewer.panel import CONTROLS
 
 FRAME, PLOT_EVERY, CURVES_EVERY = 1 / 30, 0.2, 1.0
 """Between two moments that are kept or drawn, two plots, and two looks at a timeline that grows [s]."""
+APART = 1e-3
+"""Stamps nearer to each other are the same [s]."""
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
 HELD = 0.6
 """How long after a person moves the slider playing does not move it [s]."""
@@ -30,7 +32,7 @@ class Timeline:
         """Keeps a moment, if there is none just before it, whether there is one; one that goes back is left out."""
         last = self._stamps[-1] if self._stamps else -math.inf
         # What a person can see, and with it bounded memory.
-        if moment.stamp - last < FRAME - 1e-9:
+        if moment.stamp - last < FRAME - APART:
             return False
         self.moments.append(moment)
         self._stamps.append(moment.stamp)
@@ -48,8 +50,8 @@ class Timeline:
 
     def at(self, time: float) -> Moment:
         """The last one that is not later than a time since the first [s]; else the first."""
-        # The sum of a difference may be just below the stamp it was made of.
-        return self.moments[max(0, bisect.bisect_right(self._stamps, self.begin + time + 1e-9) - 1)]
+        # The sum of a difference may be below the stamp it was made of: seconds since 1970 have a quarter of a µs.
+        return self.moments[max(0, bisect.bisect_right(self._stamps, self.begin + time + APART) - 1)]
 
 
 class Player:
