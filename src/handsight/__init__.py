@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from handsight.observation import Observation
     from handsight.rig import Rig
     from handsight.tracking import Tracker
+    from handsight.viewer import view
 
 __all__ = [
     "Contact",
@@ -64,6 +65,7 @@ __all__ = [
     "contacts_from_wrenches",
     "correct_pose",
     "correct_poses",
+    "view",
 ]
 
 # A name is loaded when it is first asked for: the command's help needs no NumPy.
@@ -79,6 +81,7 @@ _ROOMS = {
     "Observation": "observation",
     "Rig": "rig",
     "Tracker": "tracking",
+    "view": "viewer",
 }
 _MODULES = (
     "checks",
@@ -91,6 +94,7 @@ _MODULES = (
     "rig",
     "se3",
     "tracking",
+    "viewer",
 )
 
 

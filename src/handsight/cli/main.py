@@ -18,6 +18,7 @@ from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.simulate import simulate
 from handsight.cli.terminal import CANNOT_WRITE, WRONG_INPUT, exit_code, flush_stdout, hold_streams, say, warn
 from handsight.cli.track import track
+from handsight.cli.view import view
 from handsight.errors import HandsightError
 
 app = typer.Typer(
@@ -81,7 +82,7 @@ def warmup() -> None:
     print(f"compiled in {time.monotonic() - began:.1f} s; kept in {folder()}")
 
 
-for command in (demo, track, locate, simulate, correct, reconstruct):
+for command in (demo, track, view, locate, simulate, correct, reconstruct):
     app.command()(command)
 app.command(cls=WithColumns)(contact)
 app.command()(warmup)

@@ -32,6 +32,27 @@ ObjectName = Annotated[
         help="A name of the rig's objects or of the library, or a mesh file in metres; default: the rig's only one.",
     ),
 ]
+Rate = Annotated[
+    float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
+]
+Answer = Annotated[
+    str, typer.Option(help="best (the mean where the maximum is at a slide's end), maximum, or mean.")
+]
+Samples = Annotated[
+    int, typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check.")
+]
+OutsideCount = Annotated[
+    int,
+    typer.Option(
+        min=0, help="How many points of the hand's links, none of which can be inside the object; 0: none."
+    ),
+]
+WithImages = Annotated[
+    bool,
+    typer.Option(
+        help="Look at the recording's depth images, in place of a camera's poses; else at the poses."
+    ),
+]
 
 
 def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object, with_intrinsics
+from handsight.cli.options import (
+    Answer,
+    ObjectName,
+    OutsideCount,
+    Rate,
+    Recorded,
+    RigFile,
+    Samples,
+    WithImages,
+    rig_and_object,
+    with_intrinsics,
+)
 from handsight.cli.run import Run
 from handsight.cli.terminal import announce_compiling, live_rows, say
 from handsight.errors import HandsightError, MissingExtra, printable
@@ -30,29 +41,11 @@ def track(
         Path | None,
         typer.Option("--output", "-o", help="Folder for results; default: RECORDING-track, here."),
     ] = None,
-    rate: Annotated[
-        float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
-    ] = None,
-    answer: Annotated[
-        str, typer.Option(help="best (the mean where the maximum is at a slide's end), maximum, or mean.")
-    ] = "best",
-    samples: Annotated[
-        int,
-        typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check."),
-    ] = 0,
-    outside: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="How many points of the hand's links, none of which can be inside the object; 0: none.",
-        ),
-    ] = 200,
-    images: Annotated[
-        bool,
-        typer.Option(
-            help="Look at the recording's depth images, in place of a camera's poses; else at the poses."
-        ),
-    ] = True,
+    rate: Rate = None,
+    answer: Answer = "best",
+    samples: Samples = 0,
+    outside: OutsideCount = 200,
+    images: WithImages = True,
 ) -> None:
     """Track an object in the hand through a recording.
 

@@ -27,9 +27,10 @@ class HandWarning(UserWarning):
     """Something about a robot's description that costs part of it."""
 
 
-def read(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+def read(path: str | Path, *, visual: bool = False) -> tuple[Any, tuple[str, ...]]:
     """The robot of a URDF or MJCF file as a mujoco.MjModel, and the mesh files whose shapes were left out.
 
+    A URDF's link has the shapes that touch, else those that are seen; with `visual` the other way round.
     Raises InvalidFile, MissingExtra; warns where meshes of a URDF's collision shapes are left out.
     """
     found = find_file(path)
@@ -41,13 +42,13 @@ def read(path: str | Path) -> tuple[Any, tuple[str, ...]]:
     if root.tag not in ("mujoco", "robot"):
         expected = "expected a URDF (<robot>) or an MJCF (<mujoco>)"
         raise InvalidFile(f"{found.name}: {expected}, got <{root.tag:.40}>")
-    parsed = Mjcf(root, found) if root.tag == "mujoco" else Urdf(root, found)
+    parsed = Mjcf(root, found) if root.tag == "mujoco" else Urdf(root, found, visual=visual)
     model = _compiled(mujoco, parsed, found.name)
     _check(model, found.name)
     if isinstance(parsed, Mjcf):
         return model, tuple(parsed.missing.values())
     missing = parsed.missing["collision"]
-    if missing:
+    if missing and not visual:
         said = f"{found.name}: {len(missing)} collision meshes left out, not there or neither OBJ nor binary STL: "
         warnings.warn(said + missing[0] + (", ..." if len(missing) > 1 else ""), HandWarning, stacklevel=4)
     return model, tuple(dict.fromkeys(parsed.missing["visual"] + missing))

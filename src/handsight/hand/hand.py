@@ -1,21 +1,27 @@
 """A robot hand: joint positions in, poses of the fingertips in the palm out."""
 
-from collections.abc import Collection, Mapping, Sequence
+import contextlib
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
 from handsight.checks import Array
-from handsight.errors import InvalidInput
+from handsight.errors import InvalidFile, InvalidInput
 from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
 from handsight.hand.description import read
-from handsight.hand.shape import HandShape
+from handsight.hand.paths import find_file
+from handsight.hand.shape import HandShape, LinkMesh
 from handsight.hand.surface import HandSurface, seen_triangles, spread, triangles_of
 
 _WORLD = 0
+MOST_CHAINS = 8
+"""Sets of joints that are not heard of, whose links are kept in mind."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +85,7 @@ class Hand:
         limits = [joint.range if joint.limited else (-np.inf, np.inf) for joint in joints]
         self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
         self._arm: Chains | None = None
+        self._link_chains: dict[tuple[str, ...], tuple[tuple[str, ...], Chains]] = {}
 
     @classmethod
     def from_file(cls, path: str | Path, *, palm: str, tips: Mapping[str, str] | None = None) -> "Hand":
@@ -135,7 +142,7 @@ class Hand:
         used, body_of = np.unique(link, return_inverse=True)
         with_points, inside = [bodies[i] for i in used], points - inward * normals
         return HandSurface(
-            bodies=tuple(str(self._model.body(i).name) for i in with_points),
+            bodies=self._names(with_points),
             body_of=body_of.astype(np.int64),
             points_body=inside,
             normals=normals,
@@ -149,19 +156,67 @@ class Hand:
         `without`: bodies left out. No triangles where the file has no shapes. Raises InvalidInput.
         """
         left_out = {self._body(name, "without") for name in without}
-        parts = [(body, seen_triangles(self._model, body)) for body in self._links() if body not in left_out]
+        return self._shape_of(self._model, [body for body in self._links() if body not in left_out])
+
+    def link_meshes(self) -> dict[str, LinkMesh]:
+        """What each link looks like, in its own frame: by name, its visual shapes, else those that touch.
+
+        Of the links that move with the palm or hang on it; those without a shape are not there. `link_poses` has
+        their places. The file is read anew; raises InvalidFile where it is gone.
+        """
+        try:
+            model, _ = read(self.file, visual=True)
+        except InvalidFile:  # visual meshes that MuJoCo refuses, where it took those that touch
+            find_file(self.file)
+            model = self._model
+        return self._shape_of(model, self._links()).meshes
+
+    def link_poses(self, joint_positions: Mapping[str, float]) -> dict[str, Array]:
+        """Where each link is: by name, T_palm_link (4, 4), of the links that move with the palm or hang on it.
+
+        `joint_positions` as `Ts_palm_tip` takes them, but a link is not there where one of its joints is missing, or
+        is neither hinge nor slide. Raises InvalidInput for positions that are no finite numbers.
+        """
+        missing = tuple(name for name in self._joints_of_links if name not in joint_positions)
+        found = self._link_chains.get(missing)
+        if found is None:
+            bodies = [body for body, joints in self._links_on.items() if not set(joints) & set(missing)]
+            found = self._names(bodies), chains(self._model, self._palm, bodies, self._name)
+            kept = self._link_chains if len(self._link_chains) < MOST_CHAINS else {}
+            self._link_chains = {**kept, missing: found}
+        names, links = found
+        return dict(zip(names, links.poses(joint_positions)[0], strict=True))
+
+    def _shape_of(self, model: Any, links: list[int]) -> HandShape:
+        parts = [(body, seen_triangles(model, body)) for body in links]
         parts = [(body, triangles) for body, triangles in parts if len(triangles)]
         bodies = [body for body, _ in parts]
         corners = np.concatenate([np.zeros((0, 3, 3)), *(triangles for _, triangles in parts)]).reshape(-1, 3)
         link = np.repeat(np.arange(len(parts)), [3 * len(triangles) for _, triangles in parts])
         rows, where = np.unique(np.c_[link, corners], axis=0, return_inverse=True)
         return HandShape(
-            bodies=tuple(str(self._model.body(i).name) for i in bodies),
+            bodies=self._names(bodies),
             vertices_body=np.ascontiguousarray(rows[:, 1:]),
             body_of=rows[:, 0].astype(np.int64),
             faces=where.reshape(-1, 3).astype(np.int64),
             chains=chains(self._model, self._palm, bodies, self._name),
         )
+
+    @cached_property
+    def _links_on(self) -> dict[int, tuple[str, ...]]:
+        """By link, the joints between it and the palm; without links that hang on joints of another kind."""
+        found = {}
+        for body in self._links():
+            with contextlib.suppress(InvalidInput):
+                found[body] = chains(self._model, self._palm, [body], self._name).joints
+        return found
+
+    @cached_property
+    def _joints_of_links(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for joints in self._links_on.values() for name in joints))
+
+    def _names(self, bodies: Iterable[int]) -> tuple[str, ...]:
+        return tuple(str(self._model.body(i).name) for i in bodies)
 
     def _links(self) -> list[int]:
         """The palm, what is fixed to it, and all that hangs on these."""

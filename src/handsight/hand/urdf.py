@@ -37,10 +37,12 @@ class Urdf:
     missing: dict[str, list[str]]
     """Names of mesh files that are not there or cannot be read, by the kind of shape."""
 
-    def __init__(self, root: Part, path: Path) -> None:
+    def __init__(self, root: Part, path: Path, *, visual: bool = False) -> None:
+        """`visual`: a link's shapes are those that are seen, else those that touch; without it the other way round."""
         if any("xacro" in part.tag.partition("}")[0] for part in root.walk() if part.tag.startswith("{")):
             hint = f"`xacro {path.name}` makes a URDF of it"
             raise InvalidFile(f"{path.name}: expected a URDF, got a xacro file; {hint}")
+        self._first = "visual" if visual else "collision"
         self._path, self._links, self._joints = path, dict[str, Part](), dict[str, Part]()
         self._above: dict[str, str] = {}
         self.robot, self.meshes = Part("robot", {"name": "hand"}, root.file, root.line), Meshes()
@@ -56,8 +58,8 @@ class Urdf:
     def _add_link(self, link: Part) -> None:
         name = _named(link, self._links)
         new = self.robot.new("link", {"name": name}, link)
-        collision, visual = self._shapes(link, "collision"), self._shapes(link, "visual")
-        new.parts = collision or visual
+        shapes = {kind: self._shapes(link, kind) for kind in self.missing}
+        new.parts = shapes.pop(self._first) or shapes.popitem()[1]
 
     def _add_joint(self, joint: Part) -> None:
         name, kind = _named(joint, self._joints), joint.get("type")

@@ -29,10 +29,15 @@ class Step:
     """(4, 4) as vision measured it at this instant; None where it did not."""
     T_world_palm: Array | None
     """(4, 4)."""
-    fingers: tuple[str, ...]
-    """Those that touch."""
+    fingertips: FingertipContacts
+    """What they feel."""
     sigma: float
     """Standard deviation of the position, its largest [m]."""
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """Those that touch."""
+        return self.fingertips.fingers
 
 
 @dataclass(slots=True)
@@ -118,7 +123,7 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         reason=tracker.reason,
         T_palm_object_vision=tracker.vision.in_palm(tracker.looked, tracker.T_world_palm),
         T_world_palm=tracker.T_world_palm,
-        fingers=tracker.fingertips.fingers,
+        fingertips=tracker.fingertips,
         sigma=tracker.sigma,
     )
 

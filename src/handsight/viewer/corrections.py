@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 
 from handsight import se3
 from handsight.checks import Array
@@ -14,10 +13,10 @@ from handsight.correction import PosePrior
 from handsight.errors import HandsightError, MissingExtra
 from handsight.files import written
 from handsight.objects import ObjectModel
+from handsight.viewer.shapes import creases, middle, opened
 
 BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
 CLOUD = 900
-CREASE = np.deg2rad(25)
 
 
 class Panel(NamedTuple):
@@ -83,7 +82,7 @@ def _draw(axes: Any, panel: Panel) -> None:
     if outliers.any():
         axes.scatter(*points[outliers].T, color="k", marker="x", s=50, depthshade=False, label="rejected")
     axes.quiver(*points.T, *(arrow * normals).T, color=TOUCH, linewidth=1.4)
-    center = se3.apply(T, model.center_object[None])[0]
+    center = middle(model, T)
     for k, direction in enumerate(answer["unobservable"]):
         _open_direction(axes, np.asarray(direction), center, model, label=None if k else "open to touch")
     shown.append(points)
@@ -105,35 +104,20 @@ def draw_object(axes: Any, model: ObjectModel, T_palm_object: Array, color: str,
     return cloud
 
 
-def creases(model: ObjectModel) -> Array:
-    """(k, 2, 3) edges [m] at which the surface bends sharply or ends."""
-    if not len(model.faces):
-        return np.empty((0, 2, 3))
-    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
-    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > CREASE]
-    edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    return np.asarray(model.vertices[np.concatenate([sharp, edges[count == 1]])])
-
-
 def _open_direction(
     axes: Any, direction: Array, center: Array, model: ObjectModel, *, label: str | None
 ) -> None:
     """A double arrow for a slide, an arc about its axis for a turn, whichever the direction mostly is."""
     style = {"color": OPEN, "linewidth": 2.2, "label": label}
-    # About the object's middle, where a turn leaves the drawn object in place.
-    if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
-        reach = 0.65 * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
-        axes.plot(*np.stack([center - reach, center + reach]).T, **style)
-        for sign in (1, -1):
-            axes.quiver(*center, *(sign * reach), color=OPEN, linewidth=2.2, arrow_length_ratio=0.12)
+    line, turn = opened(direction, center, model)
+    axes.plot(*line.T, **style)
+    if turn:
+        axes.quiver(
+            *line[-2], *(4 * (line[-1] - line[-2])), color=OPEN, linewidth=2.2, arrow_length_ratio=1.0
+        )
         return
-    axis = direction[3:] / np.linalg.norm(direction[3:])
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
-    angle = np.linspace(0, 1.6 * np.pi, 60)[:, None]
-    ring = center + 0.62 * model.radius * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
-    axes.plot(*ring.T, **style)
-    axes.quiver(*ring[-2], *(4 * (ring[-1] - ring[-2])), color=OPEN, linewidth=2.2, arrow_length_ratio=1.0)
+    for end in line:
+        axes.quiver(*center, *(end - center), color=OPEN, linewidth=2.2, arrow_length_ratio=0.12)
 
 
 def _frame(axes: Any, points: Array) -> None:

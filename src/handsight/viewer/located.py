@@ -9,23 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame
 from handsight.recording.located import Located
-from handsight.viewer.corrections import creases, require_matplotlib, save
-from handsight.vision import PinholeCamera
+from handsight.viewer.corrections import require_matplotlib, save
+from handsight.viewer.shapes import creases
+from handsight.viewer.silhouette import silhouette
 from handsight.vision.camera import Depth
 
 BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
 MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
 LEAST_WEIGHT = 0.01
 """Of a second pose that is drawn."""
-CLOUD, DOT = 6000, 2
-"""Points by which an object without triangles is drawn, and pixels around each."""
 MARGIN = 0.35
 """Around the object, in parts of its size, of what is shown of a picture beside the object and the hand."""
 RESIDUAL = 15.0
@@ -100,21 +97,6 @@ def _scores(row: Located) -> str:
     likeliest = list(row.recognition.scores.items())[:MOST_SCORES]
     each = [*likeliest, ("none", row.recognition.none)]
     return "\n" + ", ".join(f"{name} {share:.2f}" for name, share in each)
-
-
-def silhouette(camera: PinholeCamera, model: ObjectModel, T_camera_object: Array) -> Depth:
-    """What the camera would see of the object alone: depth (h, w) [m], infinite where it is not."""
-    if len(model.faces):
-        return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth
-    points = se3.apply(T_camera_object, model.sample(CLOUD)[0])
-    depth = np.full(camera.size[::-1], np.inf, dtype=np.float32)
-    pixels = camera.project(points)
-    inside = np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1)
-    inside &= (pixels < np.array(camera.size) - 0.5).all(axis=1)
-    u, v = np.round(pixels[inside]).astype(int).T
-    np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
-    grown = binary_dilation(np.isfinite(depth), iterations=DOT)
-    return np.where(grown & ~np.isfinite(depth), np.float32(points[:, 2].mean()), depth)
 
 
 def _background(frame: Frame) -> Array:

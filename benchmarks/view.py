@@ -1,0 +1,139 @@
+"""What the page costs: CPU of a frame while somebody looks, and of a tracker's update while nobody does.
+
+Synthetic: the built-in recording of a can, and a grasp with colour and depth of 640 x 480 pixels. Frames are drawn one
+after the other, 30 a second, for a reader in another process that takes all that is sent; the CPU is that of the whole
+process: what is computed, packed and sent. Tracking is not in it, images are made small while tracking.
+"""
+
+import argparse
+import contextlib
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from unittest.mock import patch
+
+import handsight as hs
+from handsight.cli.demo import DATA
+from handsight.cli.simulate import record
+from handsight.evaluation import Truths
+from handsight.observation import Observation
+from handsight.recording import open_recording
+from handsight.rig import Rig
+from handsight.simulation import Scenario
+from handsight.tracking.replay import Tally
+from handsight.viewer import Viewer
+from handsight.viewer.curves import curves
+from handsight.viewer.page import Page
+from handsight.viewer.player import FRAME, PLOT_EVERY, Timeline
+from handsight.viewer.replayed import follow
+from shared import report
+
+READER = """
+import sys
+from importlib.metadata import version
+from websockets.sync.client import connect
+with connect(sys.argv[1], subprotocols=["viser-v" + version("viser")], max_size=None) as socket:
+    print("reads", flush=True)
+    while socket.recv():
+        pass
+"""
+OBSERVATIONS = 600
+
+
+@dataclass
+class Tracked:
+    """A recording and what was tracked in it."""
+
+    rig: Rig
+    model: hs.ObjectModel
+    observations: list[Observation]
+    timeline: Timeline
+    truths: Truths
+
+
+def tracked(path: Path) -> Tracked:
+    """The first seconds of a recording."""
+    rig = Rig.from_file(path.with_name(f"{path.stem}.rig.yaml"))
+    model, timeline = rig.objects["can"].model(), Timeline()
+    with open_recording(path, rig) as recording:
+        observations = list(islice(recording.observations(), OBSERVATIONS))
+        truths = Truths(recording.truth)
+    for _ in follow(observations, hs.Tracker(rig, model), Tally(), timeline):
+        pass
+    return Tracked(rig, model, observations, timeline, truths)
+
+
+@contextlib.contextmanager
+def read(page: Page) -> Iterator[None]:
+    """Somebody takes all that the page sends."""
+    address = page.address.replace("http", "ws")
+    with subprocess.Popen([sys.executable, "-c", READER, address], stdout=subprocess.PIPE) as reader:
+        assert reader.stdout is not None
+        reader.stdout.readline()
+        time.sleep(1)
+        yield
+        reader.kill()
+
+
+def frames(name: str, seen: Tracked) -> list[str]:
+    """A row: CPU of a frame."""
+    with contextlib.closing(Page(seen.rig, seen.model)) as page, read(page):
+        shown = curves(seen.timeline.moments, seen.model, seen.truths)
+        began, plotted = time.process_time(), 0.0
+        for moment in seen.timeline.moments:
+            begin = time.monotonic()
+            page.draw(moment)
+            if begin - plotted > PLOT_EVERY:
+                plotted = begin
+                page.draw_curves(shown, moment.stamp)
+            time.sleep(max(0.0, FRAME - (time.monotonic() - begin)))
+        count = len(seen.timeline.moments)
+        return [name, str(count), f"{1e3 * (time.process_time() - began) / count:.1f}"]
+
+
+def unwatched(seen: Tracked, updates: int) -> list[str]:
+    """A row: CPU of an update while nobody looks, and how often anything was drawn."""
+    tracker = hs.Tracker(seen.rig, seen.model)
+    for observation in seen.observations:
+        tracker.update(observation)
+    with Viewer(tracker) as viewer, patch.object(Page, "draw") as draw:
+        began = time.process_time()
+        for _ in range(updates):
+            viewer.update(observation, tracker)
+        each = 1e6 * (time.process_time() - began) / updates
+        began = time.process_time()
+        time.sleep(2)
+        return [
+            str(updates),
+            f"{each:.1f}",
+            str(draw.call_count),
+            f"{50 * (time.process_time() - began):.2f}",
+        ]
+
+
+def main() -> None:
+    """Prints the tables."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--no-images", action="store_true", help="without the grasp that has images")
+    given = arguments.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        found = {"no images": tracked(DATA / "can.mcap")}
+        if not given.no_images:
+            path = Path(folder) / "can.mcap"
+            record(Scenario(object="can", seed=1, motion="grasp", images=True), path)
+            found["with RGB-D"] = tracked(path)
+    rows = [frames(name, seen) for name, seen in found.items()]
+    columns = ["", "frames", "CPU ms a frame"]
+    report.print_table("A page that is looked at, 30 frames a second", columns, rows, report.machine())
+    rows = [unwatched(found["no images"], 20_000)]
+    columns = ["updates", "µs an update", "drawn", "% of a core between"]
+    report.print_table("Viewer.update while nobody looks", columns, rows, report.machine())
+
+
+if __name__ == "__main__":
+    main()

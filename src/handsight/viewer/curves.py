@@ -1,0 +1,53 @@
+"""What is plotted of answers over time."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight.checks import Array
+from handsight.evaluation import Truths, pose_errors
+from handsight.objects import ObjectModel
+from handsight.tracking import State
+from handsight.viewer.moment import Moment
+
+MOST = 300
+"""Moments that are plotted."""
+
+
+class Curves(NamedTuple):
+    """Uncertainty, error and state over time."""
+
+    times: Array
+    """(n,) ascending, since a recording's beginning or until now [s]."""
+    sigmas: Array
+    """(n,) of the position [mm], NaN where nothing is known."""
+    errors: Array | None
+    """(n,) of the object's middle [mm], NaN where the truth is not known; None where it never is."""
+    states: Sequence[State]
+    """n of them."""
+
+
+def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Curves:
+    """Of moments in order of stamp, of many as many as can be told apart, the first and the last among them."""
+    places = np.linspace(0, len(moments) - 1, min(len(moments), MOST)).astype(int)
+    shown = [moments[k] for k in places]
+    times = np.array([moment.stamp - moments[0].stamp for moment in shown])
+    sigmas = 1e3 * np.array([moment.sigma for moment in shown])
+    sigmas[~np.isfinite(sigmas)] = np.nan
+    return Curves(times, sigmas, _errors(shown, model, truths), [moment.state for moment in shown])
+
+
+def _errors(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Array | None:
+    rows = [
+        (k, moment.estimate.T_palm_object, true)
+        for k, moment in enumerate(moments)
+        if moment.estimate is not None and (true := truths.at(moment.stamp)) is not None
+    ]
+    if not rows:
+        return None
+    places, Ts, Ts_true = (np.array(column) for column in zip(*rows, strict=True))
+    errors = np.full(len(moments), np.nan)
+    # The middle's error in space is the same in every frame.
+    errors[places] = 1e3 * pose_errors(model, Ts, Ts_true, np.broadcast_to(np.eye(4), Ts.shape)).middle
+    return errors

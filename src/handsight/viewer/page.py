@@ -1,0 +1,164 @@
+"""A page that shows moments, to as many browsers as look at it."""
+
+import contextlib
+import io
+import threading
+from typing import Any
+
+import numpy as np
+
+from handsight.checks import Array
+from handsight.errors import HandsightError, MissingExtra
+from handsight.objects import ObjectModel
+from handsight.rig import Rig
+from handsight.viewer.curves import Curves
+from handsight.viewer.moment import Moment
+from handsight.viewer.panel import Panel
+from handsight.viewer.picture import Picture
+from handsight.viewer.scene import LAYERS, Color, Scene
+
+HOST = "127.0.0.1"
+PORT = 8080
+UNSEEN, IMAGE_EVERY = 1e-3, 0.1
+"""On the same image an outline whose pose has changed by less in any of its numbers is not drawn again, nor is any so
+soon [s]."""
+AWAY = 2.4
+"""The camera's distance from the object and the palm, in half their span."""
+
+
+def require_viser() -> Any:
+    """The package viser; raises MissingExtra where it is absent."""
+    try:
+        import viser
+    except ImportError:
+        raise MissingExtra("the viewer needs viser: pip install 'handsight[view]'") from None
+    return viser
+
+
+class Page:
+    """A server on this machine alone, the scene and the panel on its page."""
+
+    def __init__(self, rig: Rig, model: ObjectModel, *, port: int = PORT, title: str = "handsight") -> None:
+        """Where `port` is taken, the next one that is free. Raises MissingExtra, HandsightError where none is."""
+        viser = require_viser()
+        try:
+            with _unsaid():
+                self.server = viser.ViserServer(host=HOST, port=port, label="handsight", verbose=False)
+        except (OSError, OverflowError) as error:
+            raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
+        self.port: int = self.server.get_port()
+        """That it has."""
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            self.begin(rig, model, title)
+            undo.pop_all()
+
+    def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
+        """Shows another object, or in another hand, and nothing of before."""
+        self._rig, self._model = rig, model
+        self._lock = threading.Lock()  # who plays draws, and who chooses what is shown
+        self._aimed = False
+        self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
+        """The image that is shown, for which moment [s], and its outlines."""
+        self.last: Moment | None = None
+        """What is shown."""
+        with self.server.atomic():
+            self.server.scene.reset()
+            self.server.gui.reset()
+            self.server.scene.configure_default_lights(cast_shadow=False)
+            self.scene = Scene(self.server.scene, rig, model)
+            self.panel = Panel(self.server.gui, title or "object", self.scene.layers, self.redraw)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds it."""
+        return f"http://{HOST}:{self.port}"
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody looks."""
+        return bool(self.server.get_clients())
+
+    def draw(self, moment: Moment) -> None:
+        """Shows a moment in place of the last one."""
+        with self._lock, self.server.atomic():
+            self._aim(moment)
+            forces = moment.forces(self._rig)
+            self.scene.draw(moment, forces)
+            self.panel.draw(moment, forces)
+            self._draw_picture(moment)
+            self.last = moment
+
+    def draw_curves(self, curves: Curves, now: float) -> None:
+        """Plots curves, with a mark at a time [s] of theirs."""
+        with self.server.atomic():
+            self.panel.draw_curves(curves, now)
+
+    def redraw(self) -> None:
+        """Shows the same moment, for what is wanted now."""
+        last = self.last
+        if last is not None:
+            self.draw(last)
+
+    def close(self) -> None:
+        """Ends it; browsers that look keep what they have."""
+        with _unsaid():
+            self.server.stop()
+
+    def _draw_picture(self, moment: Moment) -> None:
+        """The image with the outlines of vision's pose and of the corrected one."""
+        shown, estimate = moment.picture, moment.estimate
+        if shown is None:
+            return
+        vision = None if moment.vision is None else moment.vision.T_palm_object
+        poses = {
+            # Where the camera saw it: what took it into the palm takes it back.
+            "vision": (shown.T_camera_palm_calibrated, vision),
+            "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
+        }
+        outlines = {
+            LAYERS[name][1]: T_camera_palm @ T
+            for name, (T_camera_palm, T) in poses.items()
+            if T is not None and T_camera_palm is not None and self.scene.layers[name]
+        }
+        before, stamp, drawn = self._drawn
+        if shown is before and outlines.keys() == drawn.keys():
+            moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)
+            if moved < UNSEEN or abs(moment.stamp - stamp) < IMAGE_EVERY:
+                return
+        self._drawn = shown, moment.stamp, outlines
+        self.panel.draw_image(shown.with_outlines(self._model, outlines))
+
+    def _aim(self, moment: Moment) -> None:
+        """Has cameras look at the hand from the side, as the world stands, the first time."""
+        if self._aimed:
+            return
+        self._aimed = True
+        places = [T[:3, 3] for T in moment.links(self._rig).values()] or [np.zeros(3)]
+        if moment.estimate is not None:
+            places.append(moment.estimate.T_palm_object[:3, 3])
+        low, high = np.min(places, axis=0), np.max(places, axis=0)
+        center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
+        up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
+        position = center + AWAY * span * side_view(places[-1] - places[0], up)
+        cameras = [self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())]
+        self.server.scene.set_up_direction(up)
+        for camera in cameras:
+            with contextlib.suppress(AttributeError):  # a client's is `up_direction`
+                camera.up = up
+            camera.position, camera.look_at = position, center
+
+
+def _unsaid() -> contextlib.redirect_stdout[io.StringIO]:
+    """What viser prints within, its banner and its end, goes nowhere."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+def side_view(along: Array, up: Array) -> Array:
+    """(3,) unit: from where both `along` and up are seen from the side, from somewhat above."""
+    across = np.cross(up, along)
+    if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
+        across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    across = across / np.linalg.norm(across)
+    view = across + 0.45 * np.cross(across, up) + 0.4 * up
+    return np.asarray(view / np.linalg.norm(view))

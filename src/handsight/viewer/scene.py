@@ -1,0 +1,198 @@
+"""A moment in three dimensions, in the palm's frame, as nodes of a viser scene."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.objects import ObjectModel
+from handsight.rig import Rig
+from handsight.viewer.moment import Moment
+from handsight.viewer.picture import Picture
+from handsight.viewer.sentence import LIKELY
+from handsight.viewer.shapes import ellipsoid, middle, opened
+
+Color = tuple[int, int, int]
+HAND: Color = (176, 182, 194)
+HAND_OPACITY, OBJECT_OPACITY, GHOST_OPACITY = 0.55, 0.75, 0.22
+"""Contacts, and arrows that begin there, are seen through both."""
+LAYERS: dict[str, tuple[str, Color]] = {
+    "hand": ("hand", HAND),
+    "object": ("object, corrected", (224, 161, 0)),
+    "vision": ("object, as vision measured", (0, 160, 190)),
+    "modes": ("other likely poses", (67, 160, 71)),
+    "contacts": ("contacts and their normals", (194, 24, 91)),
+    "forces": ("forces on the fingers", (229, 57, 53)),
+    "covariance": ("where its middle is, 95 %", (123, 31, 162)),
+    "open": ("left open by touch", (13, 71, 161)),
+    "depth": ("depth image", (110, 110, 110)),
+}
+"""What can be shown, by name: in words, and in which colour."""
+GHOST_SCALE = 1.01
+MOST_MODES = 3
+INSIDE = 0.7
+"""An ellipsoid smaller than so many of the object's radii is taken to be in it."""
+MOVED, TURNED = 3e-4, 2e-3
+"""A link that has moved [m] or turned by less (in its quaternion) is not sent again: joints tremble by their noise."""
+NORMAL, FORCE = 0.02, 0.012
+"""Lengths of a normal [m] and of a force [m/N]."""
+LONGEST = 0.12
+"""Of a force's arrow [m]."""
+CLOUD = 4000
+REJECTED: Color = (30, 30, 30)
+
+
+class Scene:
+    """Hand, object and contacts. Each `draw` sends what has changed."""
+
+    def __init__(self, scene: Any, rig: Rig, model: ObjectModel) -> None:
+        """`scene`: viser's, of the server."""
+        self._scene, self._rig, self._model = scene, rig, model
+        self.layers = dict.fromkeys(LAYERS, True)
+        """Which are wanted."""
+        self.links = {
+            name: scene.add_mesh_simple(
+                f"/hand/{name.replace('/', '_')}", *mesh, color=HAND, opacity=HAND_OPACITY, visible=False
+            )
+            for name, mesh in rig.hand.link_meshes().items()
+        }
+        self._handles = list(self.links.values())
+        self._sent = {
+            part: np.full((len(self.links), n), np.inf) for part, n in (("position", 3), ("wxyz", 4))
+        }
+        """Of each link, as it was last sent."""
+        self._picture: Picture | None = None
+        self.object = self._copy("/object", "object", OBJECT_OPACITY)
+        self.vision = self._copy("/vision", "vision", GHOST_OPACITY)
+        self.modes = [self._copy(f"/modes/{k}", "modes", GHOST_OPACITY) for k in range(MOST_MODES)]
+        none, gone = np.zeros((0, 3), np.float32), {"visible": False}
+        size = {"point_size": 0.006, "point_shape": "circle"}
+        self.contacts = scene.add_point_cloud("/contacts", none, LAYERS["contacts"][1], **size, **gone)
+        self.rejected = scene.add_point_cloud("/rejected", none, REJECTED, **size, **gone)
+        self.normals = self._arrows("/normals", "contacts", 0.0008)
+        self.forces = self._arrows("/forces", "forces", 0.0016)
+        self.slides = self._arrows("/open/slides", "open", 0.0015)
+        lines, blue = np.zeros((0, 2, 3), np.float32), LAYERS["open"][1]
+        self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
+        purple = LAYERS["covariance"][1]
+        self.covariance = scene.add_icosphere("/covariance", 1.0, purple, cast_shadow=False, **gone)
+        grey = LAYERS["depth"][1]
+        self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
+
+    def draw(self, moment: Moment, forces: Mapping[str, Array]) -> None:
+        """Shows a moment in place of the last one; `forces` by finger, as the moment has them."""
+        self._draw_hand(moment.links(self._rig) if self.layers["hand"] else {})
+        estimate, vision = moment.estimate, moment.vision
+        self._put(self.object, "object", None if estimate is None else estimate.T_palm_object)
+        self._put(self.vision, "vision", None if vision is None else vision.T_palm_object)
+        others = [] if estimate is None else [mode for mode in estimate.modes[1:] if mode["weight"] >= LIKELY]
+        for k, handle in enumerate(self.modes):
+            self._put(handle, "modes", others[k]["T_palm_object"] if k < len(others) else None)
+        self._draw_contacts(moment, forces)
+        self._draw_uncertainty(moment)
+        self._draw_depth(moment.picture)
+
+    def _draw_hand(self, links: Mapping[str, Array]) -> None:
+        there = [name in links for name in self.links]
+        for handle, visible in zip(self.links.values(), there, strict=True):
+            _see(handle, visible)
+        if not any(there):
+            return
+        Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
+        new = {"position": (Ts[:, :3, 3], MOVED), "wxyz": (quaternions_wxyz(Ts), TURNED)}
+        for part, (values, least) in new.items():
+            sent = self._sent[part]
+            for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & there):
+                setattr(self._handles[k], part, values[k])
+                sent[k] = values[k]
+
+    def _draw_contacts(self, moment: Moment, forces: Mapping[str, Array]) -> None:
+        felt, wanted = moment.fingertips, self.layers["contacts"]
+        points, normals = np.zeros((2, 0, 3))
+        if felt.contacts is not None:
+            points, normals = felt.contacts.points_palm, felt.contacts.normals_palm
+        wrong = np.array([name in moment.outliers for name in felt.fingers], dtype=bool)
+        self._set(self.contacts, points[~wrong], wanted)
+        self._set(self.rejected, points[wrong], wanted)
+        self._set(self.normals, np.stack([points, points + NORMAL * normals], axis=1), wanted)
+        arrows = [
+            (point, point + force * min(FORCE, LONGEST / max(float(np.linalg.norm(force)), 1e-9)))
+            for name, point in zip(felt.fingers, points, strict=True)
+            if (force := forces.get(name)) is not None
+        ]
+        self._set(self.forces, np.array(arrows).reshape(-1, 2, 3), self.layers["forces"])
+
+    def _draw_uncertainty(self, moment: Moment) -> None:
+        estimate, model = moment.estimate, self._model
+        found = None if estimate is None else ellipsoid(estimate, model)
+        self._put(self.covariance, "covariance", None if found is None else found.T_palm_axes)
+        if found is not None and self.layers["covariance"]:
+            self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
+            # Within the object it must be opaque to be drawn before it; around it, it must be seen through.
+            inside = found.semi_axes.max() < INSIDE * model.radius
+            self.covariance.opacity = None if inside else GHOST_OPACITY / 2
+        slides, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
+        if estimate is not None and moment.fingertips.fingers:
+            center = middle(model, estimate.T_palm_object)
+            for direction in estimate.unobservable:
+                line, turn = opened(direction, center, model)
+                if turn:
+                    turns.append(np.stack([line[:-1], line[1:]], axis=1))
+                    slides.append(line[None, [-6, -1]])
+                else:
+                    slides.append(np.stack([[center, line[0]], [center, line[1]]]))
+        self._set(self.slides, np.concatenate(slides), self.layers["open"])
+        self._set(self.turns, np.concatenate(turns), self.layers["open"])
+
+    def _draw_depth(self, picture: Picture | None) -> None:
+        there = picture is not None and len(picture.points_palm) > 0 and self.layers["depth"]
+        if there and picture is not None and picture is not self._picture:
+            self._picture = picture
+            self.depth.points, self.depth.colors = picture.points_palm, picture.colors
+        _see(self.depth, there)
+
+    def _put(self, handle: Any, layer: str, T_palm_node: Array | None) -> None:
+        """A node at a pose in the palm; gone where that is None or its layer is not wanted."""
+        there = T_palm_node is not None and self.layers[layer]
+        if there and T_palm_node is not None:
+            handle.position, handle.wxyz = T_palm_node[:3, 3], quaternions_wxyz(T_palm_node)
+        _see(handle, there)
+
+    def _set(self, handle: Any, points: Array, wanted: bool) -> None:
+        if wanted and len(points):
+            handle.points = points
+        _see(handle, wanted and len(points) > 0)
+
+    def _copy(self, name: str, layer: str, opacity: float) -> Any:
+        """The object, as triangles or as points."""
+        model, color = self._model, LAYERS[layer][1]
+        if len(model.faces):
+            # Two of them at one place would flicker.
+            scale = 1.0 if layer == "object" else GHOST_SCALE
+            style = {
+                "color": color,
+                "opacity": opacity,
+                "scale": scale,
+                "visible": False,
+                "cast_shadow": False,
+            }
+            return self._scene.add_mesh_simple(name, model.vertices, model.faces, side="double", **style)
+        points, _ = model.sample(CLOUD)
+        return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
+
+    def _arrows(self, name: str, layer: str, radius: float) -> Any:
+        points, color = np.zeros((0, 2, 3), np.float32), LAYERS[layer][1]
+        sizes = {"shaft_radius": radius, "head_radius": 2.6 * radius, "head_length": 6 * radius}
+        return self._scene.add_arrows(name, points, color, **sizes, visible=False)
+
+
+def _see(handle: Any, visible: bool) -> None:
+    if handle.visible is not visible:
+        handle.visible = visible
+
+
+def quaternions_wxyz(Ts: Array) -> Array:
+    """(..., 4) of poses (..., 4, 4), as viser takes them."""
+    return se3.quaternion_from_rotation(Ts[..., :3, :3])[..., [3, 0, 1, 2]]

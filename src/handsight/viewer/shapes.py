@@ -1,0 +1,75 @@
+"""What is drawn of an answer beside the object: the edges of its surface, what is left open, how uncertain it is."""
+
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction import PoseEstimate
+from handsight.objects import ObjectModel
+from handsight.tracking.propagation import point_covariance
+
+CREASE = np.deg2rad(25)
+SLIDE, TURN = 0.65, 0.62
+"""Half a slide's double arrow in parts of the object's diameter; the radius of a turn's arc in parts of its radius."""
+ARC_POINTS, ARC_ANGLE = 60, 1.6 * np.pi
+WITHIN_95 = 2.795
+"""Standard deviations within which three numbers of a Gaussian are with 95 %."""
+
+
+class Open(NamedTuple):
+    """A direction that contacts leave open, as a line with an arrow's head at one of its ends, or at both."""
+
+    line: Array
+    """(n, 3) in the palm [m]: two ends of a slide, or an arc about the axis of a turn."""
+    turn: bool
+
+
+class Ellipsoid(NamedTuple):
+    """Where the object's middle is with 95 %."""
+
+    T_palm_axes: Array
+    """(4, 4) its middle and principal axes."""
+    semi_axes: Array
+    """(3,) [m]."""
+
+
+def creases(model: ObjectModel) -> Array:
+    """(k, 2, 3) edges [m] at which the surface bends sharply or ends."""
+    if not len(model.faces):
+        return np.empty((0, 2, 3))
+    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
+    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > CREASE]
+    edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    return np.asarray(model.vertices[np.concatenate([sharp, edges[count == 1]])])
+
+
+def middle(model: ObjectModel, T_palm_object: Array) -> Array:
+    """(3,) the object's middle in the palm [m]."""
+    return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
+
+
+def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
+    """A direction (6,) of `PoseEstimate.unobservable` about the object's middle `center` (3,): a slide or a turn,
+    whichever it mostly is."""
+    # About the object's middle, where a turn leaves the drawn object in place.
+    if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
+        reach = SLIDE * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
+        return Open(np.stack([center - reach, center + reach]), turn=False)
+    axis = direction[3:] / np.linalg.norm(direction[3:])
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0, ARC_ANGLE, ARC_POINTS)[:, None]
+    ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
+    return Open(center + TURN * model.radius * ring, turn=True)
+
+
+def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:
+    """Where the object's middle is; along what is open no longer than the object."""
+    values, axes = np.linalg.eigh(point_covariance(estimate, model, model.center_object))
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    semi_axes = WITHIN_95 * np.sqrt(values.clip(min=0.0))
+    center = middle(model, estimate.T_palm_object)
+    return Ellipsoid(se3.compose(axes, center), semi_axes.clip(max=model.diameter))

@@ -1,0 +1,68 @@
+"""A second of a built-in recording, tracked, and a page to show it on."""
+
+import contextlib
+import socket
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import handsight
+from handsight.evaluation import Truths
+from handsight.recording import open_recording
+from handsight.rig import Rig
+from handsight.tracking import Tracker
+from handsight.tracking.replay import Tally
+from handsight.viewer.player import Timeline
+from handsight.viewer.replayed import follow
+
+for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):
+    if find_spec(name) is None:
+        pytest.skip(f"needs handsight[{extra}]: {name} is not installed", allow_module_level=True)
+
+DATA = Path(handsight.__file__).parent / "data"
+OBSERVATIONS = 120
+
+
+def needs_viser():
+    if find_spec("viser") is None:
+        pytest.skip("the page needs handsight[view]: viser is not installed")
+
+
+@pytest.fixture(scope="session")
+def tracked():
+    """The can's rig, model, first observations, their moments and the truth."""
+    rig = Rig.from_file(DATA / "can.rig.yaml")
+    model, timeline = rig.objects["can"].model(), Timeline()
+    with open_recording(DATA / "can.mcap", rig) as recording:
+        observations = list(islice(recording.observations(), OBSERVATIONS))
+        truths = Truths(recording.truth)
+    list(follow(observations, Tracker(rig, model), Tally(), timeline))
+    return SimpleNamespace(rig=rig, model=model, observations=observations, timeline=timeline, truths=truths)
+
+
+@pytest.fixture
+def free_port():
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        return held.getsockname()[1]
+
+
+@pytest.fixture
+def page(tracked, free_port):
+    needs_viser()
+    from handsight.viewer.page import Page
+
+    with contextlib.closing(Page(tracked.rig, tracked.model, port=free_port, title="can")) as made:
+        yield made
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """Somebody looks at every page."""
+    needs_viser()
+    from handsight.viewer.page import Page
+
+    monkeypatch.setattr(Page, "watched", True)

@@ -1,0 +1,91 @@
+"""The page in a browser: it loads, the object moves when the recording plays, and the slider seeks."""
+
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+from handsight import se3
+from handsight.viewer.curves import curves
+from handsight.viewer.player import Player
+from handsight.viewer.scene import quaternions_wxyz
+from viewer.conftest import needs_viser
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = (
+    *("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-background-networking", "--disable-quic"),
+)
+PATIENCE = 120.0
+"""Software draws the page in seconds, of a busy machine in many [s]."""
+
+
+@pytest.fixture
+def browser():
+    needs_viser()
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="the browser needs playwright (handsight[lab])"
+    )
+    if CHROMIUM is None:
+        pytest.skip("needs a browser: Debian's package chromium")
+    with playwright.sync_playwright() as running:
+        made = running.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield made
+        made.close()
+
+
+def until(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def amber(page):
+    """(2,) column and row of the middle of what is drawn in the object's colour, from a camera that stands still."""
+    (client,), camera = page.server.get_clients().values(), page.server.initial_camera
+    forward = camera.look_at - camera.position
+    right = np.cross(forward, camera.up)
+    axes = [axis / np.linalg.norm(axis) for axis in (right, np.cross(forward, right), forward)]
+    turned = quaternions_wxyz(se3.compose(np.stack(axes, axis=1), np.zeros(3)))
+    image = client.get_render(height=120, width=160, position=camera.position, wxyz=turned, fov=1.0)
+    red, green, blue = image[..., :3].astype(int).transpose(2, 0, 1)
+    rows, columns = np.nonzero((red - blue > 60) & (red - green > 10) & (green - blue > 30))
+    assert len(rows) > 50, image.reshape(-1, image.shape[-1]).mean(axis=0)
+    return np.array([columns.mean(), rows.mean()])
+
+
+@pytest.mark.slow
+def test_the_object_moves_as_the_recording_plays_and_the_slider_seeks(browser, page, tracked):
+    timeline = tracked.timeline
+    player = Player(page, timeline, lambda: curves(timeline.moments, tracked.model, tracked.truths))
+    player.playing = False
+    player.finish()
+    player.start()
+    tab = browser.new_page(viewport={"width": 480, "height": 320})
+    tab.set_default_timeout(1e3 * PATIENCE)
+    asked = []
+    tab.on("request", lambda request: asked.append(request.url))
+    try:
+        tab.goto(page.address)
+        until(lambda: page.watched and page.last is timeline.moments[0])
+        tab.wait_for_selector("canvas")
+        began = amber(page)
+
+        player.play(True)
+        until(lambda: not player.playing)
+        ended = amber(page)
+        assert np.linalg.norm(ended - began) > 3  # vision's first pose is centimetres off
+
+        thumb = tab.get_by_role("slider").first
+        thumb.press("Home")
+        until(lambda: page.last is timeline.moments[0])
+        np.testing.assert_allclose(amber(page), began, atol=1.0)
+        thumb.press("End")
+        until(lambda: page.last is timeline.moments[-1])
+        np.testing.assert_allclose(amber(page), ended, atol=1.0)
+        assert all(url.startswith((page.address, "data:", "blob:")) for url in asked)
+    finally:
+        tab.close()
+        player.close()

@@ -1,0 +1,286 @@
+"""What is shown of an answer says what the answer says."""
+
+import base64
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from handsight import ObjectModel, PoseEstimate, contact_from_wrench, se3
+from handsight.contact import compensate
+from handsight.evaluation import track_errors
+from handsight.observation import Observation
+from handsight.tracking import Tracker
+from handsight.tracking.replay import Tally, replay
+from handsight.tracking.seen_camera import SeenCamera
+from handsight.viewer.curves import curves
+from handsight.viewer.moment import VISION_FOR, Measured, Moment
+from handsight.viewer.panel import share
+from handsight.viewer.picture import edge, jpeg, picture
+from handsight.viewer.player import FRAME, Timeline
+from handsight.viewer.scene import LAYERS
+from handsight.viewer.sentence import sentence
+from handsight.viewer.shapes import WITHIN_95, ellipsoid, middle, opened
+
+
+def touched(tracked):
+    """The last moment, in which all fingers touch."""
+    return tracked.timeline.moments[-1]
+
+
+def test_a_recording_is_shown_as_track_gives_it(tracked):
+    steps = {s.stamp: s for s in replay(tracked.observations, Tracker(tracked.rig, tracked.model), Tally())}
+    moments = tracked.timeline.moments
+    assert len(moments) > 20
+    for moment in moments:
+        step = steps[moment.stamp]
+        np.testing.assert_array_equal(moment.estimate.T_palm_object, step.estimate.T_palm_object)
+        assert (moment.state, moment.sigma, moment.fingertips.fingers) == (
+            step.state,
+            step.sigma,
+            step.fingers,
+        )
+    assert min(np.diff([moment.stamp for moment in moments])) >= FRAME - 1e-3
+
+
+def test_what_vision_said_is_shown_for_a_while(tracked):
+    one = touched(tracked)
+    old = dataclasses.replace(one, vision=Measured(one.stamp, np.eye(4)))
+    for later, kept in ((0.5 * VISION_FOR, True), (1.5 * VISION_FOR, False)):
+        new = dataclasses.replace(one, stamp=one.stamp + later, vision=None).after(old, None)
+        assert (new.vision is old.vision) is kept
+    newer = Measured(one.stamp + 0.1, se3.random(np.random.default_rng(1)))
+    assert dataclasses.replace(one, vision=newer).after(old, None).vision is newer
+
+
+def test_forces_are_those_that_contacts_are_sensed_from(tracked):
+    moment, rig = touched(tracked), tracked.rig
+    forces, felt = moment.forces(rig), moment.fingertips
+    assert set(forces) == set(felt.fingers)
+    assert len(forces) >= 4
+    T_palm_world = se3.inverse(moment.T_world_palm)
+    Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(moment.joint_positions), strict=True))
+    for name, point in zip(felt.fingers, felt.contacts.points_palm, strict=True):
+        finger = rig.fingers[name]
+        T_palm_surface = Ts[name] @ finger.T_frame_surface
+        T_sensor_palm = se3.inverse(T_palm_surface @ finger.tip.T_surface_sensor)
+        gravity = T_sensor_palm[:3, :3] @ T_palm_world[:3, :3] @ rig.gravity
+        reading = moment.wrenches[name]
+        wrench = compensate(reading[:3], reading[3:], gravity, finger.calibration)
+        contact = contact_from_wrench(*wrench, finger.tip).moved(T_palm_surface)
+        np.testing.assert_allclose(forces[name], contact.force, atol=1e-9)
+        np.testing.assert_allclose(point, contact.point, atol=2e-3)  # the joints' known offsets are in it
+
+
+def test_a_moment_without_joints_has_no_link_but_the_palm_and_no_forces(tracked):
+    blind = dataclasses.replace(touched(tracked), joint_positions=None)
+    assert list(blind.links(tracked.rig)) == ["robot0:palm"]
+    assert blind.forces(tracked.rig) == {}
+
+
+def test_the_timeline_gives_the_last_moment_that_is_not_later(tracked):
+    timeline = tracked.timeline
+    rng, stamps = np.random.default_rng(3), np.array([m.stamp for m in timeline.moments])
+    for time in (*(stamps - stamps[0]), *rng.uniform(-0.1, timeline.length + 0.1, 50)):
+        expected = np.flatnonzero(stamps <= stamps[0] + max(time, 0.0) + 1e-3)[-1]
+        assert timeline.at(time) is timeline.moments[expected]
+
+
+def test_seconds_since_1970_are_times_since_the_beginning(tracked):
+    timeline = Timeline()
+    for k, moment in enumerate(tracked.timeline.moments * 3):
+        assert timeline.append(dataclasses.replace(moment, stamp=1.7e9 + k * FRAME, vision=None))
+    for k, moment in enumerate(timeline.moments):
+        assert timeline.at(moment.stamp - timeline.begin) is moment
+        assert timeline.at(k * FRAME) is moment
+    assert timeline.at(timeline.length) is timeline.moments[-1]
+    found = curves(timeline.moments, tracked.model, tracked.truths)
+    assert (found.times[0], found.times[-1]) == (0.0, timeline.length)
+    assert found.errors is None  # the truth is of another time
+
+
+def test_moments_that_go_back_are_left_out(tracked):
+    timeline, (first, second) = Timeline(), tracked.timeline.moments[:2]
+    assert [timeline.append(m) for m in (second, first, second)] == [True, False, False]
+    assert timeline.moments == [second]
+
+
+def test_curves_are_the_sigmas_and_errors_of_the_answers(tracked):
+    moments, model = tracked.timeline.moments, tracked.model
+    found = curves(moments, model, tracked.truths)
+    steps = replay(tracked.observations, Tracker(tracked.rig, model), Tally())
+    kept = {m.stamp for m in moments}
+    steps = [step for step in steps if step.stamp in kept]
+    expected = track_errors(model, steps, tracked.truths, vision=False).middle
+    np.testing.assert_allclose(found.errors[np.isfinite(found.errors)], 1e3 * expected, atol=1e-9)
+    np.testing.assert_allclose(found.sigmas, [1e3 * step.sigma for step in steps])
+    assert list(found.states) == [step.state for step in steps]
+    few = curves(moments * 40, model, tracked.truths)
+    assert len(few.times) <= 300
+    assert (few.times[0], few.times[-1]) == (0.0, moments[-1].stamp - moments[0].stamp)
+
+
+def said(tracked, **changes):
+    return sentence(dataclasses.replace(touched(tracked), **changes))
+
+
+def test_one_sentence_says_why_the_state_is_what_it_is(tracked):
+    nothing = dataclasses.replace(touched(tracked).fingertips, fingers=(), contacts=None)
+    one = dataclasses.replace(nothing, fingers=("th",))
+    assert said(tracked).startswith(
+        "Tracking: ff, mf, rf, lf and th touch and fit the object; the position is known to "
+    )
+    assert said(tracked).endswith(" mm; touch leaves a slide and a turn open.")
+    assert said(
+        tracked, state="lost", reason="no pose yet", estimate=None, sigma=math.inf, fingertips=nothing
+    ) == ("Lost: no pose yet; no finger touches.")
+    reason = "the position is known to 12 mm only"
+    assert said(tracked, state="uncertain", reason=reason, fingertips=one).startswith(
+        f"Uncertain: {reason}; only th touches; touch leaves"
+    )
+    reason = "nothing is touched: the pose is vision's"
+    assert said(tracked, state="uncertain", reason=reason, fingertips=nothing, sigma=0.063) == (
+        f"Uncertain: {reason}; the position is known to 63 mm."
+    )
+    assert "known to 0.8 mm" in said(tracked, sigma=0.0008)
+    wrong = touched(tracked).estimate
+    wrong = PoseEstimate(wrong.answer, wrong.modes, wrong.residual_rows, False, (1,))
+    assert "; mf left out as wrong;" in said(tracked, estimate=wrong)
+    assert "fit the object" not in said(tracked, estimate=wrong)
+
+
+def test_the_ellipsoid_holds_95_of_100_places_of_the_middle():
+    model, rng = ObjectModel.box([0.04, 0.06, 0.1]), np.random.default_rng(5)
+    root = rng.normal(size=(6, 6)) * np.repeat([1e-3, 1e-2], 3)[:, None]
+    T = se3.random(rng, spread=0.1)
+    estimate = PoseEstimate.from_gaussian(T, root @ root.T, np.zeros((0, 6)))
+    found = ellipsoid(estimate, model)
+    np.testing.assert_allclose(found.T_palm_axes[:3, 3], middle(model, T))
+    assert np.linalg.det(found.T_palm_axes[:3, :3]) == pytest.approx(1)
+    draws = (root @ rng.normal(size=(6, 4000))).T
+    places = np.array([middle(model, se3.moved(T, draw)) for draw in draws])
+    inside = se3.apply(se3.inverse(found.T_palm_axes), places) / found.semi_axes
+    assert (np.linalg.norm(inside, axis=1) < 1).mean() == pytest.approx(0.95, abs=0.012)
+    assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == WITHIN_95
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_slide_is_drawn_along_and_a_turn_about_its_direction(seed):
+    model, rng = ObjectModel.cylinder(0.03, 0.1), np.random.default_rng(seed)
+    axis, center = rng.normal(size=3), rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    slide = opened(np.r_[axis, 0, 0, 0], center, model)
+    assert not slide.turn
+    np.testing.assert_allclose(np.cross(slide.line[1] - slide.line[0], axis), 0, atol=1e-12)
+    np.testing.assert_allclose(slide.line.mean(axis=0), center)
+    turn = opened(np.r_[0, 0, 0, axis], center, model)
+    assert turn.turn
+    np.testing.assert_allclose((turn.line - center) @ axis, 0, atol=1e-12)
+    radii = np.linalg.norm(turn.line - center, axis=1)
+    np.testing.assert_allclose(radii, radii[0])
+    # The arrow's head is at the end that a positive turn goes to.
+    assert np.cross(turn.line[0] - center, turn.line[1] - center) @ axis > 0
+
+
+def seen(tracked):
+    """The built-in picture, as an observation of a rig whose camera is on the palm."""
+    import json
+
+    from handsight.cli.demo import DATA
+    from handsight.cli.demo import picture as frame_of
+
+    known = json.loads((DATA / "can.picture.json").read_bytes())
+    frame = frame_of(tracked.rig, known)
+    T_camera_palm = se3.from_position_quaternion(**known["T_camera_palm"])
+    camera = dataclasses.replace(
+        tracked.rig.camera,
+        on="palm",
+        T_mount_camera=se3.inverse(T_camera_palm),
+        intrinsics=frame.camera.matrix,
+        size=frame.camera.size,
+        lens=frame.camera.lens,
+    )
+    rig = dataclasses.replace(tracked.rig, camera=camera)
+    truth = se3.from_position_quaternion(**known["truth"])
+    return rig, Observation(0.0, depth=frame.depth, color=frame.color), se3.inverse(T_camera_palm) @ truth
+
+
+def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
+    pytest.importorskip("PIL")
+    rig, observation, T_palm_object = seen(tracked)
+    found, amber = picture(rig, observation, SeenCamera(), None), (224, 161, 0)
+    image = found.with_outlines(tracked.model, {amber: found.T_camera_palm @ T_palm_object})
+    outline = (image == amber).all(axis=2)
+    assert outline.sum() > 100
+    points, _ = tracked.model.sample(2000)
+    points = points * 0.94  # a pixel within
+    inside = np.zeros_like(outline)
+    columns, rows = (
+        np.round(found.camera.project(se3.apply(found.T_camera_palm @ T_palm_object, points))).astype(int).T
+    )
+    inside[rows, columns] = True
+    from scipy.ndimage import binary_dilation
+
+    assert not (outline & inside).any()
+    assert (outline <= binary_dilation(inside, iterations=8)).all()
+    # The can is in the picture: many of its depths are on the surface that is drawn there.
+    off = tracked.model.evaluate(se3.apply(se3.inverse(T_palm_object), found.points_palm)).distance
+    assert (np.abs(off) < 0.004).sum() > 150
+    packed = found.packed()
+    assert len(packed.image) < image.nbytes / 5
+    np.testing.assert_allclose(packed.points_palm, found.points_palm, atol=2e-4)
+    unpacked = packed.with_outlines(tracked.model, {})
+    assert np.abs(unpacked.astype(int) - found.image).mean() < 4
+
+
+def test_what_vision_saw_is_outlined_where_it_saw_it(page, tracked):
+    """Whatever is known of the camera's error since."""
+    rig, observation, T_palm_object = seen(tracked)
+    off = se3.compose(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    shown = picture(rig, observation, SeenCamera(), None)
+    T_camera_object = shown.T_camera_palm @ T_palm_object
+    shown = dataclasses.replace(shown, T_camera_palm=shown.T_camera_palm @ off)
+    page.scene.layers["object"] = False
+    page.draw(dataclasses.replace(touched(tracked), vision=Measured(0.0, T_palm_object), picture=shown))
+    cyan = LAYERS["vision"][1]
+    expected = shown.with_outlines(tracked.model, {cyan: T_camera_object})
+    data = page.panel.image.content.partition("base64,")[2].partition('"')[0]
+    assert base64.b64decode(data) == jpeg(expected)
+
+
+def test_an_edge_is_just_outside():
+    there = np.zeros((20, 20), bool)
+    there[5:10, 5:10] = True
+    from scipy.ndimage import binary_dilation
+
+    rng = np.random.default_rng(0)
+    for area in (there, rng.random((30, 40)) < 0.1):
+        np.testing.assert_array_equal(edge(area), binary_dilation(area, iterations=2) & ~area)
+
+
+def test_a_picture_of_another_camera_has_neither_outline_nor_cloud(tracked):
+    _, observation, T = seen(tracked)
+    found = picture(tracked.rig, observation, SeenCamera(), np.eye(4))
+    if found.camera is not None:
+        pytest.skip("the built-in rig's camera has images of this size")
+    assert len(found.points_palm) == 0
+    np.testing.assert_array_equal(found.with_outlines(tracked.model, {(1, 2, 3): T}), found.image)
+    assert picture(tracked.rig, Observation(0.0), SeenCamera(), None) is None
+
+
+def test_a_moment_now_is_the_trackers(tracked):
+    tracker = Tracker(tracked.rig, tracked.model)
+    for observation in tracked.observations[:60]:
+        tracker.update(observation)
+        moment = Moment.now(tracker)
+        assert (moment.stamp, moment.state, moment.reason) == (tracker.stamp, tracker.state, tracker.reason)
+        assert moment.estimate is tracker.estimate
+        assert moment.fingertips is tracker.fingertips
+
+
+@pytest.mark.parametrize(
+    ("time", "expected"), [(0, "0.00%"), (5, "50.00%"), (10, "100.00%"), (-1, "0.00%"), (12, "100.00%")]
+)
+def test_times_are_shares_of_the_whole(time, expected):
+    assert share(time, 0, 10) == expected

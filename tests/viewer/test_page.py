@@ -1,0 +1,305 @@
+"""The page without a browser: what is in its scene, when it is drawn, and when nothing is done."""
+
+import dataclasses
+import inspect
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from handsight import ObjectModel, se3
+from handsight.errors import MissingExtra
+from handsight.tracking import Tracker
+from handsight.viewer import NullViewer, Viewer, view
+from handsight.viewer.player import Player
+from viewer.conftest import needs_viser
+
+
+def pose(handle):
+    w, x, y, z = handle.wxyz
+    return se3.from_position_quaternion(handle.position, [x, y, z, w])
+
+
+def messages(page):
+    """How many the page has sent, or would send."""
+    return page.server._websock_server._broadcast_buffer.message_counter
+
+
+def until(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_nodes_are_where_the_answer_has_them(page, tracked):
+    for moment in (tracked.timeline.moments[3], tracked.timeline.moments[-1]):
+        page.draw(moment)
+        scene = page.scene
+        np.testing.assert_allclose(pose(scene.object), moment.estimate.T_palm_object, atol=1e-9)
+        assert scene.vision.visible is (moment.vision is not None)
+        if moment.vision is not None:
+            np.testing.assert_allclose(pose(scene.vision), moment.vision.T_palm_object, atol=1e-9)
+        links = tracked.rig.hand.link_poses(moment.joint_positions)
+        for name, handle in scene.links.items():
+            np.testing.assert_allclose(pose(handle), links[name], atol=5e-3)
+            assert handle.visible
+        felt = moment.fingertips.contacts
+        assert scene.contacts.visible is (felt is not None)
+    np.testing.assert_allclose(scene.contacts.points, felt.points_palm, atol=2e-3)  # float16
+    arrows = scene.forces.points
+    np.testing.assert_allclose(arrows[:, 0], felt.points_palm, atol=1e-6)
+    assert ((arrows[:, 1] - arrows[:, 0]) * felt.normals_palm).sum(axis=1).min() > 0
+    assert scene.slides.visible
+    assert scene.turns.visible
+    assert page.panel.status.content.count("TRACKING") == 1
+
+
+def test_other_modes_are_ghosts(page, tracked):
+    moment = tracked.timeline.moments[-1]
+    estimate = moment.estimate
+    other = estimate.answer.copy()
+    other["T_palm_object"] = other["T_palm_object"] @ se3.compose(np.eye(3), np.array([0.03, 0.0, 0.0]))
+    other["pose"]["position"] = other["T_palm_object"][:3, 3]
+    other["weight"] = 0.3
+    estimate = type(estimate)(estimate.answer, (estimate.answer, other), estimate.residual_rows, True)
+    page.draw(dataclasses.replace(moment, estimate=estimate))
+    assert [handle.visible for handle in page.scene.modes] == [True, False, False]
+    np.testing.assert_allclose(pose(page.scene.modes[0]), other["T_palm_object"], atol=1e-9)
+    assert "another pose is likely by 30%" in page.panel.status.content
+
+
+def test_nothing_known_shows_nothing_but_the_hand(page, tracked):
+    moment = tracked.timeline.moments[-1]
+    nothing = dataclasses.replace(moment.fingertips, fingers=(), contacts=None)
+    page.draw(moment)
+    page.draw(
+        dataclasses.replace(
+            moment, estimate=None, vision=None, fingertips=nothing, state="lost", reason="none"
+        )
+    )
+    scene = page.scene
+    gone = (
+        scene.object,
+        scene.vision,
+        scene.contacts,
+        scene.normals,
+        scene.forces,
+        scene.covariance,
+        scene.slides,
+        scene.turns,
+    )
+    assert not any(handle.visible for handle in gone)
+    assert all(handle.visible for handle in scene.links.values())
+
+
+def test_what_is_not_wanted_is_not_there(page, tracked):
+    page.draw(tracked.timeline.moments[-1])
+    for layer in page.scene.layers:
+        page.scene.layers[layer] = False
+    page.redraw()
+    scene = page.scene
+    shown = [
+        *scene.links.values(),
+        scene.object,
+        scene.contacts,
+        scene.forces,
+        scene.covariance,
+        scene.slides,
+    ]
+    assert not any(handle.visible for handle in shown)
+
+
+def test_a_moment_that_is_drawn_again_sends_nothing_of_the_scene(page, tracked):
+    moment = tracked.timeline.moments[-1]
+    page.draw(moment)
+    before = messages(page)
+    page.scene.draw(moment, moment.forces(tracked.rig))
+    assert messages(page) == before
+
+
+def test_a_frame_is_few_messages(page, tracked):
+    """What a frame costs is what it sends: the hand is sent where it has moved, what is gone is not sent at all."""
+    moments = tracked.timeline.moments
+    page.draw(moments[0])
+    before = messages(page)
+    for moment in moments[1:]:
+        page.draw(moment)
+    assert (messages(page) - before) / (len(moments) - 1) < 50
+
+
+def test_seek_shows_that_instant(page, tracked, watched):
+    player = Player(page, tracked.timeline, lambda: None)
+    page.draw_curves = lambda curves, now: None
+    player.playing = False
+    player.finish()
+    player.start()
+    try:
+        for at in (0.8, 0.2, 0.55, 0.0, 99.0):
+            player.seek(at)
+            until(lambda: page.last is tracked.timeline.at(player.time))
+            expected = page.last.estimate.T_palm_object
+            np.testing.assert_allclose(pose(page.scene.object), expected, atol=1e-9)
+        assert player.time == tracked.timeline.length
+    finally:
+        player.close()
+
+
+def test_who_comes_while_it_is_paused_sees_the_moment(page, tracked, monkeypatch):
+    player = Player(page, tracked.timeline, lambda: None)
+    page.draw_curves = lambda curves, now: None
+    player.playing = False
+    player.finish()
+    player.start()
+    try:
+        time.sleep(0.1)
+        assert page.last is None
+        monkeypatch.setattr(type(page), "watched", True)
+        player._wake.set()  # as a browser that connects does
+        until(lambda: page.last is tracked.timeline.moments[0])
+    finally:
+        player.close()
+
+
+def test_playing_goes_through_all_moments_to_the_end_at_its_speed(page, tracked, watched):
+    player = Player(page, tracked.timeline, lambda: None)
+    page.draw_curves = lambda curves, now: None
+    stamps = []
+    page.draw = lambda moment: stamps.append(moment.stamp)
+    player.finish()
+    player.speed = 2.0
+    began = time.monotonic()
+    player.start()
+    try:
+        until(lambda: not player.playing)
+        took = time.monotonic() - began
+        assert took >= 0.95 * tracked.timeline.length / 2.0
+        assert stamps == sorted(stamps)
+        assert stamps[-1] == tracked.timeline.moments[-1].stamp
+        player.play(True)
+        assert player.playing
+        assert player.time < tracked.timeline.length
+    finally:
+        player.close()
+
+
+def test_nothing_is_done_while_nobody_looks(page, tracked, free_port, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(type(page), "draw", lambda *_: drawn.append(1))
+    monkeypatch.setattr("handsight.viewer.live.Moment.now", lambda *_: drawn.append(1))
+    player = Player(page, tracked.timeline, lambda: drawn.append(1))
+    before = messages(page)
+    player.start()
+    tracker = Tracker(tracked.rig, tracked.model)
+    with Viewer(tracker, port=free_port) as viewer:
+        for observation in tracked.observations[:50]:
+            tracker.update(observation)
+            viewer.update(observation, tracker)
+        time.sleep(0.2)
+    player.close()
+    assert not drawn
+    assert messages(page) == before
+    assert player.time == 0.0
+
+
+def test_the_newest_answer_is_shown_however_fast_they_come(tracked, free_port, watched):
+    tracker, told = Tracker(tracked.rig, tracked.model), []
+    with view(tracker, port=free_port, say=told.append) as viewer:
+        assert told == [f"handsight: look at {viewer.address}"]
+        for observation in tracked.observations[:60]:
+            tracker.update(observation)
+            viewer.update(observation, tracker)
+        until(lambda: viewer._page.last is not None and viewer._page.last.stamp == tracker.stamp)
+        until(lambda: np.allclose(pose(viewer._page.scene.object), tracker.estimate.T_palm_object, atol=1e-9))
+        # One that comes late changes nothing, whatever is in it.
+        late = dataclasses.replace(
+            tracked.observations[5], wrenches={"th": np.full(6, np.nan)}, depth=np.zeros((2, 2))
+        )
+        tracker.update(late)
+        viewer.update(late, tracker)
+        assert viewer._shot is None
+        other = Tracker(tracked.rig, ObjectModel.box([0.05, 0.05, 0.1]))
+        other.update(tracked.observations[0])
+        viewer.update(tracked.observations[0], other)
+        until(lambda: viewer._page._model is other.model and viewer._page.last is not None)
+        assert viewer._page.last.stamp == other.stamp
+
+
+def test_who_comes_while_the_robot_rests_sees_the_last_answer(tracked, free_port, monkeypatch):
+    needs_viser()
+    from handsight.viewer.page import Page
+
+    tracker = Tracker(tracked.rig, tracked.model)
+    with Viewer(tracker, port=free_port) as viewer:
+        for observation in tracked.observations[:60]:
+            tracker.update(observation)
+            viewer.update(observation, tracker)
+        assert viewer._page.last is None
+        monkeypatch.setattr(Page, "watched", True)
+        viewer._changed.set()  # as a browser that connects does
+        until(lambda: viewer._page.last is not None)
+        assert viewer._page.last.stamp == tracker.stamp
+
+
+def test_the_null_viewer_has_the_same_methods_and_does_nothing(tracked):
+    def methods(kind):
+        return {
+            name: str(inspect.signature(value)) if callable(value) else ""
+            for name, value in inspect.getmembers(kind)
+            if not name.startswith("_") or name in ("__enter__", "__exit__")
+        }
+
+    assert methods(NullViewer) == methods(Viewer)
+    with NullViewer() as nothing:
+        nothing.update(tracked.observations[0], None)
+        assert (nothing.address, nothing.watched) == ("", False)
+
+
+def test_the_page_is_for_this_machine_and_offers_no_tunnel(page):
+    psutil = pytest.importorskip("psutil")
+    listening = [c.laddr for c in psutil.Process().net_connections() if c.status == "LISTEN"]
+    assert page.port in {address.port for address in listening}
+    assert {address.ip for address in listening if address.port == page.port} == {"127.0.0.1"}
+    sent = page.server._websock_server._broadcast_buffer.message_from_id.values()
+    themes = [message for message in sent if type(message).__name__ == "ThemeConfigurationMessage"]
+    assert [theme.show_share_button for theme in themes] == [False]
+
+
+def test_a_port_that_is_taken_gives_way_to_the_next(page, tracked):
+    from handsight.viewer.page import Page
+
+    second = Page(tracked.rig, tracked.model, port=page.port)
+    try:
+        assert second.port != page.port
+        assert second.address == f"http://127.0.0.1:{second.port}"
+    finally:
+        second.close()
+
+
+def test_a_page_that_is_closed_leaves_no_thread(tracked, free_port):
+    needs_viser()
+    before = {thread.name for thread in threading.enumerate()}
+    with Viewer(Tracker(tracked.rig, tracked.model), port=free_port):
+        pass
+    after = {thread.name for thread in threading.enumerate() if thread.is_alive()}
+    assert after - before <= {"asyncio_0"}
+
+
+def test_without_viser_one_sentence_says_what_to_install(tracked, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtra, match=r"^the viewer needs viser: pip install 'handsight\[view\]'$"):
+        view(Tracker(tracked.rig, tracked.model))
+
+
+def test_the_states_strip_has_each_state_in_its_place(page):
+    from handsight.viewer.curves import Curves
+    from handsight.viewer.panel import STATES
+
+    times = np.linspace(0, 10, 11)
+    states = ["lost"] * 3 + ["tracking"] * 8
+    page.draw_curves(Curves(times, np.ones(11), None, states), 5.0)
+    content = page.panel.strip.content
+    assert f"{STATES['lost']} 0.00% 30.00%,{STATES['tracking']} 30.00% 100.00%" in content
+    assert "left:50.00%" in content
