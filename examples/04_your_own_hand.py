@@ -1,6 +1,6 @@
-"""A rig file for a hand that is not ours: an Allegro hand closes on a can, its readings are recorded and tracked.
+"""An Allegro hand by its rig file, beside this one: it closes on a can, what it reads is recorded and tracked.
 
-`allegro.rig.yaml` beside this file describes it; the URDF is looked for in $ROS_PACKAGE_PATH. Usage: FILE [FOLDER]
+Its URDF is looked for in $ROS_PACKAGE_PATH. The recording goes into the folder that is named, else a temporary one.
 """
 
 import sys
@@ -20,23 +20,24 @@ try:
 except hs.HandsightError as error:
     sys.exit(print(f"skipped, there is no such hand here: {error}"))
 
-# Where the can really is: across the palm. Each finger closes until the middle of its tip is a radius off the surface.
-radius, T_palm_can = 0.033, se3.from_position_quaternion([0.07, 0, 0], [-(0.5**0.5), 0, 0, 0.5**0.5])
+# Where the can really is: across the palm. Each finger closes until the middle of its tip is 33 + 12 mm off its axis.
+T_palm_can = se3.from_position_quaternion([0.07, 0, 0], [-(0.5**0.5), 0, 0, 0.5**0.5])
 joints, fingers = dict.fromkeys(rig.hand.joint_names, 0.0) | {"joint_12.0": 1.396}, list(rig.fingers)
 
 
-def tip(closed: float, k: int) -> np.ndarray:  # pose in the palm of the middle of the k-th tip
+def tip(closed: float, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pose of the middle of the k-th tip in the palm, and the way to there from the can's axis."""
     bent = {f"joint_{4 * k + j}.0": closed for j in (1, 2, 3)}
-    return rig.hand.Ts_palm_tip(joints | bent)[k] @ rig.fingers[fingers[k]].T_frame_surface
+    T_palm_tip = rig.hand.Ts_palm_tip(joints | bent)[k] @ rig.fingers[fingers[k]].T_frame_surface
+    return T_palm_tip, (T_palm_tip[:3, 3] - T_palm_can[:3, 3]) * [1, 0, 1]
 
 
 readings = []  # of all sensors, with the tips' weight alone and with a push of 2 N
 for k, finger in enumerate(rig.fingers.values()):
-    off = lambda closed, k=k: (tip(closed, k)[:3, 3] - T_palm_can[:3, 3]) * [1, 0, 1]  # noqa: E731
-    closed = brentq(lambda closed: np.linalg.norm(off(closed)) - radius - finger.tip.radius, 0.2, 0.9)
-    T_palm_sensor = tip(closed, k) @ finger.tip.T_surface_sensor
-    normal = off(closed) / np.linalg.norm(off(closed))
-    lever = tip(closed, k)[:3, 3] - finger.tip.radius * normal - T_palm_sensor[:3, 3]
+    closed = brentq(lambda closed, k: np.linalg.norm(tip(closed, k)[1]) - 0.045, 0.2, 0.9, args=(k,))
+    T_palm_tip, out = tip(closed, k)
+    T_palm_sensor, normal = T_palm_tip @ finger.tip.T_surface_sensor, out / np.linalg.norm(out)
+    lever = T_palm_tip[:3, 3] - finger.tip.radius * normal - T_palm_sensor[:3, 3]
     push = np.stack([2 * normal, np.cross(lever, 2 * normal)]) @ T_palm_sensor[:3, :3]
     weight = finger.calibration.mass * rig.gravity @ T_palm_sensor[:3, :3]
     still = np.stack([weight, np.cross(finger.calibration.center_of_mass, weight)])
@@ -54,9 +55,5 @@ with RecordingWriter(folder / "allegro.mcap", rig) as writer:
 tracker = hs.Tracker(rig, rig.objects["can"].model())
 with open_recording(folder / "allegro.mcap", rig) as recording:
     estimates = [tracker.update(observation) for observation in recording.observations()]
-first, last = (
-    np.linalg.norm((each.T_palm_object - T_palm_can)[[0, 2], 3]) for each in estimates[:: len(estimates) - 1]
-)
-print(
-    f"off across the can's axis: {1e3 * first:.1f} mm by sight, {1e3 * last:.1f} mm with touch; {tracker.state}"
-)
+off = [1e3 * np.linalg.norm((each.T_palm_object - T_palm_can)[[0, 2], 3]) for each in estimates]
+print(f"off across the can's axis: {off[0]:.1f} mm by sight, {off[-1]:.1f} mm with touch; {tracker.state}")
