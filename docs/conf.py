@@ -10,8 +10,6 @@ version = release = installed_version("handsight")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 exclude_patterns = ["_build"]
-suppress_warnings = ["toc.empty_glob"]  # pages that come with their part of the package
-nitpicky = False
 
 html_theme = "furo"
 html_title = f"handsight {release}"
