@@ -1,5 +1,6 @@
 # make demo    see it work          make test    all tests, the slow ones too
 # make lint    format, types, layers  make clean   remove .venv and every cache
+# make docs    the manual, in build/manual
 # make bench   the benchmarks against every peer: fills .venv with Open3D and small_gicp, fifteen minutes
 #
 # .venv is made and filled by the first target that needs it. PYTHON=/path/to/python chooses another one.
@@ -7,7 +8,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench venv clean
+.PHONY: help demo test lint docs bench venv clean
 
 PYTHON ?=
 BIN := .venv/bin
@@ -27,6 +28,10 @@ lint: $(STAMP)
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+docs: $(STAMP)
+	@$(BIN)/sphinx-build -q -E -W --keep-going -b html docs build/manual
+	@echo build/manual/index.html
 
 bench: $(STAMP)
 	@PIP_ROOT_USER_ACTION=ignore $(BIN)/python -m pip install -qq --disable-pip-version-check -e '.[bench]'

@@ -68,7 +68,9 @@ def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = Fa
     row = np.repeat(np.arange(len(points)), neighbours.shape[1] - 1)
     column = neighbours[:, 1:].reshape(-1)
     cost = 1.0 - np.abs(_likeness(points, normals, (row, column), turning)) + 1e-6
-    graph = coo_array((cost, (row, column)), shape=(len(points), len(points)))
+    # As the tree's compiled code wants them: SciPy before 1.17 does not convert what comes.
+    places = row.astype(np.int32), column.astype(np.int32)
+    graph = coo_array((cost, places), shape=(len(points), len(points)))
     i, j = minimum_spanning_tree(graph.tocsr()).nonzero()
     turned, _ = agreeing(i, j, _likeness(points, normals, (i, j), turning) >= 0, len(points))
     normals[turned] *= -1
