@@ -41,8 +41,6 @@ def warm(model: Any, nodes: Any) -> None:
     depth_image.look_at(rays, depth, labels, chosen, seen)
 
     points, normals = (model["samples"][0, :4, k].copy() for k in range(2))
-    for array in (points, normals):
-        array.setflags(write=False)
     cells, spins = np.empty((4, 4), dtype=np.int64), np.empty((4, 4))
     votes.pairs_of(points, normals, 0.1, cells, spins)
     pairs = np.zeros(votes.CELLS + 1, dtype=np.int32), np.zeros(1, dtype=np.int32)
