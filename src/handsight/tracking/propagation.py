@@ -42,8 +42,9 @@ def is_news(model: ObjectModel, prior: PosePrior, before: PosePrior) -> bool:
     """Whether a prior says that the object may be elsewhere than the one before did."""
     T, T_before = prior.T_palm_object, before.T_palm_object
     # Turned about a symmetry it is elsewhere only if it still is once turned back, which takes longer to tell.
-    for turned_back in (lambda: T, lambda: nearest(model.symmetries, T, T_before, model.radius)):
-        moved = se3.difference(turned_back(), T_before)
+    for whole in (False, True):
+        turned = nearest(model.symmetries, T, T_before, model.radius) if whole else T
+        moved = se3.difference(turned, T_before)
         if moved @ np.linalg.solve(prior.covariance, moved) <= NEWS_CHI2:
             return False
     return True
