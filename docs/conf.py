@@ -14,7 +14,8 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"handsight {release}"
 html_copy_source = html_show_sphinx = False
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["manual.css"]
 
 myst_heading_anchors = 4
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,8 @@ def test_what_was_written_is_read_as_the_same_rig(tmp_path_factory, seed, number
 
 def test_a_rig_of_the_simulator_is_read_as_the_same_rig(tmp_path):
     pytest.importorskip("mujoco")
+    if find_spec("gymnasium_robotics") is None:
+        pytest.skip("the Shadow hand is in gymnasium-robotics, which is not installed")
     from handsight.simulation import Scenario, rig_of
 
     for scenario in (Scenario(), Scenario(images=True)):
