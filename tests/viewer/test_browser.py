@@ -25,7 +25,7 @@ PATIENCE = 120.0
 def browser():
     needs_viser()
     playwright = pytest.importorskip(
-        "playwright.sync_api", reason="the browser needs playwright (handsight[lab])"
+        "playwright.sync_api", reason="the browser needs playwright (handsight[dev])"
     )
     if CHROMIUM is None:
         pytest.skip("needs a browser: Debian's package chromium")

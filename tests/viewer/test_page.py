@@ -50,7 +50,7 @@ def test_nodes_are_where_the_answer_has_them(page, tracked):
         assert scene.contacts.visible is (felt is not None)
     np.testing.assert_allclose(scene.contacts.points, felt.points_palm, atol=2e-3)  # float16
     arrows = scene.forces.points
-    np.testing.assert_allclose(arrows[:, 0], felt.points_palm, atol=1e-6)
+    np.testing.assert_allclose(arrows[:, 0], felt.points_palm, atol=5e-4)
     assert ((arrows[:, 1] - arrows[:, 0]) * felt.normals_palm).sum(axis=1).min() > 0
     assert scene.slides.visible
     assert scene.turns.visible

@@ -35,6 +35,7 @@ class Panel:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.main_panel.dock_right()
         self.status = gui.add_html("", order=STATUS)
+        gui.add_html(_legend(), order=STATUS + 1)
         self.strip = gui.add_html("", order=STRIP)
         self.curves: Any = None
         self.image = gui.add_html("", order=IMAGE)
@@ -60,7 +61,7 @@ class Panel:
             f'<div style="padding:0 .8em;font-size:.86em;line-height:1.4">'
             f'<div style="color:#666">{html.escape(self._title)} · {moment.stamp:.2f} s</div>'
             f'<div><b style="color:{color}">{moment.state.upper()}</b> {html.escape(why)}</div>'
-            f'<div style="margin:.3em 0">{fingers}</div>{_legend()}</div>'
+            f'<div style="margin:.3em 0">{fingers}</div></div>'
         )
 
     def draw_image(self, image: Color) -> None:
@@ -122,7 +123,7 @@ def _legend() -> str:
         f"{html.escape(said)}</span> "
         for said, color in LAYERS.values()
     )
-    return f'<div style="color:#555;font-size:.86em">{dots}</div>'
+    return f'<div style="padding:0 .8em;color:#555;font-size:.74em">{dots}</div>'
 
 
 def _strip(curves: Curves, now: float) -> str:
