@@ -74,14 +74,28 @@ class Graph:
     def state(self):
         """Publishers, subscribers and services, by name those who are; None: no master."""
         try:
-            with xmlrpc.client.ServerProxy(self.uri) as master:
-                code, _, found = master.getSystemState("/test")
+            code, _, found = xmlrpc_call(self.uri, "getSystemState", "/test")
         except (OSError, xmlrpc.client.Error):
             return None
         return [dict(each) for each in found] if code == 1 else None
 
     def subscribers(self, topic):
         return (self.state() or [{}, {}])[1].get(topic, [])
+
+    @contextmanager
+    def stuck_reader(self, topic, kind):
+        """Somebody who subscribes and never reads: TCPROS by hand."""
+        code, _, where = xmlrpc_call(self.uri, "lookupNode", "/test", "/handsight")
+        assert code == 1
+        _, _, (_, host, port) = xmlrpc_call(where, "requestTopic", "/stuck", topic, [["TCPROS"]])
+        fields = {"callerid": "/stuck", "topic": topic, "type": kind, "md5sum": "*"}
+        lines = [f"{key}={value}".encode() for key, value in fields.items()]
+        said = b"".join(len(line).to_bytes(4, "little") + line for line in lines)
+        with socket.socket() as stuck:
+            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            stuck.connect((host, port))
+            stuck.sendall(len(said).to_bytes(4, "little") + said)
+            yield
 
     def record(self, *topics):
         """`rosbag record`, listening."""
@@ -112,11 +126,22 @@ class Graph:
         process.wait(limit)
         return time.monotonic() - begun
 
+    def recorded(self, recorder):
+        """Where it is, once it is closed: `rosbag record` is ended before what it has begun."""
+        self.interrupt(recorder)
+        self.wait_for(recorder.path.exists, f"{recorder.path.name} to be closed")
+        return recorder.path
+
     def close(self):
         for process in reversed(self.processes):
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait(30)
+
+
+def xmlrpc_call(uri, name, *arguments):
+    with xmlrpc.client.ServerProxy(uri) as server:
+        return getattr(server, name)(*arguments)
 
 
 @contextmanager

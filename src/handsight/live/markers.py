@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from types import SimpleNamespace as Message
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ MOST_TRIANGLES = 20_000
 """Of more, points of the surface are drawn."""
 BRIEFLY, ALWAYS = Message(sec=0, nanosec=500_000_000), Message(sec=0, nanosec=0)
 GREEN, ORANGE, BLUE, RED = (0.3, 0.8, 0.4), (1.0, 0.6, 0.1), (0.2, 0.5, 1.0), (0.9, 0.2, 0.2)
-ORIGIN = np.eye(4)
+ORIGIN, NONE = np.eye(4), np.zeros((0, 3))
 FARTHEST_DRAWN = 0.3
 """An ellipsoid's semi-axes are drawn up to this [m]."""
 
@@ -37,7 +38,7 @@ class Markers:
             kind, size, points = TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
         else:
             kind, size, points = SPHERE_LIST, model.diameter / 50, model.points_object
-        marker = self._marker("object", 0, kind, stamp, size=(size,) * 3, color=(*GREEN, 0.8), points=points)
+        marker = self._marker("object", kind, stamp, size=(size,) * 3, color=(*GREEN, 0.8), points=points)
         marker.header.frame_id, marker.lifetime, marker.frame_locked = OBJECT_FRAME, ALWAYS, True
         return self._writer.answer(MARKERS_TOPIC, MARKERS, markers=[marker])
 
@@ -52,12 +53,12 @@ class Markers:
             return
         points, normals = touched.points_palm, touched.normals_palm
         yield self._marker(
-            "contacts", 0, SPHERE_LIST, stamp, size=(0.005,) * 3, color=(*ORANGE, 1.0), points=points
+            "contacts", SPHERE_LIST, stamp, size=(0.005,) * 3, color=(*ORANGE, 1.0), points=points
         )
         if normals is not None:
             ends = np.stack([points, points + 0.03 * normals], axis=1).reshape(-1, 3)
             yield self._marker(
-                "normals", 0, LINE_LIST, stamp, size=(0.0015, 0, 0), color=(*ORANGE, 1.0), points=ends
+                "normals", LINE_LIST, stamp, size=(0.0015, 0, 0), color=(*ORANGE, 1.0), points=ends
             )
 
     def _unknown(self, tracker: Tracker) -> Iterator[Message]:
@@ -73,7 +74,7 @@ class Markers:
         at = se3.compose(axes, T[:3, 3] + lever)
         sizes = 2 * np.minimum(2 * np.sqrt(np.maximum(values, 0)), FARTHEST_DRAWN)
         yield self._marker(
-            "two sigma", 0, SPHERE, stamp, size=tuple(np.maximum(sizes, 1e-4)), color=(*BLUE, 0.3), at=at
+            "two sigma", SPHERE, stamp, size=tuple(np.maximum(sizes, 1e-4)), color=(*BLUE, 0.3), at=at
         )
         for k, direction in enumerate(estimate.unobservable):
             yield self._open(k, direction, at[:3, 3], model.radius, stamp)
@@ -84,31 +85,25 @@ class Markers:
         color = (*RED, 0.9)
         if np.linalg.norm(turn) < np.linalg.norm(shift):
             ends = middle + np.array([[-1.0], [1.0]]) * radius * shift / np.linalg.norm(shift)
-            return self._marker("open", k, ARROW, stamp, size=(0.003, 0.008, 0.01), color=color, points=ends)
+            return self._marker(
+                "open", ARROW, stamp, number=k, size=(0.003, 0.008, 0.01), color=color, points=ends
+            )
         axis = turn / np.linalg.norm(turn)
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side *= 1.2 * radius / np.linalg.norm(side)
         angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
         arc = middle + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
-        return self._marker("open", k, LINE_STRIP, stamp, size=(0.003, 0, 0), color=color, points=arc)
+        return self._marker("open", LINE_STRIP, stamp, number=k, size=(0.003, 0, 0), color=color, points=arc)
 
-    def _marker(
-        self,
-        name: str,
-        number: int,
-        kind: int,
-        stamp: float,
-        *,
-        size: tuple[float, ...],
-        color: tuple[float, ...],
-        points: Array | None = None,
-        at: Array = ORIGIN,
-    ) -> Message:
+    def _marker(self, name: str, kind: int, stamp: float, **given: Any) -> Message:
+        """`given`: size, color, and what differs: number, points (n, 3), at (4, 4)."""
+        size, color = given["size"], given["color"]
+        points, at = given.get("points", NONE), given.get("at", ORIGIN)
         nothing = Message(header=self._writer.header(0.0), format="", data=np.zeros(0, np.uint8))
         return Message(
             header=self._writer.header(stamp, self._palm),
             ns=name,
-            id=number,
+            id=given.get("number", 0),
             type=kind,
             action=ADD,
             pose=pose(at),
@@ -116,7 +111,7 @@ class Markers:
             color=parts("rgba", np.array(color)),
             lifetime=BRIEFLY,
             frame_locked=False,
-            points=[] if points is None else [parts("xyz", row) for row in points],
+            points=[parts("xyz", row) for row in points],
             colors=[],
             text="",
             mesh_resource="",
