@@ -4,6 +4,9 @@ from functools import cache
 from types import new_class
 from typing import Any, Protocol
 
+from cyclonedds import idl
+from cyclonedds.idl import types
+
 from handsight.errors import InvalidInput
 from handsight.messages.decode import rosbags_module, typestore
 
@@ -35,8 +38,6 @@ def message_type(kind: str) -> Any:
     The fields serve others alone, which may compare them with their own before they talk. Raises InvalidInput,
     MissingExtra.
     """
-    from cyclonedds import idl
-
     known = typestore("cdr").fielddefs
     if kind not in known:
         raise InvalidInput(f"expected a message of ROS 2 that is known here, got {kind}")
@@ -44,7 +45,8 @@ def message_type(kind: str) -> Any:
 
     def fill(namespace: dict[str, Any]) -> None:
         namespace.setdefault("__annotations__", {}).update(fields)
-        namespace.update(__init__=_keep, serialize=_bytes, deserialize=classmethod(_made))
+        made = classmethod(_made)
+        namespace.update(__init__=_keep, serialize=_bytes, deserialize=made, deserialize_key=made)
 
     # A plain `type(...)` call would lose the name that the metaclass is given.
     return new_class(
@@ -53,8 +55,6 @@ def message_type(kind: str) -> Any:
 
 
 def _field(node: Any) -> Any:
-    from cyclonedds.idl import types
-
     nodes = rosbags_module("rosbags.interfaces").Nodetype
     kind, what = node
     if kind == nodes.NAME:
