@@ -6,7 +6,6 @@ import time
 from contextlib import contextmanager
 
 import numpy as np
-from cyclonedds.core import Listener
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -63,7 +62,7 @@ class Robot:
 
     def __init__(self, network, messages, *, as_type=None):
         """`as_type`: by topic, the type that its messages are said to be of."""
-        self._network, self.heard = network, []
+        self._network, self._heard = network, []
         kinds = {each.topic: each.type for each in messages} | (as_type or {})
         self._writers = {topic: self._writer(topic, kind) for topic, kind in kinds.items()}
         self._readers = [self._reader(topic, kind) for topic, kind in ANSWERED.items()]
@@ -76,16 +75,15 @@ class Robot:
         return DataWriter(self._network.participant, self._topic(topic, kind), qos=BOTH_WAYS)
 
     def _reader(self, topic, kind):
-        def hear(reader):
-            made = message_type(kind)
-            for sample in reader.take(1000):
-                if isinstance(sample, made):
-                    self.heard.append(Answer(topic, kind, sample.data))
+        return DataReader(self._network.participant, self._topic(topic, kind), qos=BOTH_WAYS)
 
-        listener = Listener(on_data_available=hear)
-        return DataReader(
-            self._network.participant, self._topic(topic, kind), qos=BOTH_WAYS, listener=listener
-        )
+    @property
+    def heard(self):
+        """All that was answered so far."""
+        for reader, (topic, kind) in zip(self._readers, ANSWERED.items(), strict=False):
+            taken = [each for each in reader.take(2000) if isinstance(each, message_type(kind))]
+            self._heard += [Answer(topic, kind, each.data) for each in taken]
+        return self._heard
 
     def listened_to(self, topic):
         return bool(self._writers[topic].get_matched_subscriptions())
@@ -119,7 +117,7 @@ class Robot:
         return {s.message for s in statuses} | {value.value for s in statuses for value in s.values}
 
     def close(self):
-        """It is gone, without a word."""
+        """It is gone."""
         self._writers, self._readers = {}, []
 
 

@@ -1,12 +1,12 @@
 """A tracker's messages over DDS, as ROS 2 publishes and subscribes to them: bytes in, bytes out."""
 
+import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import DDSException, Listener
+from cyclonedds.core import DDSException, DDSStatus, WaitSet
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -22,6 +22,8 @@ from handsight.messages.decode import typestore
 
 AT_ONCE = 100
 """Messages taken at once."""
+LISTENING = 100_000_000
+"""Between two looks whether it is the end [ns]."""
 BLOCKED = 10_000_000
 """The longest that a reader that does not keep up holds up an answer [ns]."""
 UNHEARD, UNHEARD_EQUAL = 100, 2000
@@ -55,12 +57,35 @@ class Bridge:
         live.markers_wanted = lambda: bool(self._writers[MARKERS_TOPIC].get_matched_subscriptions())
         known = typestore("cdr").fielddefs
         self._readers = [
-            self._reader(topic, kind)
+            (topic, kind, self._reader(topic, kind))
             for topic, kinds in live.subscriptions.items()
             for kind in kinds
             if kind in known  # others are ROS 1's
         ]
+        self._filled = WaitSet(network.participant)
+        for _, _, reader in self._readers:
+            reader.set_status_mask(DDSStatus.DataAvailable)
+            self._filled.attach(reader)
         self._published = BuiltinDataReader(network.participant, BuiltinTopicDcpsPublication)
+
+    def hear(self, ended: threading.Event) -> None:
+        """Hands over what is heard, as it comes, until it is the end.
+
+        A thread of ours waits: one of DDS' that called into Python would wait for Python's lock with its own held.
+        """
+        while not ended.is_set():
+            if self._filled.wait(LISTENING):
+                for topic, kind, reader in self._readers:
+                    self._take(topic, kind, reader)
+
+    def _take(self, topic: str, kind: str, reader: Any) -> None:
+        made, samples = message_type(kind), [None] * AT_ONCE
+        while len(samples) == AT_ONCE:
+            samples = reader.take(AT_ONCE)
+            now = time.time()
+            for sample in samples:
+                if isinstance(sample, made):  # else it says that a publisher is gone
+                    self._live.put(RawMessage(topic, kind, "cdr", now, sample.data))
 
     def publish(self, answer: Answer) -> None:
         """Writes an answer; where that cannot be done, it is said once."""
@@ -90,17 +115,4 @@ class Bridge:
             self._network.participant,
             self._topic(topic, kind),
             qos=LASTING if topic.endswith("/tf_static") else passing,
-            listener=Listener(on_data_available=partial(self._hear, topic, kind)),
         )
-
-    def _hear(self, topic: str, kind: str, reader: Any) -> None:
-        """Called by DDS' own thread, for each message or a few."""
-        made = message_type(kind)
-        while True:
-            samples = reader.take(AT_ONCE)
-            now = time.time()
-            for sample in samples:
-                if isinstance(sample, made):  # else it says that a publisher is gone
-                    self._live.put(RawMessage(topic, kind, "cdr", now, sample.data))
-            if len(samples) < AT_ONCE:
-                return

@@ -42,11 +42,16 @@ def ros2_bridge(
 
     live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=equal)
     bridge = Bridge(live, Network(), say)
-    worker = threading.Thread(target=work, args=(live, bridge.publish, say, ended), daemon=True)
-    worker.start()
+    workers = [
+        threading.Thread(target=work, args=(live, bridge.publish, say, ended), daemon=True),
+        threading.Thread(target=bridge.hear, args=(ended,), daemon=True),
+    ]
+    for each in workers:
+        each.start()
     say(
         f"the bridge is ready: it follows {live.tracker.model.name}, {len(live.subscriptions)} topics are heard"
     )
     while not ended.wait(1.0):
         bridge.look()
-    worker.join(1.0)
+    for each in workers:
+        each.join(1.0)
