@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from importlib import import_module
+from operator import itemgetter
 
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
@@ -93,24 +94,26 @@ class Ears:
         waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
         passing = QoSProfile(depth=waiting, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-        def hear(data):
-            self._put(topic, kind, data)
-            self._drain()
+        def hear(data, info):
+            self._hear(topic, kind, data, info)
 
         quality = LASTING if topic.endswith("/tf_static") else passing
         subscription = self._node.create_subscription(made(*kind.split("/")), topic, hear, quality, raw=True)
         self._subscribed[topic] = kind, subscription
 
-    def _drain(self):
-        """Takes what else has come: the executor looks at everything anew for each message that it hands over."""
-        for topic, (kind, subscription) in self._subscribed.items():
-            with subscription.handle as handle:
-                while (taken := handle.take_message(subscription.msg_type, True)) is not None:
-                    self._put(topic, kind, taken[0])
+    def _hear(self, topic, kind, data, info):
+        """Hands over a message and what else has come, in the order that it came in.
 
-    def _put(self, topic, kind, data):
+        The executor would look at everything anew for each message, and hand over one topic's after another's.
+        """
+        taken = [(info["received_timestamp"], topic, kind, data)]
+        for topic, (kind, subscription) in self._subscribed.items():
+            with subscription.handle:
+                while (more := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    taken.append((more[1]["received_timestamp"], topic, kind, more[0]))
         now = 1e-9 * self._node.get_clock().now().nanoseconds
-        self._live.put(RawMessage(topic, kind, "cdr", now, bytes(data)))
+        for _, topic, kind, data in sorted(taken, key=itemgetter(0)):
+            self._live.put(RawMessage(topic, kind, "cdr", now, bytes(data)))
 
 
 def publisher(node, live):

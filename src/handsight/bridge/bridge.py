@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -75,17 +76,23 @@ class Bridge:
         """
         while not ended.is_set():
             if self._filled.wait(LISTENING):
-                for topic, kind, reader in self._readers:
-                    self._take(topic, kind, reader)
+                self._take()
 
-    def _take(self, topic: str, kind: str, reader: Any) -> None:
-        made, samples = message_type(kind), [None] * AT_ONCE
-        while len(samples) == AT_ONCE:
-            samples = reader.take(AT_ONCE)
-            now = time.time()
-            for sample in samples:
-                if isinstance(sample, made):  # else it says that a publisher is gone
-                    self._live.put(RawMessage(topic, kind, "cdr", now, sample.data))
+    def _take(self) -> None:
+        """Hands over what has come, in the order that it was sent in: after a pause topics are far apart."""
+        taken = list[tuple[int, RawMessage]]()
+        now = time.time()
+        for topic, kind, reader in self._readers:
+            made, samples = message_type(kind), [None] * AT_ONCE
+            while len(samples) == AT_ONCE:
+                samples = reader.take(AT_ONCE)
+                taken += [
+                    (sample.sample_info.source_timestamp, RawMessage(topic, kind, "cdr", now, sample.data))
+                    for sample in samples
+                    if isinstance(sample, made)  # else it says that a publisher is gone
+                ]
+        for _, message in sorted(taken, key=itemgetter(0)):
+            self._live.put(message)
 
     def publish(self, answer: Answer) -> None:
         """Writes an answer; where that cannot be done, it is said once."""
