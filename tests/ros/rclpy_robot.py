@@ -54,7 +54,7 @@ def main(said, answered):
             rclpy.spin_once(node, timeout_sec=left)
         speak[topic].publish(data)
     quiet, count = time.monotonic(), 0
-    while time.monotonic() - quiet < 3.0:
+    while time.monotonic() - quiet < (3.0 if count else 60.0):  # whoever follows may still be loading
         rclpy.spin_once(node, timeout_sec=0.1)
         if (poses := sum(topic == "/handsight/pose" for topic, *_ in heard)) > count:
             quiet, count = time.monotonic(), poses

@@ -117,7 +117,11 @@ class Bridge:
     def _reader(self, topic: str, kind: str) -> Any:
         """Best effort is what every publisher can give."""
         waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
-        passing = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(waiting))
+        passing = Qos(
+            Policy.Reliability.BestEffort,
+            Policy.History.KeepLast(waiting),
+            Policy.IgnoreLocal.Participant,  # its own /tf
+        )
         return DataReader(
             self._network.participant,
             self._topic(topic, kind),
