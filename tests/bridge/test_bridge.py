@@ -29,7 +29,7 @@ def test_every_type_that_a_rig_may_hear_is_one_of_dds_and_keeps_its_bytes(kind):
     made = message_type(kind)
     made.__idl__.populate()
     made.__idl__.fill_type_data()
-    assert made.__idl__.get_type_name().replace(".", "::") == dds_name(kind)
+    assert made.__idl_typename__.replace(".", "::") == dds_name(kind)
     assert ros_name(dds_name(kind)) == kind
     for received in (made.deserialize(b"bytes", has_header=True), made.deserialize_key(b"bytes")):
         assert received.data == received.serialize(use_version_2=False) == b"bytes"
