@@ -241,3 +241,12 @@ def test_a_rigid_transform_passes_as_a_copy_of_its_own():
     rounded = T.astype(np.float32)  # float32's rounding is no reason to refuse
     assert se3.check(rounded, "T").dtype == np.float64
     assert se3.check(np.eye(4, dtype=int).tolist(), "T").dtype == np.float64
+
+
+def test_one_quaternion_is_that_of_a_stack():
+    rng = np.random.default_rng(0)
+    turns = [np.pi * axis for axis in np.eye(3)] + [np.zeros(3)]
+    R = np.concatenate([se3.random(rng, 200)[:, :3, :3], se3.rotation_exp(np.array(turns))])
+    stacked = se3.quaternion_from_rotation(R)
+    for one, expected in zip(R, stacked, strict=True):
+        np.testing.assert_allclose(se3.quaternion_from_rotation(one), expected, atol=1e-15)

@@ -4,11 +4,10 @@ from collections.abc import Iterable, Mapping
 from types import SimpleNamespace as Message
 from typing import Any, NamedTuple
 
-from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.messages.decode import typestore
 from handsight.messages.topics import POSE_COVARIANCE, TF
-from handsight.recording.write import header, pose, pose_with_covariance
+from handsight.recording.write import header
 from handsight.tracking.tracker import State
 
 POSE_TOPIC, MARKERS_TOPIC, DIAGNOSTICS_TOPIC = "/handsight/pose", "/handsight/markers", "/diagnostics"
@@ -50,14 +49,16 @@ class Writer:
         """A message of these fields."""
         return Answer(topic, kind, bytes(self._serialize(Message(**fields), kind)))
 
-    def pose(self, stamp: float, estimate: PoseEstimate) -> Answer:
-        """PoseWithCovarianceStamped in the palm; directions that nothing tells of have a variance of 1 or more."""
-        body = pose_with_covariance(estimate.T_palm_object, estimate.bounded_covariance)
+    def pose(self, stamp: float, estimate: PoseEstimate, at: Message) -> Answer:
+        """PoseWithCovarianceStamped in the palm; directions that nothing tells of have a variance of 1 or more.
+
+        `at`: the estimate's pose as a Pose.
+        """
+        body = Message(pose=at, covariance=estimate.bounded_covariance.ravel())
         return self.answer(POSE_TOPIC, POSE_COVARIANCE, header=self.header(stamp, self._palm), pose=body)
 
-    def transform(self, stamp: float, T_palm_object: Array) -> Answer:
-        """From the palm to the object on /tf."""
-        at = pose(T_palm_object)
+    def transform(self, stamp: float, at: Message) -> Answer:
+        """From the palm to the object, whose Pose is `at`, on /tf."""
         body = Message(translation=at.position, rotation=at.orientation)
         top = self.header(stamp, self._palm)
         return self.answer(

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import replace
 
-from handsight.checks import Array
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
 from handsight.live.answers import (
@@ -31,6 +30,7 @@ from handsight.messages.prompt import PromptBuffer
 from handsight.messages.topics import POSE_COVARIANCE, TF, rig_topics
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
+from handsight.recording.write import pose
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
 
@@ -239,10 +239,10 @@ class LiveTracker:
             return []
         if estimate is None or tracker.late > late:
             return []
-        T: Array = estimate.T_palm_object
-        answers = [self._writer.pose(tracker.stamp, estimate)]
+        at = pose(estimate.T_palm_object)
+        answers = [self._writer.pose(tracker.stamp, estimate, at)]
         if tracker.state != "lost":
-            answers.append(self._writer.transform(tracker.stamp, T))
+            answers.append(self._writer.transform(tracker.stamp, at))
         return answers + self._drawn(tracker)
 
     def _drawn(self, tracker: Tracker) -> list[Answer]:

@@ -113,11 +113,13 @@ def _on_table(felt: NDArray[np.void], table: Table, T_world_palm: Array) -> Indi
     rows, up = np.flatnonzero(felt["reason"] == 0), T_world_palm[2, :3]
     covariance, normals = felt["covariance"][rows], felt["normal"][rows]
     height = felt["point"][rows] @ up + (T_world_palm[2, 3] - table.height)
-    variance_height = np.einsum("i,nij,j->n", up, covariance[:, :3, :3], up) + table.sigma_height**2
-    angle = np.arctan2(np.linalg.norm(np.cross(normals, up), axis=1), normals @ up)
+    variance_height = (covariance[:, :3, :3] @ up) @ up + table.sigma_height**2
+    near = height**2 < TABLE_WITHIN**2 * variance_height
+    if not near.any():
+        return np.asarray(rows[near])
+    angle = np.arccos(np.clip(normals @ up, -1.0, 1.0))
     variance_angle = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + table.sigma_tilt**2
-    near = np.maximum(height**2 / variance_height, angle**2 / variance_angle) < TABLE_WITHIN**2
-    return np.asarray(rows[near])
+    return np.asarray(rows[near & (angle**2 < TABLE_WITHIN**2 * variance_angle)])
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:

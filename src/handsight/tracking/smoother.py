@@ -31,7 +31,8 @@ LENGTH_PER_TURN = 0.1
 GAUSS_NEWTON_STEPS = 2
 """For each measurement; what they leave comes with the next."""
 SMALL_STEP = 1e-4
-"""χ² of the last step: a hundredth of a standard deviation."""
+"""χ² of what a step leaves to the next: a hundredth of a standard deviation. Of a step that turns by an angle, at most
+that part of it is left."""
 EYE_6 = np.eye(6)
 MEASUREMENT = np.dtype(
     [
@@ -210,8 +211,10 @@ class PoseBiasSmoother:
         kept = self.measurements
         if not len(kept):
             return new
-        apart = se3.difference(kept["T_mount_palm"], new["T_mount_palm"])
-        shift, turn = np.sqrt((apart * apart).reshape(-1, 2, 3).sum(axis=2)).T
+        apart = kept["T_mount_palm"] - new["T_mount_palm"]
+        shift = np.sqrt((apart[:, :3, 3] ** 2).sum(axis=1))
+        # Two rotations differ by √8 times the sine of half the angle between them.
+        turn = 2 * np.arcsin(np.minimum(np.sqrt((apart[:, :3, :3] ** 2).sum(axis=(1, 2)) / 8), 1.0))
         k = int(np.argmin(shift + LENGTH_PER_TURN * turn))
         if len(kept) < MOST_MEASUREMENTS and (shift[k] > SAME_PALM[0] or turn[k] > SAME_PALM[1]):
             return np.concatenate([kept, new])
@@ -239,7 +242,8 @@ class PoseBiasSmoother:
         """
         whitening = np.linalg.inv(np.linalg.cholesky(measurements["covariance"]))
         noise, since = self.process_noise, measurements["process_noise"]
-        walked = np.diff(since, axis=0, prepend=0.0)
+        walked = since.copy()
+        walked[1:] -= since[:-1]
         state = self.solved
         for _ in range(GAUSS_NEWTON_STEPS):
             H, innovation = self._linearized(
@@ -249,7 +253,8 @@ class PoseBiasSmoother:
             innovation = (whitening @ innovation[..., None])[..., 0]
             filter_walk(whitening @ H, innovation, walked, step, covariance)
             state = state.moved(step)
-            if step @ np.linalg.solve(covariance, step) < SMALL_STEP:
+            turned = max(step[3:6] @ step[3:6], step[9:] @ step[9:])
+            if turned * (step @ np.linalg.solve(covariance, step)) < SMALL_STEP:
                 break
         state = replace(state, covariance=covariance).inflated(noise - since[-1])
         return PoseBiasSmoother(self.prior, self.pivot, state, noise, noise, measurements)
