@@ -47,7 +47,7 @@ def main(said, answered):
         not node.count_publishers(topic) for topic in answers
     ):
         rclpy.spin_once(node, timeout_sec=0.05)
-    time.sleep(0.3)
+    time.sleep(1.5)  # that others know of this one takes longer than that this one knows of them
     begun = time.monotonic()
     for topic, _, seconds, data in messages:
         while (left := seconds - messages[0][2] - (time.monotonic() - begun)) > 0:
