@@ -15,6 +15,7 @@ from handsight.cli.locate import locate
 from handsight.cli.objects import objects_app
 from handsight.cli.reconstruct import reconstruct
 from handsight.cli.rig import calibrate_app, rig_app
+from handsight.cli.ros2_bridge import ros2_bridge
 from handsight.cli.simulate import simulate
 from handsight.cli.terminal import CANNOT_WRITE, WRONG_INPUT, exit_code, flush_stdout, hold_streams, say, warn
 from handsight.cli.track import track
@@ -86,6 +87,7 @@ for command in (demo, track, view, locate, simulate, correct, reconstruct):
     app.command()(command)
 app.command(cls=WithColumns)(contact)
 app.command()(warmup)
+app.command()(ros2_bridge)
 app.add_typer(objects_app, name="objects")
 app.add_typer(rig_app, name="rig")
 app.add_typer(calibrate_app, name="calibrate")

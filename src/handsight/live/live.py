@@ -187,6 +187,8 @@ class LiveTracker:
     def _ask(self, message: RawMessage) -> None:
         """Does what a message asks for, and says in the diagnostics what came of it."""
         try:
+            if message.type not in ASKED[message.topic]:
+                raise InvalidInput(f"expected a {ASKED[message.topic][0]}, got {message.type}")
             if message.topic.endswith("/reset"):
                 self.reset()
             elif message.topic.endswith("/object"):

@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+"""Follows the object in a robot's hand: messages of ROS 2 in, its pose out. No estimation is done here.
+
+Parameters: rig (the rig file), object (its name in the rig, in the library, or a mesh file; may be left out where the
+rig knows one), rate (corrections a second; 0: when something changed), images (look at depth images, true), equal (wait
+as for a recording, false). Topics are the rig's: see docs/ros2.md.
+"""
+
+import signal
+import sys
+import threading
+from importlib import import_module
+from operator import itemgetter
+
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from handsight.errors import HandsightError
+from handsight.live.answers import MARKERS_TOPIC
+from handsight.live.node import WAITING, WAITING_EQUAL, PublishedTypes, done, live_tracker, work
+from handsight.messages import RawMessage
+
+PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False}
+UNHEARD, UNHEARD_EQUAL = 100, 2000
+"""Messages of a topic that wait to be taken."""
+LASTING = QoSProfile(
+    depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
+)
+"""Of what is said once, for whoever comes later."""
+
+
+def made(package, room, name):
+    """The class of a message or service; None: it is not installed."""
+    try:
+        return getattr(import_module(f"{package}.{room}"), name)
+    except (ImportError, AttributeError):
+        return None
+
+
+def tracker(node):
+    """What the parameters describe."""
+    as_it_comes = ParameterDescriptor(dynamic_typing=True)
+    given = {
+        name: node.declare_parameter(name, value, as_it_comes).value for name, value in PARAMETERS.items()
+    }
+    if not given["rig"]:
+        raise SystemExit("handsight: expected the parameter rig, got nothing")
+    live = live_tracker(
+        str(given["rig"]),
+        str(given["object"]),
+        encoding="cdr",
+        rate=float(given["rate"]),
+        images=bool(given["images"]),
+        equal=bool(given["equal"]),
+    )
+    node.get_logger().info(f"follows {live.tracker.model.name}")
+    return live
+
+
+class Ears:
+    """Subscriptions to all that a tracker listens to; of a topic that may have several types, to the published one."""
+
+    def __init__(self, node, live):
+        self._node, self._live, self._types = node, live, PublishedTypes(live)
+        self._subscribed = {}
+        for topic, kinds in live.subscriptions.items():
+            known = [kind for kind in kinds if made(*kind.split("/"))]
+            if known:
+                self._subscribe(topic, known[0])
+            else:
+                node.get_logger().warning(f"{topic} is not heard: {kinds[0].split('/')[0]} is not installed")
+        node.create_timer(1.0, self.look)
+
+    def __len__(self):
+        return len(self._subscribed)
+
+    def look(self):
+        """Looks who publishes: subscribes anew where it is another type that is expected, and has others named."""
+        for topic, kinds in self._live.subscriptions.items():
+            published = [each.topic_type for each in self._node.get_publishers_info_by_topic(topic)]
+            for kind in published:
+                self._types.seen(topic, kind)
+            now = self._subscribed.get(topic, ("",))[0]
+            better = [kind for kind in published if kind in kinds and made(*kind.split("/"))]
+            if better and now not in published:
+                self._subscribe(topic, better[0])
+
+    def _subscribe(self, topic, kind):
+        if topic in self._subscribed:
+            self._node.destroy_subscription(self._subscribed.pop(topic)[1])
+        waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
+        passing = QoSProfile(depth=waiting, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+        def hear(data, info):
+            self._hear(topic, kind, data, info)
+
+        quality = LASTING if topic.endswith("/tf_static") else passing
+        subscription = self._node.create_subscription(made(*kind.split("/")), topic, hear, quality, raw=True)
+        self._subscribed[topic] = kind, subscription
+
+    def _hear(self, topic, kind, data, info):
+        """Hands over a message and what else has come, in the order that it came in.
+
+        The executor would look at everything anew for each message, and hand over one topic's after another's.
+        """
+        taken = [(info["received_timestamp"], topic, kind, data)]
+        for topic, (kind, subscription) in self._subscribed.items():
+            with subscription.handle:
+                while (more := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    taken.append((more[1]["received_timestamp"], topic, kind, more[0]))
+        now = 1e-9 * self._node.get_clock().now().nanoseconds
+        for _, topic, kind, data in sorted(taken, key=itemgetter(0)):
+            self._live.put(RawMessage(topic, kind, "cdr", now, bytes(data)))
+
+
+def publisher(node, live):
+    """What publishes an answer; one that never reads costs nothing."""
+    found, waiting = {}, WAITING_EQUAL if live.equal else WAITING
+    for topic, kind in live.publications.items():
+        if (message := made(*kind.split("/"))) is not None:
+            found[topic] = node.create_publisher(message, topic, waiting)
+        else:
+            node.get_logger().warning(f"{topic} is not published: {kind.split('/')[0]} is not installed")
+    markers = found.get(MARKERS_TOPIC)
+    live.markers_wanted = lambda: markers is not None and markers.get_subscription_count() > 0
+
+    def publish(answer):
+        if answer.topic in found:
+            found[answer.topic].publish(answer.data)
+
+    return publish
+
+
+def serve(node, live):
+    """Services: begin anew from vision, and with the object that the parameter names now."""
+    trigger = made("std_srvs", "srv", "Trigger")
+    if trigger is None:
+        node.get_logger().warning("there are no services: std_srvs is not installed")
+        return
+
+    def answer(ask):
+        def handle(_, response):
+            response.success, response.message = done(ask)
+            return response
+
+        return handle
+
+    def set_object():
+        return live.set_object(str(node.get_parameter("object").value))
+
+    node.create_service(trigger, "~/reset", answer(live.reset))
+    node.create_service(trigger, "~/set_object", answer(set_object))
+
+
+def main():
+    """Runs until Ctrl-C; the exit code is 0 then."""
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("handsight")
+    try:
+        live = tracker(node)
+    except HandsightError as error:
+        raise SystemExit(f"handsight: {error}") from None
+    publish = publisher(node, live)
+    serve(node, live)
+    ears, say = Ears(node, live), node.get_logger().info
+    worker = threading.Thread(target=work, args=(live, publish, say, ended), daemon=True)
+    worker.start()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    say(f"is ready: {len(ears)} topics are heard")
+    while not ended.is_set():
+        executor.spin_once(timeout_sec=0.1)
+    worker.join(1.0)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""A tracker's messages over DDS, as ROS 2 publishes and subscribes to them: bytes in, bytes out."""
+
+import threading
+import time
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Any
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import DDSException, DDSStatus, WaitSet
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from handsight.bridge.message_types import message_type, ros_name
+from handsight.bridge.network import Network
+from handsight.live import LiveTracker
+from handsight.live.answers import MARKERS_TOPIC, Answer
+from handsight.live.node import WAITING, WAITING_EQUAL, PublishedTypes
+from handsight.messages import RawMessage
+from handsight.messages.decode import typestore
+
+AT_ONCE = 100
+"""Messages taken at once."""
+LISTENING = 100_000_000
+"""Between two looks whether it is the end [ns]."""
+BLOCKED = 10_000_000
+"""The longest that a reader that does not keep up holds up an answer [ns]."""
+UNHEARD, UNHEARD_EQUAL = 100, 2000
+"""Messages of a topic that wait to be taken."""
+LASTING = Qos(
+    Policy.Reliability.Reliable(BLOCKED), Policy.Durability.TransientLocal, Policy.History.KeepLast(100)
+)
+"""Of what is said once, for whoever comes later."""
+
+
+def carried(topic: str) -> str:
+    """What DDS calls a topic of ROS 2."""
+    return f"rt/{topic.lstrip('/')}"
+
+
+class Bridge:
+    """Hears what a tracker listens to, and publishes what it answers."""
+
+    def __init__(self, live: LiveTracker, network: Network, say: Callable[[str], None]) -> None:
+        """`say`: is told what cannot be published, once for each topic. Raises InvalidInput."""
+        self._live, self._network, self._say = live, network, say
+        self._types, self._mute = PublishedTypes(live), set[str]()
+        answers = Qos(
+            Policy.Reliability.Reliable(BLOCKED),
+            Policy.History.KeepLast(WAITING_EQUAL if live.equal else WAITING),
+        )
+        self._writers: dict[str, Any] = {
+            topic: DataWriter(network.participant, self._topic(topic, kind), qos=answers)
+            for topic, kind in live.publications.items()
+        }
+        live.markers_wanted = lambda: bool(self._writers[MARKERS_TOPIC].get_matched_subscriptions())
+        known = typestore("cdr").fielddefs
+        self._readers = [
+            (topic, kind, self._reader(topic, kind))
+            for topic, kinds in live.subscriptions.items()
+            for kind in kinds
+            if kind in known  # others are ROS 1's
+        ]
+        self._filled = WaitSet(network.participant)
+        for _, _, reader in self._readers:
+            reader.set_status_mask(DDSStatus.DataAvailable)
+            self._filled.attach(reader)
+        self._published = BuiltinDataReader(network.participant, BuiltinTopicDcpsPublication)
+
+    def hear(self, ended: threading.Event) -> None:
+        """Hands over what is heard, as it comes, until it is the end.
+
+        A thread of ours waits: one of DDS' that called into Python would wait for Python's lock with its own held.
+        """
+        while not ended.is_set():
+            if self._filled.wait(LISTENING):
+                self._take()
+
+    def _take(self) -> None:
+        """Hands over what has come, in the order that it was sent in: after a pause topics are far apart."""
+        taken = list[tuple[int, RawMessage]]()
+        now = time.time()
+        for topic, kind, reader in self._readers:
+            made, samples = message_type(kind), [None] * AT_ONCE
+            while len(samples) == AT_ONCE:
+                samples = reader.take(AT_ONCE)
+                taken += [
+                    (sample.sample_info.source_timestamp, RawMessage(topic, kind, "cdr", now, sample.data))
+                    for sample in samples
+                    if isinstance(sample, made)  # else it says that a publisher is gone
+                ]
+        for _, message in sorted(taken, key=itemgetter(0)):
+            self._live.put(message)
+
+    def publish(self, answer: Answer) -> None:
+        """Writes an answer; where that cannot be done, it is said once."""
+        writer = self._writers[answer.topic]
+        try:
+            writer.write(message_type(answer.type)(answer.data))
+        except DDSException as error:
+            if answer.topic not in self._mute:
+                self._mute.add(answer.topic)
+                self._say(f"{answer.topic}: an answer could not be published: {error}")
+
+    def look(self) -> None:
+        """Looks who publishes; to be called about once a second, so that wrong types are named."""
+        for each in self._published.take(AT_ONCE):
+            name = getattr(each, "topic_name", "") or ""
+            if name.startswith("rt/"):
+                self._types.seen(name[2:], ros_name(each.type_name))
+
+    def _topic(self, topic: str, kind: str) -> Any:
+        return Topic(self._network.participant, carried(topic), message_type(kind))
+
+    def _reader(self, topic: str, kind: str) -> Any:
+        """Best effort is what every publisher can give."""
+        waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
+        passing = Qos(
+            Policy.Reliability.BestEffort,
+            Policy.History.KeepLast(waiting),
+            Policy.IgnoreLocal.Participant,  # its own /tf
+        )
+        return DataReader(
+            self._network.participant,
+            self._topic(topic, kind),
+            qos=LASTING if topic.endswith("/tf_static") else passing,
+        )

@@ -1,0 +1,56 @@
+"""The domain that ROS 2's nodes talk in, joined as its environment variables say."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import Domain, DomainParticipant
+
+from handsight import checks
+from handsight.errors import InvalidInput
+
+FAST_DDS_3 = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
+"""Types as eProsima's Fast DDS 3 (ROS 2 Kilted) describes them are not compared: some that are equal seem not to be."""
+LOOPBACK = (
+    '<General><Interfaces><NetworkInterface name="lo"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+)
+"""This machine alone, as ROS 2 means it by LOCALHOST."""
+MAX_DOMAIN = 232
+
+
+def domain_id(environment: Mapping[str, str]) -> int:
+    """ROS_DOMAIN_ID, 0 where it is not set; raises InvalidInput."""
+    told = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not (told.isascii() and told.isdigit() and int(told[:9]) <= MAX_DOMAIN):
+        raise InvalidInput(
+            f"ROS_DOMAIN_ID: expected a number from 0 to {MAX_DOMAIN}, got {checks.brief(repr(told))}"
+        )
+    return int(told)
+
+
+def configuration(environment: Mapping[str, str]) -> str:
+    """Cyclone DDS' configuration: its cure for Fast DDS 3, this machine alone if ROS 2 says so, what the user says."""
+    alone = (
+        environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
+        or environment.get("ROS_LOCALHOST_ONLY") == "1"
+    )
+    # Of several, what is said later counts.
+    parts = FAST_DDS_3, LOOPBACK if alone else "", environment.get("CYCLONEDDS_URI", "").strip(", ")
+    return ",".join(part for part in parts if part)
+
+
+class Network:
+    """A participant in a domain of DDS; one for each domain in a process."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        """Raises InvalidInput for a domain or a configuration that cannot be."""
+        number, said = domain_id(environment), configuration(environment)
+        try:
+            self._domain: Any = Domain(number, said)
+            self.participant: Any = DomainParticipant(number)
+        except (DDSException, UnicodeEncodeError) as error:
+            of = "CYCLONEDDS_URI and the network"
+            raise InvalidInput(f"domain {number}: expected {of} to let it be joined, got: {error}") from None

@@ -1,0 +1,80 @@
+"""What every node does, whatever carries its messages: it is made from parameters, works, and says what it is at."""
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+
+from handsight.errors import HandsightError
+from handsight.live.answers import Answer
+from handsight.live.asked import ASKED, model_named
+from handsight.live.live import LiveTracker
+from handsight.messages import RawMessage
+from handsight.rig import Rig
+from handsight.tracking import TrackerSettings
+
+WAITING, WAITING_EQUAL = 10, 2000
+"""Answers kept for a slow reader: where all count, whole seconds of them come at once."""
+ANSWERED_WITHIN = 60.0
+"""What is asked for waits for the worker at most so long [s]."""
+
+
+def live_tracker(
+    rig: str | Path,
+    name: str | None,
+    *,
+    encoding: str,
+    rate: float | None = None,
+    images: bool = True,
+    equal: bool = False,
+) -> LiveTracker:
+    """What a node's parameters describe.
+
+    `name`: the object's, in the rig or the library, or a mesh file; None or empty: the rig's only one. `rate`:
+    corrections a second; None or 0: when something has changed. Raises a HandsightError.
+    """
+    known = Rig.from_file(rig)
+    if not name and len(known.objects) == 1:
+        name = next(iter(known.objects))
+    model, settings = model_named(name or "", known), TrackerSettings(rate=rate or None, images=images)
+    return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
+
+
+def work(
+    live: LiveTracker, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
+) -> None:
+    """Publishes what is answered until it is the end, and says each change of state; the end is told if it fails."""
+    said = ""
+    try:
+        while not ended.is_set():
+            for answer in live.step(0.05):
+                publish(answer)
+            if live.tracker.state != said:
+                said = live.tracker.state
+                say(f"{said} {live.tracker.reason}".rstrip())
+    finally:
+        ended.set()
+
+
+def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
+    """Whether what is asked for was done, and a sentence of it."""
+    try:
+        return True, ask().result(ANSWERED_WITHIN)
+    except (HandsightError, TimeoutError) as error:
+        return False, str(error) or "the worker does not answer"
+
+
+class PublishedTypes:
+    """Has types named that are published but not expected, where a transport keeps their messages to itself."""
+
+    def __init__(self, live: LiveTracker) -> None:
+        self._live, self._told = live, set[tuple[str, str]]()
+
+    def seen(self, topic: str, kind: str) -> None:
+        """Takes note that messages of that type, `package/msg/Name`, are published on the topic."""
+        expected = self._live.subscriptions.get(topic)
+        if expected is None or topic in ASKED or kind in expected or (topic, kind) in self._told:
+            return
+        self._told.add((topic, kind))
+        self._live.put(RawMessage(topic, kind, "cdr", time.time(), b""))
