@@ -65,7 +65,7 @@ $(STAMP): pyproject.toml
 	    "$$chosen" -m venv --clear .venv; \
 	fi; \
 	echo "Installing handsight and its tools into .venv (a minute, needs the network) ..."; \
-	PIP_ROOT_USER_ACTION=ignore $(BIN)/python -m pip install -qq --disable-pip-version-check -e '.[dev]'; \
+	PIP_ROOT_USER_ACTION=ignore $(BIN)/python -m pip install -qq --no-compile --disable-pip-version-check -e '.[dev]'; \
 	{ echo '$(CURDIR)'; cat pyproject.toml; } > $@
 
 clean:

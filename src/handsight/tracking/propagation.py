@@ -9,14 +9,9 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.objects import ObjectModel
-from handsight.objects.symmetry import nearest
 
 MOST_WALKED = 100.0
 """Variance [m², rad²] beyond which a walk says no more: nothing is known of where the object is."""
-
-
-NEWS_CHI2 = 0.25
-"""By less a prior says nothing that the one before did not: it has moved by half of a standard deviation, over all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,24 +25,10 @@ class Correction:
     """(n, 6, j) of the contacts, see `FingertipContacts`."""
     prior: PosePrior
     """The object without touch."""
-    searched: PosePrior
-    """The object without touch when all places that contacts allow were last searched."""
     fingers: tuple[str, ...]
     stamp: float
     variance: float
     """Of the position of the object's middle, its largest [m²]."""
-
-
-def is_news(model: ObjectModel, prior: PosePrior, before: PosePrior) -> bool:
-    """Whether a prior says that the object may be elsewhere than the one before did."""
-    T, T_before = prior.T_palm_object, before.T_palm_object
-    # Turned about a symmetry it is elsewhere only if it still is once turned back, which takes longer to tell.
-    for whole in (False, True):
-        turned = nearest(model.symmetries, T, T_before, model.radius) if whole else T
-        moved = se3.difference(turned, T_before)
-        if moved @ np.linalg.solve(prior.covariance, moved) <= NEWS_CHI2:
-            return False
-    return True
 
 
 def walked(process_noise: Array, seconds: float) -> Array:

@@ -21,7 +21,7 @@ from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargin
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import Correction, is_news, propagated, sigma_of_point, walked
+from handsight.tracking.propagation import Correction, propagated, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.smoother import PoseBiasSmoother
 
@@ -220,17 +220,14 @@ class Track:
         outside = self._hand.at(joints and self._offsets.corrected(joints), self._margins)
         samples, answer, prior = self.settings.samples, self.settings.answer, without_touch(smoother)
         correct = partial(correct_pose, self.model, contacts, outside=outside, answer=answer, samples=samples)
-        told = (
-            last is None or fingers != last.fingers or (vision and is_news(self.model, prior, last.searched))
-        )
-        near, searched = None if told or last is None else last.estimate, prior
+        near = None if vision or last is None or fingers != last.fingers else last.estimate
         estimate = None
-        if near is not None and last is not None and near.consistent and not near.outliers and not samples:
+        if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
-            T_near, searched = near.T_palm_object_maximum, last.searched
+            T_near = near.T_palm_object_maximum
             estimate = refine_pose(self.model, contacts, prior, T_near, outside=outside, answer=answer)
         if estimate is None:
-            estimate, searched = correct(vision=prior), prior
+            estimate = correct(vision=prior)
         if outside is not None:
             estimate = self._reconciled(estimate, outside, lambda hand: correct(vision=prior, outside=hand))
         if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
@@ -242,7 +239,7 @@ class Track:
                 self._memory.forget(remembered[i - len(touched)])
         variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
         self._correction = Correction(
-            estimate, touched, self.fingertips.by_error, prior, searched, fingers, now, variance
+            estimate, touched, self.fingertips.by_error, prior, fingers, now, variance
         )
         self.estimate, self._propagated_to = estimate, now
         self.corrections += 1
