@@ -357,6 +357,7 @@ def test_of_several_objects_the_table_says_which(two_known, monkeypatch, capsys)
     import sys
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")  # of a dumb one nobody asks how wide it is
     assert called(monkeypatch, two_known.parents[2], "locate", two_known, columns=140) == 0
     out, said = capsys.readouterr()
     assert "2 objects in depth images" in out
