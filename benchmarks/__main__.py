@@ -80,6 +80,8 @@ def main(arguments: list[str] | None = None) -> int:
     begin = time.perf_counter()
     run = suite.Suite(options.quick, say)
     run.warm()
+    if options.gate and not options.only:
+        run.peers = {key: peer for key, peer in run.peers.items() if key in gate.PEERS}
     for name in sections(options):
         run.run(name)
     tables.everything(run.results)

@@ -26,6 +26,8 @@ GATED = {
     "sensing / iterative": "sensing",
 }
 """The ratios that count, and the section that measures each."""
+PEERS = {"ours", "ours_kernel", "paper", "small_gicp"}
+"""Those that they are made of; a gate alone need not wait for the others."""
 
 
 def stored(path: Path = FILE) -> dict[str, Any] | None:
