@@ -91,6 +91,7 @@ def remembered_numbers(
     """As `remembered`, of whole numbers in a row; what does not fit is not what was kept."""
 
     def load(data: memoryview) -> NDArray[np.int32]:
+        """Of the file's content; raises ValueError for other numbers."""
         numbers = np.frombuffer(data, dtype=np.int32)
         if not fits(numbers):
             raise ValueError("not such numbers")
