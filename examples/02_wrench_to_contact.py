@@ -20,7 +20,7 @@ print(f"mass {1e3 * calibration.mass:.1f} g, bias {np.round(calibration.bias_for
 push, where = np.array([-2.0, 0, -0.3]), np.array([0.0066, 0, 0.0068])
 reading = bias + mass * gravities[0] + push
 twist = np.cross(center, mass * gravities[0]) + np.cross(where, push)
-force, torque = hs.compensate(reading, twist, gravities[0], calibration)
+force, torque = hs.contact.compensate(reading, twist, gravities[0], calibration)
 
 contact = hs.contact_from_wrench(force, torque, tip)
 if contact:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from handsight import Contact, compensate, contact_from_wrench, se3
+from handsight import Contact, contact_from_wrench, se3
+from handsight.contact import compensate
 from handsight.simulation import Nuisances, Scenario
 from shared import figures, report
 from shared.grasp_trials import INSTANTS, OBJECTS, last_instant, rig, sensing_errors

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         NoContact,
         Sphere,
         calibrate_wrench,
-        compensate,
         contact_from_wrench,
         contacts_from_wrenches,
     )
@@ -60,7 +59,6 @@ __all__ = [
     "Tracker",
     "TwoPhase",
     "calibrate_wrench",
-    "compensate",
     "contact_from_wrench",
     "contacts_from_wrenches",
     "correct_pose",

@@ -86,8 +86,10 @@ def _sentence(said: str, path: Path, form: Any, value: Any) -> tuple[Path, str]:
     if found := re.fullmatch(r"Object missing required field `(.*)`", said):
         return (*path, found[1]), "expected, got nothing"
     if said.startswith("Invalid enum value"):
-        names = [str(name) for kind in _alternatives(form) for name in get_args(kind)]
-        return path, f"expected one of {', '.join(names)}, got {value!r}{among(str(value), names)}"
+        allowed = _alternatives(form)
+        names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]
+        others = "".join(f"{_kind('array', form)} or " for kind in allowed if get_origin(kind) is tuple)
+        return path, f"expected {others}one of {', '.join(names)}, got {value!r}{among(str(value), names)}"
     if said == "Number out of range":
         return path, f"expected a finite number, got {brief(value)}"
     if found := re.match(r"Expected `([^`]+)`(?: (>=?|<=?) ([\d.]+))?", said):

@@ -1,14 +1,25 @@
 """What DDS is told of ROS 2's messages, and where they are looked for."""
 
+import os
+import time
+
 import pytest
 
 pytest.importorskip("rosbags")
 pytest.importorskip("cyclonedds", reason="the bridge needs cyclonedds")
 
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.topic import Topic
+
+from handsight.bridge import Bridge, Network
 from handsight.bridge.bridge import carried
 from handsight.bridge.message_types import dds_name, message_type, ros_name
 from handsight.bridge.network import FAST_DDS_3, LOOPBACK, configuration, domain_id
 from handsight.errors import InvalidInput
+from handsight.live.answers import MARKERS, MARKERS_TOPIC
+from handsight.live.asked import TEXT
 from handsight.messages.topics import (
     COMPRESSED,
     CONTACT,
@@ -60,3 +71,44 @@ def test_the_domain_is_the_environments():
     for wrong in ("-1", "233", "a", "4.5", "²", "9" * 30):
         with pytest.raises(InvalidInput, match="ROS_DOMAIN_ID: expected a number from 0 to 232, got"):
             domain_id({"ROS_DOMAIN_ID": wrong})
+
+
+class Listener:
+    """In a tracker's place: keeps what it is given."""
+
+    subscriptions, publications, equal = {"/a": (TEXT,), "/b": (TEXT,)}, {MARKERS_TOPIC: MARKERS}, False
+
+    def __init__(self):
+        self.heard = []
+
+    def put(self, message):
+        self.heard.append((message.topic, message.data))
+
+    def step(self, timeout):
+        assert timeout == 0.0  # it is the bridge that waits
+        return [len(self.heard)]
+
+
+def test_a_step_waits_for_messages_and_hands_them_over_in_the_order_that_they_were_sent_in():
+    domain = 101 + os.getpid() % 100
+    alone = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    network, live = Network(alone), Listener()
+    bridge, robot = Bridge(live, network, print), DomainParticipant(domain)
+    all_of_it = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10))
+    writers = [DataWriter(robot, Topic(robot, carried(name), message_type(TEXT)), all_of_it) for name in "ab"]
+    until = time.monotonic() + 20.0
+    while not all(each.get_matched_subscriptions() for each in writers):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    sent = [
+        (f"/{name}", b"\0\1\0\0\2\0\0\0" + digit + b"\0\0\0")
+        for name, digit in zip("abba", (b"0", b"1", b"2", b"3"), strict=True)
+    ]
+    for topic, data in sent:
+        writers["ab".index(topic[1])].write(message_type(TEXT)(data))
+    time.sleep(0.2)
+    assert bridge.step(60.0) == [4]
+    assert live.heard == sent
+    begun = time.monotonic()
+    assert bridge.step(60.0) == [4]  # soon after a message another one may be waited for in vain
+    assert time.monotonic() - begun < 30.0

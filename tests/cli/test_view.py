@@ -9,10 +9,12 @@ import urllib.request
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import handsight
 from cli.commands import INTERRUPTIBLE, called
+from handsight.recording.write import TrackRow, write_track_mcap
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
@@ -64,6 +66,14 @@ def test_without_viser_one_sentence_says_what_to_install(folder, monkeypatch, ca
 def test_what_is_wrong_is_one_sentence(folder, monkeypatch, capsys, arguments, said):
     assert called(monkeypatch, folder, "view", *arguments) == 2
     assert capsys.readouterr().err.startswith(f"handsight: {said}")
+
+
+@pytest.mark.skipif(find_spec("viser") is None, reason="the page needs handsight[view]")
+def test_what_track_wrote_is_told_from_what_it_read(folder, monkeypatch, capsys):
+    write_track_mcap(folder / "track.mcap", [TrackRow(1.0, np.eye(4), np.eye(6), "tracking", "", np.eye(6))])
+    assert called(monkeypatch, folder, "view", "track.mcap") == 2
+    said = "track.mcap: expected the recording that was tracked, got what `handsight track` made of it: poses alone"
+    assert capsys.readouterr().err == f"handsight: {said}\n"
 
 
 @pytest.mark.skipif(find_spec("viser") is None, reason="the page needs handsight[view]")

@@ -80,6 +80,7 @@ def test_contacts_in_the_palm_are_those_of_plain_steps(seed, count, joints):
             continue
         np.testing.assert_allclose(felt["point"][i], expected[1], atol=1e-12)
         np.testing.assert_allclose(felt["normal"][i], expected[2], atol=1e-9)
+        np.testing.assert_allclose(felt["load"][i], expected[4], rtol=1e-8, atol=1e-9)
         np.testing.assert_allclose(felt["covariance"][i], expected[3], rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(
             felt["covariance"][i][3:] @ np.r_[0, 0, 0, felt["normal"][i]], 0, atol=1e-12

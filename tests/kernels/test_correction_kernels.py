@@ -20,11 +20,12 @@ from handsight._kernels.settings import CANDIDATE_APART
 from handsight._kernels.simd import local
 from handsight._kernels.symmetry import pose_of
 from handsight._kernels.threads import alone, in_parts
-from handsight.correction import modes, solve
+from handsight.correction import WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries
 from handsight.objects.symmetry import nearest
+from handsight.objects.weight import kept_center
 from kept_kernels import kept
 from oracles import correction as oracle
 
@@ -51,7 +52,7 @@ def model(name):
     return {"box": scenes.box, "can": scenes.can}[name]()
 
 
-def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, whole=()):
+def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, whole=(), weighed=False):
     """A grasp of the object with full covariances; `bare`: some contacts without a normal.
 
     `whole`: contacts whose covariance is of the residuals.
@@ -78,7 +79,13 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
         hand["sigma"] = rng.uniform(1e-3, 3e-3, outside)
         hand["link"] = np.sort(rng.integers(7, size=outside))
         hand["slack"] = 1e-3 * (hand["link"] % 3)
-    return Problem(model(name), contacts, None if blind else vision, hand)
+    weight = None
+    if weighed:
+        root = 2e-3 * (np.eye(3) + 0.3 * rng.normal(size=(3, 3)))
+        center = kept_center(model(name).symmetries, model(name).center_object + 0.01 * rng.normal(size=3))
+        place = se3.apply(T, center[None])[0] + root @ rng.normal(size=3)
+        weight = WeightEvidence(center, place, root @ root.T)
+    return Problem(model(name), contacts, None if blind else vision, hand, weight)
 
 
 @kept
@@ -87,7 +94,7 @@ def _evaluate(model, nodes, contacts, vision, outside, descents, equations):
     prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
     center = batch.load_terms(contacts, terms)
     batch.fill_prior(model[0], vision, center, prior)
-    if len(vision) == 0:
+    if not batch.seen(vision):
         prior.kind = 0
     evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
     for k in range(2):
@@ -116,7 +123,10 @@ def same_equations(equations, r, J, rtol=2e-5):
 
 
 WHOLE = {"bare": True, "whole": (0, 1, 3)}
-KINDS = [{}, {"bare": True}, {"n": 1}, {"n": 12}, {"outside": 40}, {"blind": True, "outside": 7}, WHOLE]
+WEIGHED = {"weighed": True}
+KINDS = [
+    {}, {"bare": True}, {"n": 1}, {"n": 12}, {"outside": 40}, {"blind": True, "outside": 7}, WHOLE, WEIGHED, {**WEIGHED, "blind": True},
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -154,7 +164,7 @@ def test_normal_equations_are_those_of_the_residuals(name, kind, away):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
-    "kind", [{}, {"bare": True}, {"n": 12}, {"outside": 40}, {"blind": True}, WHOLE], ids=str
+    "kind", [{}, {"bare": True}, {"n": 12}, {"outside": 40}, {"blind": True}, WHOLE, WEIGHED], ids=str
 )
 def test_the_cost_is_minus_two_log_of_the_density(name, kind):
     given, rng = problem(name, 2, **kind), np.random.default_rng(7)
@@ -531,7 +541,7 @@ def test_phase_1_lays_contacts_on_the_planes_of_their_nearest_samples(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("kind", [{}, {"bare": True}, {"outside": 40}, {"blind": True}], ids=str)
+@pytest.mark.parametrize("kind", [{}, {"bare": True}, {"outside": 40}, {"blind": True}, WEIGHED], ids=str)
 def test_modes_are_weighed_by_the_density_there(name, kind):
     given, rng = problem(name, 3, **kind), np.random.default_rng(3)
     T, used = problem(name, 3).vision.T_palm_object, np.ones((1, len(given.contacts)), dtype=bool)

@@ -109,12 +109,21 @@ def of_outside(problem: Problem, T: Array, power: int = POWER) -> Array:
     )
 
 
+def of_weight(problem: Problem, T: Array) -> Array:
+    """Residuals (3,) of the object's weight, where it is known: its centre of mass is where the loads have it."""
+    weight = problem.weight
+    if weight is None:
+        return np.empty(0)
+    root = np.linalg.cholesky(np.linalg.inv(weight.covariance)).T
+    return root @ (se3.apply(T, weight.center_object[None])[0] - weight.center_palm)
+
+
 def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:
     """All of them, whitened as at `T_weights`, which is `T` where not given."""
     weights = T if T_weights is None else T_weights
     touch = of_contacts(problem, T, weights, used).reshape(-1)
     sight = np.empty(0) if problem.vision is None else of_prior(problem, T)
-    return np.concatenate([touch, of_outside(problem, T), sight])
+    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T)])
 
 
 def posterior_cost(problem: Problem, T: Array, used: Array | None = None) -> float:

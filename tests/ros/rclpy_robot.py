@@ -1,7 +1,10 @@
-"""A robot of real ROS 2, run by its own Python: says messages at their pace, and keeps what is answered.
+"""A robot of real ROS 2, run by its own Python: does one thing after the other, and keeps what is answered.
 
-`rclpy_robot.py messages.pickle answers.pickle`; each message is (topic, type, seconds, bytes). Types that are not
-installed are left out.
+`rclpy_robot.py steps.pickle answers.pickle`; a step is one of
+
+* `("say", [(topic, type, seconds, bytes), ...])`: once each topic is listened to, at their pace;
+* `("hear", topic, count)`: until that many messages have come; `("told", text)`: until diagnostics have it;
+* `("set", name, text)`: a parameter of the node; `("call", service)`: a Trigger, whose answer is kept as a message is.
 """
 
 import pickle
@@ -10,7 +13,10 @@ import time
 from importlib import import_module
 
 import rclpy
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
 ANSWERED = {
     "/handsight/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -19,48 +25,83 @@ ANSWERED = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 KEPT = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+UNHEARD = "std_msgs/msg/String"
+"""What nobody listens to on the topics of this robot."""
+LIMIT = 60.0
+"""Of waiting: who follows may still be loading [s]."""
 
 
 def made(kind):
     package, room, name = kind.split("/")
-    try:
-        return getattr(import_module(f"{package}.{room}"), name)
-    except ImportError:
-        return None
+    return getattr(import_module(f"{package}.{room}"), name)
 
 
-def main(said, answered):
-    with open(said, "rb") as file:
-        messages = [each for each in pickle.load(file) if made(each[1])]
-    rclpy.init()
-    node, heard = rclpy.create_node("robot"), []
-    for topic, kind in ANSWERED.items():
-        if made(kind):
+class Robot:
+    def __init__(self):
+        self.node, self.heard, self.speak = rclpy.create_node("robot"), [], {}
+        for topic, kind in ANSWERED.items():
 
             def hear(data, topic=topic, kind=kind):
-                heard.append((topic, kind, bytes(data)))
+                self.heard.append((topic, kind, bytes(data)))
 
-            node.create_subscription(made(kind), topic, hear, KEPT, raw=True)
-    speak = {topic: node.create_publisher(made(kind), topic, KEPT) for topic, kind, *_ in messages}
-    answers = [topic for topic, kind in ANSWERED.items() if made(kind)]
-    while any(not each.get_subscription_count() for each in speak.values()) or any(
-        not node.count_publishers(topic) for topic in answers
-    ):
-        rclpy.spin_once(node, timeout_sec=0.05)
-    time.sleep(1.5)  # that others know of this one takes longer than that this one knows of them
-    begun = time.monotonic()
-    for topic, _, seconds, data in messages:
-        while (left := seconds - messages[0][2] - (time.monotonic() - begun)) > 0:
-            rclpy.spin_once(node, timeout_sec=left)
-        speak[topic].publish(data)
-    quiet, count = time.monotonic(), 0
-    while time.monotonic() - quiet < (3.0 if count else 60.0):  # whoever follows may still be loading
-        rclpy.spin_once(node, timeout_sec=0.1)
-        if (poses := sum(topic == "/handsight/pose" for topic, *_ in heard)) > count:
-            quiet, count = time.monotonic(), poses
+            self.node.create_subscription(made(kind), topic, hear, KEPT, raw=True)
+
+    def wait_for(self, condition, what):
+        begun = time.monotonic()
+        while not condition():
+            if time.monotonic() - begun > LIMIT:
+                raise SystemExit(f"waited {LIMIT} s for {what}")
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def say(self, messages):
+        for topic, kind, *_ in messages:
+            if topic not in self.speak:
+                self.speak[topic] = self.node.create_publisher(made(kind), topic, KEPT)
+        listened = [self.speak[topic] for topic in {m[0] for m in messages if m[1] != UNHEARD}]
+        self.wait_for(lambda: all(each.get_subscription_count() for each in listened), "one who listens")
+        self.wait_for(lambda: all(map(self.node.count_publishers, ANSWERED)), "one who answers")
+        time.sleep(1.0)  # that others know of this one takes longer than that this one knows of them
+        begun = time.monotonic()
+        for topic, _, seconds, data in messages:
+            while (left := seconds - messages[0][2] - (time.monotonic() - begun)) > 0:
+                rclpy.spin_once(self.node, timeout_sec=left)
+            self.speak[topic].publish(data)
+
+    def hear(self, topic, count):
+        self.wait_for(lambda: sum(each[0] == topic for each in self.heard) >= count, f"{count} on {topic}")
+
+    def told(self, text):
+        diagnosed = "/diagnostics"
+        self.wait_for(
+            lambda: any(text.encode() in each[2] for each in self.heard if each[0] == diagnosed), text
+        )
+
+    def set(self, name, text):
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+        wanted = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        assert self._asked(SetParameters, "/handsight/set_parameters", wanted).results[0].successful
+
+    def call(self, service):
+        answer = self._asked(Trigger, service, Trigger.Request())
+        self.heard.append((service, "std_srvs/srv/Trigger", (answer.success, answer.message)))
+
+    def _asked(self, kind, service, wanted):
+        client = self.node.create_client(kind, service)
+        self.wait_for(client.service_is_ready, service)
+        future = client.call_async(wanted)
+        self.wait_for(future.done, f"{service}'s answer")
+        return future.result()
+
+
+def main(steps, answered):
+    rclpy.init()
+    robot = Robot()
+    with open(steps, "rb") as file:
+        for name, *given in pickle.load(file):
+            getattr(robot, name)(*given)
     with open(answered, "wb") as file:
-        pickle.dump(heard, file)
-    node.destroy_node()
+        pickle.dump(robot.heard, file)
+    robot.node.destroy_node()
     rclpy.try_shutdown()
 
 

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -83,25 +84,26 @@ class Graph:
         return (self.state() or [{}, {}])[1].get(topic, [])
 
     @contextmanager
-    def stuck_reader(self, topic, kind):
-        """Somebody who subscribes and never reads: TCPROS by hand."""
+    def reader(self, topic, kind):
+        """Somebody who subscribes, and reads nothing but what a test takes: a socket, TCPROS by hand."""
         code, _, where = xmlrpc_call(self.uri, "lookupNode", "/test", "/handsight")
         assert code == 1
-        _, _, (_, host, port) = xmlrpc_call(where, "requestTopic", "/stuck", topic, [["TCPROS"]])
-        fields = {"callerid": "/stuck", "topic": topic, "type": kind, "md5sum": "*"}
+        _, _, (_, host, port) = xmlrpc_call(where, "requestTopic", "/reader", topic, [["TCPROS"]])
+        fields = {"callerid": "/reader", "topic": topic, "type": kind, "md5sum": "*"}
         lines = [f"{key}={value}".encode() for key, value in fields.items()]
         said = b"".join(len(line).to_bytes(4, "little") + line for line in lines)
-        with socket.socket() as stuck:
-            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            stuck.connect((host, port))
-            stuck.sendall(len(said).to_bytes(4, "little") + said)
-            yield
+        with socket.socket() as reader:
+            reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            reader.settimeout(90.0)
+            reader.connect((host, port))
+            reader.sendall(len(said).to_bytes(4, "little") + said)
+            yield reader
 
     def record(self, *topics):
         """`rosbag record`, listening."""
         path = self.folder / f"recorded{len(self.processes)}.bag"
         before = {topic: len(self.subscribers(topic)) for topic in topics}
-        process = self.run("rosbag", "record", "--buffsize=0", "-O", str(path), *topics)
+        process = self.run("rosbag", "record", "--buffsize=0", "--tcpnodelay", "-O", str(path), *topics)
         self.wait_for(
             lambda: all(len(self.subscribers(topic)) > before[topic] for topic in topics), "record", process
         )
@@ -151,6 +153,18 @@ def graph(folder):
         yield running
     finally:
         running.close()
+
+
+def read_until(reader, stamp):
+    """Takes what comes, of messages that begin with a header, until one of that time [s]."""
+    with reader.makefile("rb") as file:
+        file.read(int.from_bytes(file.read(4), "little"))  # what the publisher says of itself
+        while True:
+            data = file.read(int.from_bytes(file.read(4), "little"))
+            assert data, "the publisher ended"
+            sec, nanosec = struct.unpack_from("<II", data, 4)
+            if sec + 1e-9 * nanosec >= stamp - 1e-6:
+                return
 
 
 def messages_of(path, topic):

@@ -2,10 +2,13 @@
 
 import os
 import sys
+import sysconfig
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
+import pytest
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -21,6 +24,8 @@ from handsight.messages.topics import POSE_COVARIANCE, TF
 from tests.live.recorded import poses
 from tests.ros.ros1 import Graph
 
+ROOT = Path(__file__).parents[2]
+NODE = ROOT / "ros" / "handsight_ros2" / "handsight_ros2" / "node.py"
 ANSWERED = {POSE_TOPIC: POSE_COVARIANCE, "/tf": TF, MARKERS_TOPIC: MARKERS, DIAGNOSTICS_TOPIC: DIAGNOSTICS}
 DOMAIN = 1 + os.getpid() % 100
 """Of each worker its own."""
@@ -29,6 +34,8 @@ ALONE = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     "PYTHONUNBUFFERED": "1",
 }
+KNOWN_AFTER = 1.0
+"""Two find each other one after the other, and only one side's finding can be seen here: the other has by then [s]."""
 BOTH_WAYS = Qos(Policy.Reliability.Reliable(10**9), Policy.History.KeepLast(2000))
 
 
@@ -44,8 +51,26 @@ class Processes(Graph):
     def bridge(self, rig, *options):
         """The bridge, ready."""
         process = self.run(sys.executable, "-m", "handsight.cli", "ros2-bridge", str(rig), *options)
-        self.wait_for(lambda: "is ready" in process.log.read_text(), "the bridge", process)
+        return self.ready(process, "the bridge")
+
+    def node(self, rig, **parameters):
+        """The node of rclpy, ready."""
+        given = [
+            text for key, value in {"rig": rig, **parameters}.items() for text in ("-p", f"{key}:={value}")
+        ]
+        return self.ready(self.rclpy("jazzy", NODE, "--ros-args", *given), "the node")
+
+    def ready(self, process, what):
+        self.wait_for(lambda: "is ready" in process.log.read_text(), what, process)
         return process
+
+    def rclpy(self, release, script, *arguments):
+        """A script run by a release's own Python, which finds handsight where this one does; skips where it is not there."""
+        python = ROOT / f".ros2-{release}" / "bin" / "python"
+        if not python.is_file():
+            pytest.skip(f"there is no ROS 2 {release} here: .ci/lab-ros2 {release} makes it")
+        found = f"PYTHONPATH={ROOT / 'src'}{os.pathsep}{sysconfig.get_path('purelib')}"
+        return self.run("env", found, str(python), str(script), *map(str, arguments))
 
 
 @contextmanager
@@ -106,6 +131,7 @@ class Robot:
         """Says one thing once somebody listens."""
         self._writers[topic] = writer = self._writer(topic, kind)
         wait_for(lambda: self.listened_to(topic), "one who listens")
+        time.sleep(KNOWN_AFTER)
         writer.write(message_type(kind)(bytes(typestore("cdr").serialize_cdr(message, kind))))
 
     def told(self):

@@ -1,6 +1,9 @@
 """The node of ROS 1 among real processes: a master, rosbag, Ctrl-C."""
 
+import shutil
+import sys
 import time
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -14,7 +17,8 @@ from handsight.cli.demo import DATA
 from handsight.messages.decode import typestore
 from handsight.messages.topics import WRENCH
 from tests.live.recorded import in_ros1, said, tracked
-from tests.ros.ros1 import graph, messages_of, needs_ros1, poses_of
+from tests.ros.pages import free_port, gone, served
+from tests.ros.ros1 import PACKAGE, graph, messages_of, needs_ros1, poses_of, read_until
 
 pytestmark = [needs_ros1, pytest.mark.slow]
 RIG = DATA / "can.rig.yaml"
@@ -51,12 +55,16 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
     topics = "/handsight/pose", "/tf", "/handsight/markers", "/diagnostics"
     played = bag(tmp_path / "can.bag", said())
     with graph(tmp_path) as running:
-        node = running.node(RIG, object="can", equal="true")
+        options = {"view": free_port()} if find_spec("viser") else {}
+        node = running.node(RIG, object="can", equal="true", **options)
+        address = served(node) if options else ""
         recorder = running.record(*topics)
-        play(running, played)
-        time.sleep(2.0)  # the last of them are answered a second after the last message
+        with running.reader("/handsight/pose", "geometry_msgs/PoseWithCovarianceStamped") as reader:
+            play(running, played)
+            read_until(reader, max(expected))  # it is answered a second after the last message
         ended = running.interrupt(node)
         assert (node.returncode, "Traceback" in node.log.read_text()) == (0, False)
+        running.wait_for(lambda: not options or gone(address), "the page's end")
         path = running.recorded(recorder)
         found = poses_of(path)
         assert set(found) == set(expected)
@@ -72,7 +80,24 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
         assert len(messages_of(path, "/handsight/markers")) > 5
         statuses = [s for each in messages_of(path, "/diagnostics") for s in each.status]
         assert "tracking" in {status.message for status in statuses}
+        told = [value.value for status in statuses for value in status.values]
+        assert not [sentence for sentence in told if "too late" in sentence]  # it does not hear itself
         assert ended < 5.0  # of a machine that may be busy; alone it is below one
+
+
+@pytest.mark.skipif(shutil.which("roslaunch") is None, reason="roslaunch is not installed")
+def test_the_launch_file_starts_and_ends_the_node(tmp_path):
+    with graph(tmp_path) as running:
+        running.environment |= {"ROS_PACKAGE_PATH": str(PACKAGE.parent), "HANDSIGHT_PYTHON": sys.executable}
+        launched = running.run(
+            "roslaunch", "handsight_ros1", "handsight.launch", f"rig:={RIG}", "object:=can"
+        )
+        try:
+            running.wait_for(lambda: "is ready" in launched.log.read_text(), "the node", launched)
+            assert running.subscribers("/joint_states") == ["/handsight"]
+        finally:
+            running.interrupt(launched)  # which ends the node; killed, it would leave it
+        running.wait_for(lambda: not running.subscribers("/joint_states"), "the node's end")
 
 
 def test_what_happens_in_a_lab_ends_nothing(tmp_path):
@@ -92,7 +117,7 @@ def test_what_happens_in_a_lab_ends_nothing(tmp_path):
             lambda: "tracking" in node.log.read_text() or "uncertain" in node.log.read_text(), "poses", node
         )
         dies.kill()
-        with running.stuck_reader("/handsight/pose", "geometry_msgs/PoseWithCovarianceStamped"):
+        with running.reader("/handsight/pose", "geometry_msgs/PoseWithCovarianceStamped"):
             play(running, played)
         called = running.run("rosservice", "call", "/handsight/reset")
         assert called.wait(60) == 0

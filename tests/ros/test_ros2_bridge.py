@@ -1,6 +1,7 @@
 """The bridge among processes that talk DDS on this machine alone, as ROS 2's nodes do."""
 
 import time
+from importlib.util import find_spec
 from types import SimpleNamespace as Message
 
 import pytest
@@ -12,7 +13,8 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 from handsight.cli.demo import DATA
 from handsight.messages.topics import WRENCH
 from tests.live.recorded import poses, read, said, tracked
-from tests.ros.ros2 import Robot, network, processes, same
+from tests.ros.pages import free_port, gone, served
+from tests.ros.ros2 import KNOWN_AFTER, Robot, network, processes, same
 
 pytestmark = pytest.mark.slow
 RIG = DATA / "can.rig.yaml"
@@ -25,16 +27,19 @@ def joined():
 
 def heard_by_the_bridge(running, robot, *topics):
     running.wait_for(lambda: all(robot.listened_to(topic) for topic in topics), "the bridge's ears")
+    time.sleep(KNOWN_AFTER)
 
 
 def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path, joined):
     messages = [each for each in said() if each.topic != "/truth/object"]
     with processes(tmp_path) as running:
-        bridge = running.bridge(RIG, "--object", "can", "--equal")
+        options = ("--view", str(free_port())) if find_spec("viser") else ()
+        bridge = running.bridge(RIG, "--object", "can", "--equal", *options)
+        address = served(bridge) if options else ""
         robot = Robot(joined, messages)
         heard_by_the_bridge(running, robot, *{each.topic for each in messages})
-        robot.play()
         expected = tracked(said())
+        robot.play()
         running.wait_for(lambda: len(poses(robot.heard)) == len(expected), "the poses", bridge)
         same(robot.heard, expected)
         links = [link for each in robot.heard if each.topic == "/tf" for link in read(each).transforms]
@@ -45,6 +50,7 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path, join
         robot.close()
         assert (bridge.returncode, "Traceback" in bridge.log.read_text()) == (0, False)
         assert ended < 5.0  # of a machine that may be busy; alone it is below one
+        running.wait_for(lambda: not options or gone(address), "the page's end")
 
 
 def test_a_wrong_type_is_named_a_robot_that_dies_is_outlived_and_reset_is_a_topic(tmp_path, joined):

@@ -1,7 +1,6 @@
-"""Real ROS 2 (rclpy and Fast DDS, in a virtual environment of its own) says a recording to the node and to the bridge."""
+"""Real ROS 2 (rclpy and Fast DDS, in an environment of its own) says a recording to the node and to the bridge."""
 
 import pickle
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,48 +11,27 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 
 from handsight.cli.demo import DATA
 from handsight.live import Answer
-from handsight.live.asked import START_TOPIC
-from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE
-from tests.live.recorded import poses, read, rig, said, tracked
+from handsight.messages.topics import WRENCH
+from tests.live.recorded import read, said, tracked
 from tests.ros.ros2 import processes, same
 
 pytestmark = pytest.mark.slow
-ROOT, RIG = Path(__file__).parents[2], DATA / "can.rig.yaml"
-NODE = ROOT / "ros" / "handsight_ros2" / "handsight_ros2" / "node.py"
+RIG = DATA / "can.rig.yaml"
+ROBOT = Path(__file__).with_name("rclpy_robot.py")
+STRING, A = "std_msgs/msg/String", b"\0\1\0\0\2\0\0\0a\0\0\0"
+"""A type that nobody expects, and a message of it."""
 
 
-def python_of(release):
-    """The Python of a release of ROS 2, made by .ci/lab-ros2."""
-    python = ROOT / f".ros2-{release}" / "bin" / "python"
-    if not python.is_file():
-        pytest.skip(f"there is no ROS 2 {release} here: .ci/lab-ros2 {release} makes it")
-    return str(python)
+def robot(running, release, folder, *steps):
+    """A robot that does that; see its script."""
+    (folder / "steps.pickle").write_bytes(pickle.dumps(steps))
+    return running.rclpy(release, ROBOT, folder / "steps.pickle", folder / "answers.pickle")
 
 
-def installed(python, package):
-    folders = (Path(python).parents[1] / "lib").glob(f"python3.*/site-packages/{package}")
-    return any(folders)
-
-
-def started(running, kind, python):
-    """The node or the bridge, ready; waits as for a recording."""
-    if kind == "bridge":
-        return running.bridge(RIG, "--equal")
-    given = [text for value in (f"rig:={RIG}", "equal:=true") for text in ("-p", value)]
-    process = running.run(python, str(NODE), "--ros-args", *given)
-    running.wait_for(lambda: "is ready" in process.log.read_text(), "the node", process)
-    return process
-
-
-def answers_of(running, python, messages, folder):
-    """What rclpy hears when it says that, after a while of silence."""
-    played, answered = folder / "said.pickle", folder / "answered.pickle"
-    played.write_bytes(pickle.dumps([(m.topic, m.type, m.log_time, m.data) for m in messages]))
-    script = Path(__file__).with_name("rclpy_robot.py")
-    robot = running.run(python, str(script), str(played), str(answered))
-    assert robot.wait(90) == 0, robot.log.read_text()[-2000:]
-    return [Answer(*each) for each in pickle.loads(answered.read_bytes())]
+def answers_of(process, folder):
+    """What it heard by the end."""
+    assert process.wait(120) == 0, process.log.read_text()[-2000:]
+    return [Answer(*each) for each in pickle.loads((folder / "answers.pickle").read_bytes())]
 
 
 def ended_well(running, follower):
@@ -62,41 +40,54 @@ def ended_well(running, follower):
     assert ended < 5.0  # of a machine that may be busy; alone it is below one
 
 
-@pytest.mark.parametrize("kind", ["node", "bridge"])
-def test_poses_are_those_of_track(tmp_path, kind):
-    python = python_of("jazzy")
-    if not installed(python, "tf2_msgs"):
-        pytest.skip(
-            "tf2_msgs could not be built for ROS 2 jazzy (it needs cmake): there is no pose without /tf"
-        )
+@pytest.mark.parametrize(("release", "kind"), [("jazzy", "node"), ("jazzy", "bridge"), ("kilted", "bridge")])
+def test_poses_are_those_of_track(tmp_path, release, kind):
+    """Without the bridge's cure for Kilted's Fast DDS 3 joint states, and poses out, would be lost."""
     messages = [each for each in said() if each.topic != "/truth/object"]
+    expected = tracked(messages)
+    play = [(m.topic, m.type, m.log_time, m.data) for m in messages]
     with processes(tmp_path) as running:
-        follower = started(running, kind, python)
-        answers = answers_of(running, python, messages, tmp_path)
-        same(answers, tracked(messages))
+        plays = robot(running, release, tmp_path, ("say", play), ("hear", "/handsight/pose", len(expected)))
+        follower = running.bridge(RIG, "--equal") if kind == "bridge" else running.node(RIG, equal="true")
+        answers = answers_of(plays, tmp_path)
+        same(answers, expected)
         assert sum(each.topic == "/handsight/markers" for each in answers) > 5
-        assert [s.message for each in answers if each.topic == "/diagnostics" for s in read(each).status]
+        links = [link for each in answers if each.topic == "/tf" for link in read(each).transforms]
+        assert {link.child_frame_id for link in links} > {"object"}  # and the robot's own
         ended_well(running, follower)
 
 
-def in_the_palm(message):
-    """A camera's pose as a user's, which needs no /tf."""
-    store = typestore("cdr")
-    seen = store.deserialize_cdr(message.data, POSE_COVARIANCE)
-    moved = replace(seen, header=replace(seen.header, frame_id=rig().frames["palm"]))
-    return message._replace(topic=START_TOPIC, data=bytes(store.serialize_cdr(moved, POSE_COVARIANCE)))
-
-
-def test_fast_dds_3_is_heard_and_hears(tmp_path):
-    """Without the bridge's cure joint states, and poses out, would be lost."""
-    python = python_of("kilted")
-    messages = [each for each in said() if each.topic not in ("/truth/object", "/tf", "/vision/object")]
-    start = in_the_palm(next(each for each in said() if each.topic == "/vision/object"))
+def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tmp_path):
+    """Vision comes late and with a covariance: at first the node has subscribed to poses without one."""
+    wrong = "/th/wrench"
+    play = [
+        (m.topic, *((STRING, m.log_time, A) if m.topic == wrong else (m.type, m.log_time, m.data)))
+        for m in said()
+        if m.topic != "/truth/object"
+    ]
+    half = len(play) // 2
+    touch = [each for each in play[:half] if each[0] != "/vision/object"]
+    named = f"{wrong}: 1 of 1 messages left out: expected {WRENCH}, got {STRING}"
     with processes(tmp_path) as running:
-        follower = started(running, "bridge", python)
-        answers = answers_of(running, python, [start, *messages], tmp_path)
-        joints = sum(each.topic == "/joint_states" for each in messages)
-        # The start is taken when the worker gets to it.
-        assert len(poses(answers)) > joints / 2
-        assert max(poses(answers)) == round(messages[-1].log_time, 6)
-        ended_well(running, follower)
+        asks = robot(
+            running,
+            "jazzy",
+            tmp_path,
+            ("say", touch),
+            ("told", named),
+            ("say", play[half:]),
+            ("hear", "/handsight/pose", 5),
+            ("call", "/handsight/reset"),
+            ("set", "object", "spoon"),
+            ("call", "/handsight/set_object"),
+            ("set", "object", "can"),
+            ("call", "/handsight/set_object"),
+        )
+        node = running.node(RIG, object="can")
+        answers = answers_of(asks, tmp_path)
+        reset, spoon, can = (each.data for each in answers if each.type == "std_srvs/srv/Trigger")
+        assert reset == (True, "begun anew: vision's next pose starts")
+        assert spoon[0] is False
+        assert spoon[1].startswith("object: expected one of the rig (can)")
+        assert can == (True, "the object is can: vision's next pose starts")
+        ended_well(running, node)

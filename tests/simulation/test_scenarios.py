@@ -19,7 +19,10 @@ from simulation.simulated import only
         ({"object": 3}, "object: expected can, box or a mesh file (.stl, .obj, .ply, .off), got 3"),
         ({"seed": -1}, "seed: expected a whole number of at least 0, got -1"),
         ({"seed": 1.5}, "seed: expected a whole number of at least 0, got 1.5"),
-        ({"motion": "throw"}, "motion: expected one of grasp, manipulate, got 'throw'"),
+        (
+            {"motion": "throw"},
+            "motion: expected one of grasp, manipulate, weigh, ramp, steps, sine, got 'throw'",
+        ),
         ({"nuisances": {"force_noise": 0}}, "nuisances: expected Nuisances, got dict"),
         ({"rate": 0}, "rate: expected a number above 0, got 0"),
         ({"rate": 30}, "rate: expected a divisor of 500 per second, got 30"),
@@ -41,6 +44,7 @@ def test_what_is_wrong_with_a_scenario_is_said(arguments, message):
         ({"force_noise": -0.01}, "force_noise: expected a number of at least 0, got -0.01"),
         ({"joint_offset": float("nan")}, "joint_offset: expected a finite number, got nan"),
         ({"object_scale": 3.0}, "object_scale: expected 0.5 to 2, got 3"),
+        ({"friction": 0.0}, "friction: expected 0.1 to 2, got 0"),
         ({"vision_delay": 1e300}, "vision_delay: expected at most 100, got 1e+300"),
         ({"table_tilt": 1e200}, "table_tilt: expected at most 100, got 1e+200"),
     ],
@@ -52,7 +56,8 @@ def test_what_is_wrong_with_a_nuisance_is_said(arguments, message):
 
 def test_without_nuisances_nothing_is_wrong_but_the_size_of_one():
     values = {name: getattr(Nuisances.none(), name) for name in Nuisances.__slots__}
-    assert values.pop("object_scale") == 1.0
+    assert values.pop("object_scale") == values.pop("friction") == 1.0
+    assert values.pop("object_mass") == 0.15
     assert set(values.values()) == {0.0}
 
 

@@ -71,7 +71,7 @@ def test_contacts_are_those_of_compensated_wrenches_at_the_tips(can):
         T = Ts[name] @ finger.T_frame_surface
         R = last.T_world_palm[:3, :3] @ T[:3, :3] @ finger.tip.T_surface_sensor[:3, :3]
         raw = last.wrenches[name]
-        load = hs.compensate(raw[:3], raw[3:], R.T @ can.rig.gravity, finger.calibration)
+        load = hs.contact.compensate(raw[:3], raw[3:], R.T @ can.rig.gravity, finger.calibration)
         contact = hs.contact_from_wrench(*load, finger.tip).moved(T)
         np.testing.assert_allclose(felt.contacts.points_palm[i], contact.point, atol=1e-12)
         np.testing.assert_allclose(felt.contacts.normals_palm[i], contact.normal, atol=1e-10)

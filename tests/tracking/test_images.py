@@ -8,11 +8,18 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
+from handsight.live import LiveTracker
+from handsight.messages import ObservationStream
+from handsight.messages.topics import rig_topics
 from handsight.objects.symmetry import nearest
+from handsight.recording import RecordingWriter
+from handsight.recording.mcap import McapSource
 from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.tracking import TrackerSettings
+from handsight.tracking.replay import Tally, replay
 from handsight.vision import PinholeCamera
 from sight_scenes import SQUARE, TABLE
+from tests.live.recorded import answered, poses
 
 K = np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]])
 WRONG = se3.compose(se3.rotation_exp(np.deg2rad([3.0, -4, 5])), np.array([0.05, -0.04, 0.03]))
@@ -198,3 +205,25 @@ def test_what_was_seen_is_forgotten_when_a_jump_of_the_clock_is_taken_back(can, 
         if one is not None:
             np.testing.assert_allclose(one.T_palm_object, other.T_palm_object, atol=1e-12)
     assert tracker.undone == 1
+
+
+def test_a_running_tracker_looks_at_images_as_track_does(can, seen, tmp_path):
+    """The same bytes through a node's worker as through `replay`, images among them."""
+    rig, observations = seen
+    rig = replace(rig, topics=replace(rig.topics, depth="/camera/depth", camera_info="/camera/info"))
+    path = tmp_path / "images.mcap"
+    with RecordingWriter(path, rig) as writer:
+        for each in observations[:40]:
+            writer.write(replace(each, stamp=1000.0 + each.stamp))
+    messages = list(McapSource(path).messages(rig_topics(rig)))
+    stream = ObservationStream(rig)
+    heard = [each for message in messages for each in stream.put(message)] + stream.finish()
+    assert sum(each.depth is not None for each in heard) == 8
+    steps = replay(heard, hs.Tracker(rig, can.model), Tally())
+    expected = {round(step.stamp, 6): step.estimate.T_palm_object[:3, 3] for step in steps}
+    running = LiveTracker(rig, can.model, encoding="cdr", equal=True)
+    found = poses(answered(running, messages, at_once=7))
+    assert running.tracker.images["object_seen"] > 0
+    assert set(found) == set(expected)
+    for stamp, position in expected.items():
+        np.testing.assert_allclose(found[stamp][0][:3], position, rtol=0, atol=1e-9)

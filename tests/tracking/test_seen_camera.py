@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.tracking.past import Instant, Past
 from handsight.tracking.seen_camera import IN_A_ROW, HandView, SeenCamera
-from handsight.tracking.smoother import PoseBiasSmoother, biased
+from handsight.tracking.smoother import PoseBiasSmoother
+from oracles.pose_bias import biased
 
 SEEDS = st.integers(0, 2**32 - 1)
 SIGMAS = np.array([0.002] * 3 + [0.02] * 3)

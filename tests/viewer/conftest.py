@@ -4,7 +4,9 @@ import contextlib
 import socket
 from importlib.util import find_spec
 from itertools import islice
+from multiprocessing import Pipe
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -57,6 +59,29 @@ def page(tracked, free_port):
 
     with contextlib.closing(Page(tracked.rig, tracked.model, port=free_port, title="can")) as made:
         yield made
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    """The pages of viewers, newest last: served in a thread of this process, where a test can look at them."""
+    needs_viser()
+    from handsight.viewer import apart
+
+    made = []
+
+    def begin():
+        ours, theirs = Pipe()
+        Thread(target=apart.serve, args=(theirs,), daemon=True).start()
+        return ours, None
+
+    class Kept(apart.Page):
+        def __init__(self, *given, **options):
+            super().__init__(*given, **options)
+            made.append(self)
+
+    monkeypatch.setattr(apart, "begin", begin)
+    monkeypatch.setattr(apart, "Page", Kept)
+    return made
 
 
 @pytest.fixture

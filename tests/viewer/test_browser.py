@@ -85,6 +85,16 @@ def test_the_object_moves_as_the_recording_plays_and_the_slider_seeks(browser, p
         thumb.press("End")
         until(lambda: page.last is timeline.moments[-1])
         np.testing.assert_allclose(amber(page), ended, atol=1.0)
+
+        # Whoever else looks sees the same moment, and may choose another for both.
+        other = browser.new_page(viewport={"width": 480, "height": 320})
+        other.set_default_timeout(1e3 * PATIENCE)
+        other.goto(page.address)
+        theirs = other.get_by_role("slider").first
+        until(lambda: float(theirs.get_attribute("aria-valuenow")) > 0.9 * timeline.length)
+        theirs.press("Home")
+        until(lambda: page.last is timeline.moments[0])
+        until(lambda: float(thumb.get_attribute("aria-valuenow")) == 0)
         assert all(url.startswith((page.address, "data:", "blob:")) for url in asked)
     finally:
         tab.close()

@@ -9,6 +9,7 @@ import pytest
 
 from handsight import ObjectModel, PoseEstimate, contact_from_wrench, se3
 from handsight.contact import compensate
+from handsight.dynamics import Slip
 from handsight.evaluation import track_errors
 from handsight.observation import Observation
 from handsight.tracking import Tracker
@@ -148,6 +149,16 @@ def test_one_sentence_says_why_the_state_is_what_it_is(tracked):
     wrong = PoseEstimate(wrong.answer, wrong.modes, wrong.residual_rows, False, (1,))
     assert "; mf left out as wrong;" in said(tracked, estimate=wrong)
     assert "fit the object" not in said(tracked, estimate=wrong)
+
+
+def test_the_sentence_says_that_the_object_slips_or_is_near_to_it(tracked):
+    near = "; the grip uses 92% of what friction holds; "
+    assert near in said(tracked, slip=Slip(False, {"ff": 0.97, "th": 0.92}, 0.8))
+    assert "friction" not in said(tracked, slip=Slip(False, {"ff": 0.97, "th": 0.5}, 0.8))
+    why = "the object slips: every finger that holds it is at the limit of friction"
+    slips = said(tracked, state="uncertain", reason=why, slip=Slip(True, {"ff": 1.0}, 0.8))
+    assert slips.startswith(f"Uncertain: {why}; ff, ")
+    assert "the grip uses" not in slips
 
 
 def test_the_ellipsoid_holds_95_of_100_places_of_the_middle():

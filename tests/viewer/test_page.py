@@ -5,15 +5,17 @@ import inspect
 import sys
 import threading
 import time
+from multiprocessing import Pipe
 
 import numpy as np
 import pytest
 
 from handsight import ObjectModel, se3
-from handsight.errors import MissingExtra
+from handsight.errors import InvalidInput, MissingExtra
 from handsight.tracking import Tracker
 from handsight.viewer import NullViewer, Viewer, view
 from handsight.viewer.player import Player
+from tests.live.recorded import answered, live, poses, said
 from viewer.conftest import needs_viser
 
 
@@ -185,7 +187,7 @@ def test_playing_goes_through_all_moments_to_the_end_at_its_speed(page, tracked,
         player.close()
 
 
-def test_nothing_is_done_while_nobody_looks(page, tracked, free_port, monkeypatch):
+def test_nothing_is_done_while_nobody_looks(page, pages, tracked, free_port, monkeypatch):
     drawn = []
     monkeypatch.setattr(type(page), "draw", lambda *_: drawn.append(1))
     monkeypatch.setattr("handsight.viewer.live.Moment.now", lambda *_: drawn.append(1))
@@ -197,22 +199,25 @@ def test_nothing_is_done_while_nobody_looks(page, tracked, free_port, monkeypatc
         for observation in tracked.observations[:50]:
             tracker.update(observation)
             viewer.update(observation, tracker)
-        time.sleep(0.2)
+        of_viewer = messages(pages[-1])
+        time.sleep(0.3)
+        assert messages(pages[-1]) == of_viewer
     player.close()
     assert not drawn
     assert messages(page) == before
     assert player.time == 0.0
 
 
-def test_the_newest_answer_is_shown_however_fast_they_come(tracked, free_port, watched):
+def test_the_newest_answer_is_shown_however_fast_they_come(tracked, pages, free_port, watched):
     tracker, told = Tracker(tracked.rig, tracked.model), []
     with view(tracker, port=free_port, say=told.append) as viewer:
         assert told == [f"handsight: look at {viewer.address}"]
         for observation in tracked.observations[:60]:
             tracker.update(observation)
             viewer.update(observation, tracker)
-        until(lambda: viewer._page.last is not None and viewer._page.last.stamp == tracker.stamp)
-        until(lambda: np.allclose(pose(viewer._page.scene.object), tracker.estimate.T_palm_object, atol=1e-9))
+        (shown,) = pages
+        until(lambda: shown.last is not None and shown.last.stamp == tracker.stamp)
+        until(lambda: np.allclose(pose(shown.scene.object), tracker.estimate.T_palm_object, atol=1e-9))
         # One that comes late changes nothing, whatever is in it.
         late = dataclasses.replace(
             tracked.observations[5], wrenches={"th": np.full(6, np.nan)}, depth=np.zeros((2, 2))
@@ -223,11 +228,11 @@ def test_the_newest_answer_is_shown_however_fast_they_come(tracked, free_port, w
         other = Tracker(tracked.rig, ObjectModel.box([0.05, 0.05, 0.1]))
         other.update(tracked.observations[0])
         viewer.update(tracked.observations[0], other)
-        until(lambda: viewer._page._model is other.model and viewer._page.last is not None)
-        assert viewer._page.last.stamp == other.stamp
+        until(lambda: shown._model.name == other.model.name and shown.last is not None)
+        assert shown.last.stamp == other.stamp
 
 
-def test_who_comes_while_the_robot_rests_sees_the_last_answer(tracked, free_port, monkeypatch):
+def test_who_comes_while_the_robot_rests_sees_the_last_answer(tracked, pages, free_port, monkeypatch):
     needs_viser()
     from handsight.viewer.page import Page
 
@@ -236,11 +241,81 @@ def test_who_comes_while_the_robot_rests_sees_the_last_answer(tracked, free_port
         for observation in tracked.observations[:60]:
             tracker.update(observation)
             viewer.update(observation, tracker)
-        assert viewer._page.last is None
+        (shown,) = pages
+        assert shown.last is None
         monkeypatch.setattr(Page, "watched", True)
-        viewer._changed.set()  # as a browser that connects does
-        until(lambda: viewer._page.last is not None)
-        assert viewer._page.last.stamp == tracker.stamp
+        until(lambda: shown.last is not None)
+        assert shown.last.stamp == tracker.stamp
+        until(lambda: viewer.watched)
+        monkeypatch.setattr(Page, "watched", False)
+        tracker.update(tracked.observations[60])
+        viewer.update(tracked.observations[60], tracker)
+        until(lambda: not viewer.watched)
+
+
+def with_a_pipe(tracker, monkeypatch):
+    """A viewer, and the page's end of its pipe."""
+    from handsight.viewer import apart
+
+    ours, theirs = Pipe()
+    monkeypatch.setattr(apart, "begin", lambda: (ours, None))
+    page = threading.Thread(target=lambda: (theirs.recv(), theirs.send("http://nowhere")))
+    page.start()
+    viewer = Viewer(tracker)
+    page.join()
+    return viewer, theirs
+
+
+def test_a_frame_is_taken_only_when_the_page_asks_for_one(tracked, monkeypatch):
+    """A page that draws slowly holds nothing up: of many answers it gets the newest, and no more than it draws."""
+    tracker = Tracker(tracked.rig, tracked.model)
+    viewer, theirs = with_a_pipe(tracker, monkeypatch)
+    for k, observation in enumerate(tracked.observations[:90]):
+        tracker.update(observation)
+        viewer.update(observation, tracker)
+        if k in (29, 59):
+            assert not theirs.poll(0.05)
+            theirs.send(True)
+            frame = theirs.recv()
+            assert frame.moment.stamp == tracker.stamp
+            np.testing.assert_array_equal(frame.moment.estimate.T_palm_object, tracker.estimate.T_palm_object)
+            assert (frame.begins, frame.shot) == (None, None)
+    theirs.send(False)
+    until(lambda: not viewer.watched)
+    closing = threading.Thread(target=viewer.close)
+    closing.start()
+    assert theirs.recv() is None
+    theirs.close()
+    closing.join(10)
+    assert not closing.is_alive()
+
+
+def test_a_page_that_is_gone_ends_nothing(tracked, monkeypatch):
+    tracker = Tracker(tracked.rig, tracked.model)
+    viewer, theirs = with_a_pipe(tracker, monkeypatch)
+    with viewer:
+        theirs.send(True)
+        until(lambda: viewer.watched)
+        theirs.close()
+        for observation in tracked.observations[:3]:
+            tracker.update(observation)
+            viewer.update(observation, tracker)
+        until(lambda: not viewer.watched)
+
+
+def test_what_a_node_follows_is_shown_and_its_answers_stay_the_same(pages, free_port, watched):
+    messages_of_robot = said()
+    alone, shown = live(equal=True), live(equal=True)  # however busy the machine is
+    with view(shown.tracker, port=free_port, say=lambda _: None) as viewer:
+        shown.show = viewer.update
+        expected = poses(answered(alone, messages_of_robot))
+        found = poses(answered(shown, messages_of_robot))
+        until(lambda: pages[-1].last is not None and pages[-1].last.stamp == shown.tracker.stamp)
+        place = pages[-1].last.estimate.T_palm_object
+        np.testing.assert_array_equal(place, shown.tracker.estimate.T_palm_object)
+    assert found
+    assert found.keys() == expected.keys()
+    assert all(np.array_equal(found[stamp][0], expected[stamp][0]) for stamp in expected)
 
 
 def test_the_null_viewer_has_the_same_methods_and_does_nothing(tracked):
@@ -278,8 +353,7 @@ def test_a_port_that_is_taken_gives_way_to_the_next(page, tracked):
         second.close()
 
 
-def test_a_page_that_is_closed_leaves_no_thread(tracked, free_port):
-    needs_viser()
+def test_a_page_that_is_closed_leaves_no_thread(tracked, pages, free_port):
     before = {thread.name for thread in threading.enumerate()}
     with Viewer(Tracker(tracked.rig, tracked.model), port=free_port):
         pass
@@ -287,10 +361,16 @@ def test_a_page_that_is_closed_leaves_no_thread(tracked, free_port):
     assert after - before <= {"asyncio_0"}
 
 
-def test_without_viser_one_sentence_says_what_to_install(tracked, monkeypatch):
+def test_without_viser_one_sentence_says_what_to_install(tracked, pages, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingExtra, match=r"^the viewer needs viser: pip install 'handsight\[view\]'$"):
         view(Tracker(tracked.rig, tracked.model))
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_a_port_that_is_none_is_said(tracked, pages, port):
+    with pytest.raises(InvalidInput, match=f"^port: expected a number from 1 to 65535, got {port}$"):
+        view(Tracker(tracked.rig, tracked.model), port=port)
 
 
 def test_the_states_strip_has_each_state_in_its_place(page):
@@ -303,3 +383,18 @@ def test_the_states_strip_has_each_state_in_its_place(page):
     content = page.panel.strip.content
     assert f"{STATES['lost']} 0.00% 30.00%,{STATES['tracking']} 30.00% 100.00%" in content
     assert "left:50.00%" in content
+
+
+def test_slips_are_marked_under_the_states(page):
+    from handsight.viewer.curves import Curves
+    from handsight.viewer.panel import SLIP
+
+    times = np.linspace(0, 10, 11)
+    page.draw_curves(Curves(times, np.ones(11), None, ["tracking"] * 11), 5.0)
+    assert SLIP not in page.panel.strip.content
+    slips = [(-3.0, -2.0), (2.0, 4.5), (9.0, 9.0)]
+    page.draw_curves(Curves(times, np.ones(11), None, ["tracking"] * 11, slips), 5.0)
+    content = page.panel.strip.content
+    assert content.count('title="slips"') == 2
+    assert "left:20.00%;width:25.00%" in content
+    assert "left:90.00%;width:0.00%" in content

@@ -1,21 +1,23 @@
 """Messages of ROS 1 as the bytes they are, in and out: decoding and encoding are handsight's."""
 
+from functools import lru_cache
+
 import rospy
 
 from handsight.messages import RawMessage
 from handsight.messages.decode import typestore
 
 
+@lru_cache
 def ros2_name(kind):
     """`package/msg/Name`, of a type as ROS 1 writes it."""
     package, _, name = kind.partition("/")
     return f"{package}/msg/{name}"
 
 
-def heard(topic, message):
+def heard(topic, message, now):
     """An AnyMsg that came now."""
-    kind = ros2_name(message._connection_header["type"])
-    return RawMessage(topic, kind, "ros1", rospy.get_time(), message._buff)
+    return RawMessage(topic, ros2_name(message._connection_header["type"]), "ros1", now, message._buff)
 
 
 def bytes_of(kind):

@@ -3,12 +3,14 @@
 
 Parameters: rig (the rig file), object (its name in the rig, in the library, or a mesh file; may be left out where the
 rig knows one), rate (corrections a second; 0: when something changed), images (look at depth images, true), equal (wait
-as for a recording, false). Topics are the rig's: see docs/ros2.md.
+as for a recording, false), view (port of a page that shows it in the browser; 0: none). Topics are the rig's: see
+docs/ros2.md.
 """
 
 import signal
 import sys
 import threading
+import time
 from importlib import import_module
 from operator import itemgetter
 
@@ -22,10 +24,14 @@ from handsight.errors import HandsightError
 from handsight.live.answers import MARKERS_TOPIC
 from handsight.live.node import WAITING, WAITING_EQUAL, PublishedTypes, done, live_tracker, work
 from handsight.messages import RawMessage
+from handsight.messages.prompt import WAIT
+from handsight.viewer import view
 
-PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False}
+PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
 UNHEARD, UNHEARD_EQUAL = 100, 2000
 """Messages of a topic that wait to be taken."""
+QUIET = 0.1
+"""After so long without a message nothing waits for another one [s]."""
 LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
@@ -56,7 +62,10 @@ def tracker(node):
         images=bool(given["images"]),
         equal=bool(given["equal"]),
     )
-    node.get_logger().info(f"follows {live.tracker.model.name}")
+    say = node.get_logger().info
+    say(f"follows {live.tracker.model.name}")
+    if port := int(given["view"]):
+        live.show = view(live.tracker, port=port, say=say).update
     return live
 
 
@@ -65,7 +74,7 @@ class Ears:
 
     def __init__(self, node, live):
         self._node, self._live, self._types = node, live, PublishedTypes(live)
-        self._subscribed = {}
+        self._subscribed, self.heard = {}, time.monotonic()
         for topic, kinds in live.subscriptions.items():
             known = [kind for kind in kinds if made(*kind.split("/"))]
             if known:
@@ -111,7 +120,7 @@ class Ears:
             with subscription.handle:
                 while (more := subscription.handle.take_message(subscription.msg_type, True)) is not None:
                     taken.append((more[1]["received_timestamp"], topic, kind, more[0]))
-        now = 1e-9 * self._node.get_clock().now().nanoseconds
+        self.heard, now = time.monotonic(), 1e-9 * self._node.get_clock().now().nanoseconds
         for _, topic, kind, data in sorted(taken, key=itemgetter(0)):
             self._live.put(RawMessage(topic, kind, "cdr", now, bytes(data)))
 
@@ -134,7 +143,27 @@ def publisher(node, live):
     return publish
 
 
-def serve(node, live):
+class Worker:
+    """Hears and works in one thread: two would wait for each other's hold on Python."""
+
+    def __init__(self, node, live, ears):
+        self._live, self._ears, self._executor = live, ears, SingleThreadedExecutor()
+        self._executor.add_node(node)
+
+    @property
+    def tracker(self):
+        """Of the object that is followed now."""
+        return self._live.tracker
+
+    def step(self, timeout):
+        """What is to be published now; waits at most `timeout` [s] for something to come."""
+        if time.monotonic() - self._ears.heard < QUIET:
+            timeout = min(timeout, WAIT)
+        self._executor.spin_once(timeout_sec=timeout)
+        return self._live.step(0.0)
+
+
+def serve(node, live, publish):
     """Services: begin anew from vision, and with the object that the parameter names now."""
     trigger = made("std_srvs", "srv", "Trigger")
     if trigger is None:
@@ -142,8 +171,14 @@ def serve(node, live):
         return
 
     def answer(ask):
+        def asked():
+            future = ask()
+            for each in live.step(0.0):  # nobody else does what is asked for
+                publish(each)
+            return future
+
         def handle(_, response):
-            response.success, response.message = done(ask)
+            response.success, response.message = done(asked)
             return response
 
         return handle
@@ -167,16 +202,11 @@ def main():
     except HandsightError as error:
         raise SystemExit(f"handsight: {error}") from None
     publish = publisher(node, live)
-    serve(node, live)
+    serve(node, live, publish)
     ears, say = Ears(node, live), node.get_logger().info
-    worker = threading.Thread(target=work, args=(live, publish, say, ended), daemon=True)
-    worker.start()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    worker = Worker(node, live, ears)
     say(f"is ready: {len(ears)} topics are heard")
-    while not ended.is_set():
-        executor.spin_once(timeout_sec=0.1)
-    worker.join(1.0)
+    work(worker, publish, say, ended)
     node.destroy_node()
     rclpy.try_shutdown()
 

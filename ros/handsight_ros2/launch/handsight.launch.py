@@ -21,6 +21,7 @@ ARGUMENTS = (
     ("images", "true", bool, "look at depth images, where the rig names some"),
     ("rate", "0.0", float, "corrections a second; 0: when something has changed"),
     ("equal", "false", bool, "wait for messages as for a recording: 0.2 s late, the same numbers"),
+    ("view", "0", int, "port of a page that shows it in the browser; 0: none"),
 )
 
 

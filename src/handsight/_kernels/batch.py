@@ -1,7 +1,7 @@
 """What Python calls: one correction after another, or one stage of many descents, in one call.
 
 `model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
-problem, each set with its own `used`. `prior` is one PRIOR, or none for an answer without vision. What ranges over
+problem, each set with its own `used`. `prior` is one PRIOR, or none where contacts are all there is. What ranges over
 descents or problems takes a slice of them, so that several threads share the work.
 """
 
@@ -19,9 +19,10 @@ from handsight._kernels.prior_term import prior_cost, prior_width, vision_prior,
 from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
 from handsight._kernels.simd import local
-from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose
+from handsight._kernels.symmetry import are_apart, nearest, pose_of, store_pose, store_transform, transform_of
 from handsight._kernels.uncertainty import summarize
 from handsight._kernels.vec3 import Vec3, add, cross, dot, norm, scale, store, vector
+from handsight._kernels.weight_term import copy_weight
 
 LIMITS = COARSE_LIMITS, FINE_LIMITS
 
@@ -46,12 +47,20 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
 
 
 @inner
+def seen(prior: Any) -> bool:
+    """Whether vision says something of the pose."""
+    return len(prior) > 0 and not prior[0].unseen
+
+
+@inner
 def fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
     """Vision's evidence, or the weak one in its place."""
-    if len(prior):
+    if seen(prior):
         vision_prior(model, prior[0], term, local(UNCERTAINTY))
     else:
         weak_position_prior(model, center, term)
+        if len(prior):
+            copy_weight(prior[0].weight, term.weight)
 
 
 @inner
@@ -83,19 +92,19 @@ def _residual(evidence: Evidence, contact: Any, pose: Pose) -> tuple[float, floa
 @inner
 def _store_answer(pose: Pose, answer: Any) -> None:
     store_pose(pose, answer.pose)
-    R, p = pose
-    for i in range(3):
-        for j in range(3):
-            answer.T_palm_object[i, j] = R[i][j]
-        answer.T_palm_object[i, 3] = p[i]
-        answer.T_palm_object[3, i] = 0.0
-    answer.T_palm_object[3, 3] = 1.0
+    store_transform(pose, answer.T_palm_object)
 
 
 @entry
 def width(model: Any, prior: Any) -> float:
     """As `prior_width`, of an object and a prior alone."""
     return prior_width(model[0], prior[0])
+
+
+@entry
+def equivalent(model: Any, T: Any, T_reference: Any, out: Any) -> None:
+    """`out` (4, 4): the equivalent of a pose (4, 4) nearest to the reference (4, 4)."""
+    store_transform(nearest(model[0], transform_of(T), transform_of(T_reference)), out)
 
 
 @entry
@@ -151,14 +160,14 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
     """
     term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
     radius = model[0].radius
-    floor = (1e-9 if len(prior) else 1.0) / (radius * radius)
+    floor = (1e-9 if seen(prior) else 1.0) / (radius * radius)
     center = load_terms(contacts[0], terms)
     fill_prior(model[0], prior, center, term)
     evidence = Evidence(model[0], nodes, terms, outside, term, center)
     for k in range(len(descents)):
         descent = descents[k]
         pose = pose_of(descent.pose)
-        if len(prior):
+        if seen(prior):
             pose = nearest(model[0], pose, pose_of(prior[0].pose))
             store_pose(pose, descent.pose)
         _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)

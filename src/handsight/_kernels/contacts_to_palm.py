@@ -126,6 +126,9 @@ def contacts_to_palm(
         if answer[0] == CONTACT:
             store(answer[1], contact.point)
             store(answer[2], contact.normal)
+            tangential = sub(answer[3], scale(answer[2], answer[4]))
+            store(mul(matrix(Ts_palm_surface[i]), tangential), contact.load[:3])
+            contact.load[3], contact.load[4] = answer[4], answer[5]
             other = norm(vector(loads[int(nearest[i, 0]), :3]))
             # Comparing is false where the other sensor is silent: then its own load must do.
             lighter = other if other < norm(load[0]) else norm(load[0])

@@ -5,7 +5,7 @@ from typing import Any
 from handsight._kernels.compiled import inner
 from handsight._kernels.contact_term import Pose
 from handsight._kernels.dense6 import factor, in_metres, solve
-from handsight._kernels.search import rotation_exp
+from handsight._kernels.prior_term import rotation_exp
 from handsight._kernels.vec3 import Vec3, add, matmul, mul, norm, scale, sub
 
 DAMPING = 1e-3

@@ -7,8 +7,8 @@ import numpy as np
 from handsight._kernels.compiled import entry, inner
 from handsight._kernels.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.field import field_at
+from handsight._kernels.prior_term import rotation_exp
 from handsight._kernels.records import UNCERTAINTY
-from handsight._kernels.search import rotation_exp
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import Mat33, Vec3, add, cross, matrix, mul, scale, sub, tmul, vector
 

@@ -22,6 +22,7 @@ from handsight._kernels.records import NO_PRIOR, OUTSIDE, WORKSPACE
 from handsight._kernels.settings import MAX_TURN, SHORT_STEP
 from handsight._kernels.simd import local
 from handsight._kernels.vec3 import Vec3, add, matmul, mul, norm, scale, sub, vector
+from handsight._kernels.weight_term import add_weight
 
 
 class Evidence(NamedTuple):
@@ -36,7 +37,7 @@ class Evidence(NamedTuple):
     outside: Any
     """(m,) OUTSIDE."""
     prior: Any
-    """PRIOR_TERM."""
+    """PRIOR_TERM, and with it what the weight tells."""
     center: Any
     """Centroid of the contacts: about it shift and turn hardly disturb each other, and one damping serves both."""
 
@@ -63,6 +64,7 @@ def evaluate(evidence: Evidence, field: Any, pose: Pose, rewhiten: bool, equatio
         add_planes(evidence, pose, frame, equations)
     if evidence.prior.kind != NO_PRIOR:
         add_prior(evidence.prior, pose, frame, equations)
+    add_weight(evidence.prior.weight, pose, frame, equations)
 
 
 @inner

@@ -12,6 +12,7 @@ from handsight._kernels.records import NO_PRIOR, WORKSPACE
 from handsight._kernels.settings import MATCH_STEPS, MATCH_TOLERANCE
 from handsight._kernels.simd import accumulate, local, scan
 from handsight._kernels.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
+from handsight._kernels.weight_term import add_weight
 
 
 @inner
@@ -83,6 +84,7 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
                 add_match(model, term, pose, frame, equations)
         if evidence.prior.kind != NO_PRIOR:
             add_prior(evidence.prior, pose, frame, equations)
+        add_weight(evidence.prior.weight, pose, frame, equations)
         step = damped_step(equations, model.radius, 1e-9, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0

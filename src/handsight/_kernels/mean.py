@@ -39,6 +39,7 @@ from handsight._kernels.slide import choose, fine_enough, lay_lattice, mark_spin
 from handsight._kernels.symmetry import nearest, pose_of
 from handsight._kernels.uncertainty import retract_body
 from handsight._kernels.vec3 import matmul, scale, sub, tmul, transpose
+from handsight._kernels.weight_term import weight_cost
 
 
 @inner
@@ -87,7 +88,8 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: A
     look(evidence, evidence.model.fine, mode, np.inf, rows)
     near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
     slide.give, here = GIVE * wavering(evidence, mode), posterior_cost(evidence, mode)
-    slide.level = here - prior_cost(evidence.prior, mode) + slide.give
+    by_prior = prior_cost(evidence.prior, mode) + weight_cost(evidence.prior.weight, mode)
+    slide.level = here - by_prior + slide.give
     measure(near, mode, slide, here + slide.give)
     for _ in range(ROUNDS):
         cell = lay_lattice(slide)

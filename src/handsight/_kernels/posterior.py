@@ -23,6 +23,7 @@ from handsight._kernels.plane_term import plane_cost
 from handsight._kernels.prior_term import add_prior, prior_cost
 from handsight._kernels.records import NO_PRIOR, VISION_PRIOR
 from handsight._kernels.vec3 import vector
+from handsight._kernels.weight_term import add_weight, weight_cost
 
 
 @inner
@@ -62,7 +63,8 @@ def information(
 ) -> tuple[float, float]:
     """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
 
-    Both are without what the model's bumps lend; the terms' equations, and the prior's in `equations`, are whole.
+    Both are without what the model's bumps lend; the terms' equations, and in `equations` the weight's and the prior's,
+    are whole. The weight is touch.
     """
     equations[:] = 0.0
     chi2, log_spread = contact_information(evidence, pose, equations)
@@ -77,11 +79,16 @@ def information(
     # Walls: they cost, but say nothing of the way back.
     chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, pose)
     equations[:] = 0.0
+    add_weight(evidence.prior.weight, pose, (pose[1], 1.0), equations)
+    for i in range(6):
+        for j in range(i + 1):
+            total[i, j] = by_touch[i, j]
+            by_touch[i, j] = by_touch[j, i] = by_touch[i, j] + equations[i, j]
     if evidence.prior.kind == VISION_PRIOR:
         add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
     for i in range(6):
         for j in range(i + 1):
-            total[i, j] = total[j, i] = by_touch[i, j] + equations[i, j]
+            total[i, j] = total[j, i] = total[i, j] + equations[i, j]
     chi2 += equations[6, 6]
     return chi2, chi2 + log_spread
 
@@ -100,7 +107,7 @@ def posterior_cost(evidence: Evidence, pose: Pose) -> float:
             total += log_determinant(factor4, term.contact.has_normal != 0)
     if evidence.prior.kind != NO_PRIOR:
         total += prior_cost(evidence.prior, pose)
-    return total
+    return total + weight_cost(evidence.prior.weight, pose)
 
 
 @inner
@@ -108,7 +115,7 @@ def largest_gain(evidence: Evidence, u: Any) -> float:
     """The most that χ² falls, to first order, when one contact is left out and the pose gives way.
 
     With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
-    prior's share is in `u.equations`; what bumps lend is part of the cost, and stays.
+    prior's and the weight's share is in `u.equations`; what bumps lend is part of the cost, and stays.
     """
     total, most = u.wider, 0.0
     for r in range(6):

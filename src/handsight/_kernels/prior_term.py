@@ -35,6 +35,7 @@ from handsight._kernels.vec3 import (
     transpose,
     vector,
 )
+from handsight._kernels.weight_term import copy_weight
 
 IDENTITY: Mat33 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -45,7 +46,7 @@ def weak_position_prior(model: Any, center: Vec3, prior: Any) -> None:
 
     It selects among equal minima, and is excluded from the information that is reported.
     """
-    prior.kind, prior.has_axis = WEAK_PRIOR, 0
+    prior.kind, prior.has_axis, prior.weight.known = WEAK_PRIOR, 0, 0
     store(vector(model.center), prior.pivot_object)
     store((0.0, 0.0, 0.0), prior.axis_object)
     store(center, prior.pivot_palm)
@@ -61,6 +62,7 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     symmetry, R = model.symmetry, matrix(vision.pose.rotation)
     _information(vision.covariance, model.radius, prior.information, u)
     prior.kind, prior.has_axis = VISION_PRIOR, symmetry.axes
+    copy_weight(vision.weight, prior.weight)
     arm = mul(R, vector(symmetry.pivot))
     store(vector(symmetry.pivot), prior.pivot_object)
     store((symmetry.axis[0, 0], symmetry.axis[0, 1], symmetry.axis[0, 2]), prior.axis_object)
@@ -153,6 +155,17 @@ def _log_derivative(turn: Vec3) -> Mat33:
         b = (1 - half / np.tan(half)) / (4 * half * half)
     bent = sub33(outer(turn, turn), scale33(IDENTITY, square))
     return add33(sub33(IDENTITY, scale33(skew(turn), 0.5)), scale33(bent, b))
+
+
+@inner
+def rotation_exp(turn: Vec3) -> Mat33:
+    """The rotation of a rotation vector."""
+    half = 0.5 * norm(turn)
+    ratio = np.sin(half) / half if half > 1e-9 else 1.0
+    S = skew(turn)
+    return add33(
+        IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio))
+    )
 
 
 @inner

@@ -84,7 +84,15 @@ CONTACT = record(
     ("covariance", "f8", (6, 6)),  # of (point, normal)
     ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
 )
-PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
+# Where the object's centre of mass is in the palm, as what hangs on the fingertips tells.
+WEIGHT = record(
+    ("known", "i8"),
+    ("center_object", "f8", (3,)),
+    ("center_palm", "f8", (3,)),
+    ("information", "f8", (3, 3)),  # of the two together
+)
+# What is known of a pose besides contacts; `unseen`: by the weight alone, and pose and covariance say nothing.
+PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)), ("unseen", "i8"), ("weight", WEIGHT))
 # What cannot be inside the object: a point of the hand, those of one link in a row; or a plane and all behind it,
 # `point` any of its points.
 OUTSIDE = record(
@@ -119,6 +127,7 @@ PRIOR_TERM = record(
     ("pivot_palm", "f8", (3,)),
     ("rotation", "f8", (3, 3)),
     ("information", "f8", (6, 6)),
+    ("weight", WEIGHT),
 )
 
 # One descent among many: where it is, and how it ended.
@@ -215,4 +224,13 @@ CHAIN_JOINT = record(
     ("zero", "f8"),  # its position there
     ("slides", "i8"),
     ("value", "i8"),  # where among the positions its own is
+)
+
+# A pose from vision, or several merged: its own noise, along the axes of the mount (what the camera is fixed to), and
+# the variance of the object's random walk in the palm from the prior to it.
+MEASUREMENT = record(
+    ("T_mount_palm", "f8", (4, 4)),
+    ("T_mount_object", "f8", (4, 4)),
+    ("covariance", "f8", (6, 6)),
+    ("process_noise", "f8", (6,)),
 )

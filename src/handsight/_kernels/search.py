@@ -14,7 +14,7 @@ from handsight._kernels.contact_term import Pose, surface_at
 from handsight._kernels.dense6 import factor
 from handsight._kernels.levenberg import Evidence, descend
 from handsight._kernels.match import match
-from handsight._kernels.prior_term import IDENTITY, prior_cost
+from handsight._kernels.prior_term import prior_cost, rotation_exp
 from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.settings import CANDIDATE_APART, COARSE_LIMITS, FINE_LIMITS, MATCHED_APART
 from handsight._kernels.simd import local
@@ -23,7 +23,6 @@ from handsight._kernels.vec3 import (
     Mat33,
     Vec3,
     add,
-    add33,
     block,
     cross,
     dot,
@@ -31,28 +30,16 @@ from handsight._kernels.vec3 import (
     mul,
     norm,
     scale,
-    scale33,
-    skew,
     sub,
     transpose,
     vector,
 )
+from handsight._kernels.weight_term import copy_weight
 
 LIMITS = COARSE_LIMITS, FINE_LIMITS
 COSINE = float(np.cos(MATCHED_APART[1]))
 WORST = 1e300
 """The cost of what is no number: a descent all the same, where there is no better one."""
-
-
-@inner
-def rotation_exp(turn: Vec3) -> Mat33:
-    """The rotation of a rotation vector."""
-    half = 0.5 * norm(turn)
-    ratio = np.sin(half) / half if half > 1e-9 else 1.0
-    S = skew(turn)
-    return add33(
-        IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio))
-    )
 
 
 @inner
@@ -198,12 +185,14 @@ def search(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, bloc
     """
     term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     nothing.kind = NO_PRIOR
+    nothing.weight.known = 0
     chosen, earlier = np.empty(blocks.shape[1], np.int64), np.empty(blocks.shape[1], POSE)
     for b in range(len(blocks)):
         rows = blocks[b]
         center = load_terms(contacts[rows[0, 0].set], terms)
         if b == 0:
             fill_prior(model[0], prior, center, term)
+            copy_weight(term.weight, nothing.weight)
         matching = Evidence(model[0], nodes, terms, outside, term, center)
         # The weak prior keeps phase 1 from running away, and has no say in what fits.
         weak = term.kind == WEAK_PRIOR

@@ -43,6 +43,7 @@ PALM_CONTACT = np.dtype(
         ("point", "f8", (3,)),
         ("normal", "f8", (3,)),
         ("covariance", "f8", (6, 6)),  # of (point, normal)
+        ("load", "f8", (5,)),  # tangential force (3,), normal force [N], torque about the normal [N m]
     ]
 )
 """What a finger feels, in the palm; only `reason` and `gap` where that is no contact."""

@@ -30,6 +30,7 @@ from handsight._kernels.settings import (
 )
 from handsight._kernels.uncertainty import calibrated_information, retract_body
 from handsight._kernels.vec3 import cross, mul, norm, scale, vector
+from handsight._kernels.weight_term import weight_cost
 
 SPIN = 1e6
 """What stands for a spin about a declared axis, in traces of a matrix, so that it is told from what is open."""
@@ -138,7 +139,7 @@ def undented(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
     """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
     explains is alike."""
     if slide.give > 0.0:
-        by_prior = prior_cost(evidence.prior, pose)
+        by_prior = prior_cost(evidence.prior, pose) + weight_cost(evidence.prior.weight, pose)
         cost = by_prior + max(cost - by_prior, slide.level)
     return cost
 

@@ -43,6 +43,21 @@ def store_pose(pose: Pose, record: Any) -> None:
 
 
 @inner
+def transform_of(T: Any) -> Pose:
+    """Of a transform (4, 4)."""
+    return matrix(T), (T[0, 3], T[1, 3], T[2, 3])
+
+
+@inner
+def store_transform(pose: Pose, T: Any) -> None:
+    """Writes a transform (4, 4)."""
+    store33(pose[0], T)
+    T[0, 3], T[1, 3], T[2, 3] = pose[1]
+    T[3, 0] = T[3, 1] = T[3, 2] = 0.0
+    T[3, 3] = 1.0
+
+
+@inner
 def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
     """The pose after the k-th element of the group, spun about the axis, if there is one, to be near the reference."""
     element, (R, p) = symmetry.rotation[k], pose

@@ -280,3 +280,4 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
         contact = evidence.terms[i].contact
         if contact.used:
             row.rows += 3 if contact.has_normal else 1
+    row.rows += 3 if evidence.prior.weight.known else 0

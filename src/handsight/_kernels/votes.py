@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.compiled import entry, inner
-from handsight._kernels.search import rotation_exp
+from handsight._kernels.prior_term import rotation_exp
 from handsight._kernels.symmetry import store_pose
 from handsight._kernels.vec3 import (
     Mat33,

@@ -16,9 +16,11 @@ from handsight._kernels import (
     linking,
     mean,
     nearest_triangle,
+    on_table,
     patches,
+    pose_bias,
+    propagated,
     quadrics,
-    random_walk,
     records,
     search,
     sensing,
@@ -60,6 +62,7 @@ def _starts() -> None:
     batch.summarize_all(*given, answers)
     mean.integrate(*given, answers)
     batch.width(model, prior)
+    batch.equivalent(model, np.eye(4), np.eye(4), np.empty((4, 4)))
     batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))
     batch.distinct(model, descents, np.arange(2), np.ones(2), np.empty(1, dtype=np.int64))
 
@@ -82,11 +85,13 @@ def _objects() -> None:
 def _hands() -> None:
     chain.warm()
     contacts_to_palm.warm()
+    on_table.warm()
 
 
 def _time() -> None:
     model, nodes, *_ = _ball()
-    random_walk.warm()
+    pose_bias.warm()
+    propagated.warm()
     by_contact.warm(model, nodes)
 
 

@@ -1,6 +1,5 @@
 """A tracker's messages over DDS, as ROS 2 publishes and subscribes to them: bytes in, bytes out."""
 
-import threading
 import time
 from collections.abc import Callable
 from operator import itemgetter
@@ -20,11 +19,13 @@ from handsight.live.answers import MARKERS_TOPIC, Answer
 from handsight.live.node import WAITING, WAITING_EQUAL, PublishedTypes
 from handsight.messages import RawMessage
 from handsight.messages.decode import typestore
+from handsight.messages.prompt import WAIT
+from handsight.tracking import Tracker
 
 AT_ONCE = 100
 """Messages taken at once."""
-LISTENING = 100_000_000
-"""Between two looks whether it is the end [ns]."""
+QUIET = 0.1
+"""After so long without a message nothing waits for another one [s]."""
 BLOCKED = 10_000_000
 """The longest that a reader that does not keep up holds up an answer [ns]."""
 UNHEARD, UNHEARD_EQUAL = 100, 2000
@@ -47,6 +48,7 @@ class Bridge:
         """`say`: is told what cannot be published, once for each topic. Raises InvalidInput."""
         self._live, self._network, self._say = live, network, say
         self._types, self._mute = PublishedTypes(live), set[str]()
+        self._heard = time.monotonic()
         answers = Qos(
             Policy.Reliability.Reliable(BLOCKED),
             Policy.History.KeepLast(WAITING_EQUAL if live.equal else WAITING),
@@ -69,16 +71,24 @@ class Bridge:
             self._filled.attach(reader)
         self._published = BuiltinDataReader(network.participant, BuiltinTopicDcpsPublication)
 
-    def hear(self, ended: threading.Event) -> None:
-        """Hands over what is heard, as it comes, until it is the end.
+    @property
+    def tracker(self) -> Tracker:
+        """Of the object that is followed now."""
+        return self._live.tracker
 
-        A thread of ours waits: one of DDS' that called into Python would wait for Python's lock with its own held.
+    def step(self, timeout: float) -> list[Answer]:
+        """What is to be published now; waits at most `timeout` [s] for something to come. From one thread.
+
+        The thread that hears is the one that works: two would wait for each other's hold on Python. One of DDS' that
+        called into Python would wait for it with a lock of DDS held.
         """
-        while not ended.is_set():
-            if self._filled.wait(LISTENING):
-                self._take()
+        now = time.monotonic()
+        self._filled.wait(round(1e9 * (min(timeout, WAIT) if now - self._heard < QUIET else timeout)))
+        if self._take():
+            self._heard = now
+        return self._live.step(0.0)
 
-    def _take(self) -> None:
+    def _take(self) -> bool:
         """Hands over what has come, in the order that it was sent in: after a pause topics are far apart."""
         taken = list[tuple[int, RawMessage]]()
         now = time.time()
@@ -93,6 +103,7 @@ class Bridge:
                 ]
         for _, message in sorted(taken, key=itemgetter(0)):
             self._live.put(message)
+        return bool(taken)
 
     def publish(self, answer: Answer) -> None:
         """Writes an answer; where that cannot be done, it is said once."""

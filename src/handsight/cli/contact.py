@@ -34,7 +34,7 @@ def contact(
     """Where the object touches a fingertip, from the wrench its six-axis sensor reads (eq. 7 of the paper).
 
     Readings are what the object exerts on the tip, without bias and weight: `handsight.calibrate_wrench` and
-    `handsight.compensate` remove those.
+    `handsight.contact.compensate` remove those.
     """
     from handsight.contact import convert, parse_fingertip
 

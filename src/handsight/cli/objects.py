@@ -1,4 +1,4 @@
-"""`handsight objects`: a library of objects, listed, shown, added to, verified and fetched."""
+"""`handsight objects`: a library of objects, listed, shown, added to, weighed, verified and fetched."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.terminal import announce_compiling, bar, say, table
+from handsight.cli.weigh import weigh
 from handsight.errors import InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -145,6 +146,9 @@ def fetch(url: Annotated[str, typer.Argument(help="Of a library, such as https:/
     say(f"fetched {done} objects; --library or HANDSIGHT_LIBRARY={url} uses them from here")
     if wrong:
         raise typer.Exit(1)
+
+
+objects_app.command()(weigh)
 
 
 def _opened(place: str | None) -> "Library":

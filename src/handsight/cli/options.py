@@ -1,11 +1,13 @@
 """What the commands for recordings have in common: a recording, its rig and the object in it."""
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from handsight.objects import ObjectModel
     from handsight.recording import Recording
     from handsight.rig import ObjectEntry, Rig
+    from handsight.tracking import TrackerSettings
 
 MOST_WITHOUT_INFO = 1000
 """Observations of a recording in which a camera is looked for."""
@@ -53,6 +56,38 @@ WithImages = Annotated[
         help="Look at the recording's depth images, in place of a camera's poses; else at the poses."
     ),
 ]
+
+
+def _settings(
+    rate: Rate = None,
+    answer: Answer = "best",
+    samples: Samples = 0,
+    outside: OutsideCount = 200,
+    images: WithImages = True,
+) -> "TrackerSettings":
+    from handsight.tracking import TrackerSettings
+
+    return TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+
+
+def with_settings(command: Callable[..., None]) -> Callable[..., None]:
+    """A command whose argument `settings` is made of a tracker's options, which stand in its place."""
+    options = signature(_settings, eval_str=False).parameters
+    shown = dict[str, Parameter]()
+    for name, parameter in signature(command, eval_str=False).parameters.items():
+        shown |= options if name == "settings" else {name: parameter}
+
+    @wraps(command)
+    def run(**told: Any) -> None:
+        settings = _settings(**{name: told.pop(name) for name in options})
+        command(settings=settings, **told)
+
+    # What typer reads.
+    run.__annotations__ = {name: parameter.annotation for name, parameter in shown.items()}
+    vars(run)["__signature__"] = Signature(
+        [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in shown.values()]
+    )
+    return run
 
 
 def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":

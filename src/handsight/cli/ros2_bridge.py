@@ -21,6 +21,9 @@ def ros2_bridge(
     equal: Annotated[
         bool, typer.Option(help="Wait for messages as for a recording: 0.2 s late, the same numbers.")
     ] = False,
+    view: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser; 0: none.")
+    ] = 0,
 ) -> None:
     """Follow an object in a robot's hand over ROS 2, without ROS installed here.
 
@@ -39,19 +42,19 @@ def ros2_bridge(
     announce_compiling()
     from handsight.bridge import Bridge, Network
     from handsight.live.node import live_tracker, work
+    from handsight.viewer import Viewer
 
     live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=equal)
     bridge = Bridge(live, Network(), say)
-    workers = [
-        threading.Thread(target=work, args=(live, bridge.publish, say, ended), daemon=True),
-        threading.Thread(target=bridge.hear, args=(ended,), daemon=True),
-    ]
-    for each in workers:
-        each.start()
+    if view:
+        viewer = Viewer(live.tracker, port=view)
+        live.show = viewer.update
+        say(f"look at {viewer.address}")
+    worker = threading.Thread(target=work, args=(bridge, bridge.publish, say, ended), daemon=True)
+    worker.start()
     say(
         f"the bridge is ready: it follows {live.tracker.model.name}, {len(live.subscriptions)} topics are heard"
     )
     while not ended.wait(1.0):
         bridge.look()
-    for each in workers:
-        each.join(1.0)
+    worker.join(1.0)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from handsight.files import written
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
     from handsight.tracking.replay import Step, Tally
+    from handsight.tracking.weight_update import ObjectWeight
 
 MOST_REFUSED = 5
 """Kinds of wrong observations that are told each."""
@@ -39,6 +41,8 @@ class Run:
     """By link of the hand that is smaller than its shape: by how much [m]."""
     images: dict[str, int] = field(default_factory=dict)
     """What has become of depth images, if any were looked at."""
+    weight: "ObjectWeight | None" = None
+    """What the object weighed, when it was last in the air."""
     ends: list[End] = field(default_factory=list)
     """Of what ended early."""
 
@@ -54,6 +58,20 @@ class Run:
             yield end
         if end.exit_code:
             self.ends.append(end)
+
+    @property
+    def friction(self) -> float | None:
+        """Coefficient of friction between object and tips, as far as it was learnt in the end."""
+        return self.steps[-1].slip.friction if self.steps else None
+
+    @property
+    def slips(self) -> list[tuple[float, float]]:
+        """When the object slipped, and for how long, each time [s]."""
+        found: dict[float, float] = {}
+        for step in self.steps:
+            if step.slip.slipping:
+                found[step.slip.began] = step.stamp - step.slip.began
+        return list(found.items())
 
     def summary(self) -> dict[str, Any]:
         """The run in numbers, as JSON's values."""
@@ -72,7 +90,10 @@ class Run:
             "fingers_without_contact": self.untouched,
             "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "depth_images": self.images,
+            "weight": None if self.weight is None else weight_numbers(self.weight),
             "recording_says": self.said,
+            "friction": self.friction,
+            "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
 
@@ -101,10 +122,18 @@ class Run:
         for finger, why in self.untouched.items():
             reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
             lines.append(f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})")
+        if slips := self.slips:
+            first = slips[0][0] - self.steps[0].stamp
+            lines.append(
+                f"the object slipped {len(slips)} times, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
+                f"{first:.2f} s; friction {self.friction:.2f}"
+            )
         if self.images:
             lines.append(images_said(self.images))
         if self.margins:
             lines.append(larger_shapes(self.margins))
+        if self.weight is not None:
+            lines.append(f"weight: {weight_said(self.weight)}")
         lines += [end.said for end in self.ends if end.said]
         for name, errors in self.errors.items():
             n = errors.summary()
@@ -113,6 +142,28 @@ class Run:
                 f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
             )
         return lines
+
+
+def weight_said(weight: "ObjectWeight | None") -> str:
+    """What an object weighs, and where its centre of mass is in it, in a line."""
+    if weight is None:
+        return "not in the air"
+    place = ", ".join(f"{1e3 * x:.0f}" for x in weight.center_object)
+    sigma = 1e3 * math.sqrt(weight.covariance.trace() / 3)
+    said = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
+    return f"not believed: {weight.reason} ({said})" if weight.reason else said
+
+
+def weight_numbers(weight: "ObjectWeight") -> dict[str, Any]:
+    """The same as JSON's values."""
+    return {
+        "mass_kg": weight.mass,
+        "sigma_mass_kg": weight.sigma_mass,
+        "center_object_m": weight.center_object.tolist(),
+        "covariance_m2": weight.covariance.tolist(),
+        "directions": weight.directions,
+        "not_believed": weight.reason,
+    }
 
 
 def larger_shapes(margins: dict[str, float]) -> str:

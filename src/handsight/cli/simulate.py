@@ -12,11 +12,13 @@ from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
+    from handsight.recording.write import McapFile
     from handsight.rig import ObjectEntry, Rig
-    from handsight.simulation import Grasp, Nuisances, Scenario
+    from handsight.simulation import Grasp, Nuisances, Sample, Scenario
 
 BEGINS = 1000.0
 """Stamp of a recording's first observation [s]: 0 is what robots say that do not know the time."""
+TWIST = "geometry_msgs/msg/TwistStamped"
 MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
@@ -29,7 +31,11 @@ def simulate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
     motion: Annotated[
-        str, typer.Option(help="grasp: close and hold; manipulate: then move, lift and turn the object.")
+        str,
+        typer.Option(
+            help="grasp: close and hold; manipulate: then move, lift and turn the object; weigh: then lift and tilt "
+            "it; ramp, steps, sine: then lift it, and something pulls it until it slips."
+        ),
     ] = "manipulate",
     images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
     depth_camera: Annotated[
@@ -50,7 +56,8 @@ def simulate(
 
     Beside the recording goes its rig, OUTPUT.rig.yaml, and for a mesh its grasp, OUTPUT.grasp.json: grasps are tried
     in the simulator until one holds. All of it is synthetic (MuJoCo); what spoils the readings, and by how much, is a
-    setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`.
+    setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`, and so is how hard it is pulled where it is:
+    `--motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05`.
     """
     from handsight.simulation import Scenario, read_grasp
 
@@ -109,6 +116,7 @@ def record(scenario: "Scenario", path: Path, grasp: "Grasp | None" = None) -> tu
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate
+    from handsight.simulation.pull import pulls
 
     _recordable(path)
     rig = rig_of(scenario)
@@ -121,8 +129,23 @@ def record(scenario: "Scenario", path: Path, grasp: "Grasp | None" = None) -> tu
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
+            if pulls(scenario.motion):
+                write_slips(writer, observation.stamp, sample, rig)
             samples, dropped = samples + 1, sample.dropped
     return samples, dropped
+
+
+def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") -> None:
+    """Appends how the object truly moves along each tip that touches it, in the palm: `/slip/FINGER` by the truth."""
+    from types import SimpleNamespace as Message
+
+    from handsight.recording.write import header, parts
+
+    top = header(stamp, rig.frames["palm"])
+    for finger, touch in sample.touches.items():
+        velocity, turn = parts("xyz", touch.velocity_palm[:3]), parts("xyz", touch.velocity_palm[3:])
+        twist = Message(linear=velocity, angular=turn)
+        writer.append(f"{rig.topics.truth}/slip/{finger}", TWIST, stamp, header=top, twist=twist)
 
 
 def _recordable(path: Path) -> None:
@@ -151,10 +174,12 @@ def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":
 
     entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
     k = scenario.nuisances.object_scale
+    if scenario.nuisances.object_off_center:
+        entry = dataclasses.replace(entry, center_of_mass=None, sigma_center_of_mass=None)  # it is not known
     if entry.box is not None:
         x, y, z = entry.box
-        return ObjectEntry(box=(k * x, k * y, k * z))
+        return dataclasses.replace(entry, box=(k * x, k * y, k * z))
     if entry.cylinder is not None:
         radius, height = entry.cylinder
-        return ObjectEntry(cylinder=(k * radius, k * height))
+        return dataclasses.replace(entry, cylinder=(k * radius, k * height))
     return dataclasses.replace(entry, scale=k * entry.scale)

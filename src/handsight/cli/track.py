@@ -8,23 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handsight.cli.options import (
-    Answer,
     ObjectName,
-    OutsideCount,
-    Rate,
     Recorded,
     RigFile,
-    Samples,
-    WithImages,
     rig_and_object,
     with_intrinsics,
+    with_settings,
 )
-from handsight.cli.run import Run
+from handsight.cli.run import Run, weight_said
 from handsight.cli.terminal import announce_compiling, live_rows, say
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import written
 
 if TYPE_CHECKING:
+    from handsight.dynamics import Slip
     from handsight.objects import ObjectModel
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
@@ -33,6 +30,7 @@ if TYPE_CHECKING:
     Watch = Callable[[Tally, Step, Tracker], None]
 
 
+@with_settings
 def track(
     recording: Recorded,
     rig: RigFile = None,
@@ -41,11 +39,8 @@ def track(
         Path | None,
         typer.Option("--output", "-o", help="Folder for results; default: RECORDING-track, here."),
     ] = None,
-    rate: Rate = None,
-    answer: Answer = "best",
-    samples: Samples = 0,
-    outside: OutsideCount = 200,
-    images: WithImages = True,
+    *,
+    settings: "TrackerSettings",
 ) -> None:
     """Track an object in the hand through a recording.
 
@@ -65,10 +60,7 @@ def track(
     Whatever ends it early, what was tracked by then is written. The exit code is 0 only if nothing did, and there is a
     pose.
     """
-    from handsight.tracking import TrackerSettings
-
     announce_compiling()
-    settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     found, model = rig_and_object(recording, rig, object)
     folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
@@ -95,7 +87,17 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
         ("position", "x {:.1f}, y {:.1f}, z {:.1f} mm in the palm".format(*position)),
         ("σ", f"{1e3 * step.sigma:.1f} mm"),
         ("touching", ", ".join(step.fingers) or "nothing"),
+        ("grip", grip(step.slip)),
+        ("weight", weight_said(tracker.weight)),
     ]
+
+
+def grip(slip: "Slip") -> str:
+    """How near to slipping the object is."""
+    if slip.least is None:
+        return "friction is not known yet" if slip.friction is None else "nothing is held"
+    used = f"the finger that holds best uses {slip.least:.0%} of what friction {slip.friction:.2f} holds"
+    return f"slips: {used}" if slip.slipping else used
 
 
 def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings", watch: "Watch") -> Run:
@@ -116,6 +118,7 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
         with ended.part() as end:
             for step in replay(recording.observations(), tracker, ended.tally):
                 ended.steps.append(step)
+                ended.weight = tracker.weight or ended.weight
                 watch(ended.tally, step, tracker)
         # It may end between an answer's count and the answer.
         ended.tally.answered = len(ended.steps)

@@ -8,20 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handsight.cli.options import (
-    Answer,
     ObjectName,
-    OutsideCount,
-    Rate,
     Recorded,
     RigFile,
-    Samples,
-    WithImages,
     rig_and_object,
     with_intrinsics,
+    with_settings,
 )
 from handsight.cli.run import refusals
 from handsight.cli.terminal import FAILED, announce_compiling, say
-from handsight.errors import HandsightError
+from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
@@ -30,15 +26,13 @@ if TYPE_CHECKING:
     from handsight.viewer.page import Page
 
 
+@with_settings
 def view(
     recording: Recorded,
     rig: RigFile = None,
     object: ObjectName = None,
-    rate: Rate = None,
-    answer: Answer = "best",
-    samples: Samples = 0,
-    outside: OutsideCount = 200,
-    images: WithImages = True,
+    *,
+    settings: "TrackerSettings",
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Of the page; where it is taken, the next one that is free.")
     ] = 8080,
@@ -53,19 +47,34 @@ def view(
     handsight view can.mcap
     ```
     """
-    from handsight.tracking import TrackerSettings
     from handsight.viewer.page import Page, require_viser
 
     require_viser()
     announce_compiling()
-    settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     with contextlib.suppress(KeyboardInterrupt):
+        refuse_track(recording)
         found, model = rig_and_object(recording, rig, object)
         page = Page(found, model, port=port, title=f"{model.name or 'object'} in {recording.name}")
         with contextlib.closing(page):
             taken = "" if page.port == port else f" ({port} is taken)"
             say(f"look at {page.address}{taken}; Ctrl-C ends")
             show(recording, found, model, settings, page)
+
+
+def refuse_track(path: Path) -> None:
+    """Raises InvalidInput for a `track.mcap`: what moved the hand, and what it touched, are not in it."""
+    from handsight.recording.open import open_files
+    from handsight.recording.write import TRACK_TOPIC
+
+    if path.suffix != ".mcap" or not path.is_file():
+        return
+    for file in open_files(path):
+        with contextlib.closing(file):
+            if set(file.topics) == {TRACK_TOPIC}:
+                raise InvalidInput(
+                    f"{path}: expected the recording that was tracked, "
+                    "got what `handsight track` made of it: poses alone"
+                )
 
 
 def show(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings", page: "Page") -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -92,8 +93,8 @@ class Contacts:
         float64, finite, unit normals, covariances positive semidefinite and with nothing along the normals. For loops
         at control rate whose own inputs were checked; the arrays are kept and made read-only.
         """
-        n = len(points_palm)
-        return _made(points_palm, normals_palm, np.ones(n, dtype=bool), covariance, np.zeros(n, dtype=bool))
+        has_normal, of_residual = _usual_flags(len(points_palm))
+        return _made(points_palm, normals_palm, has_normal, covariance, of_residual)
 
     def __len__(self) -> int:
         return len(self.points_palm)
@@ -127,6 +128,12 @@ _GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance", "of_residua
 _LEAST_SHARE = 1e-9
 """Of a residual's covariance, scaled to a correlation: a smaller eigenvalue is rounding's."""
 _RECORDED = ("point", "normal", "has_normal", "covariance", "of_residual")
+
+
+@lru_cache
+def _usual_flags(n: int) -> tuple[Mask, Mask]:
+    """(n,) that there are normals, and that no covariance is of residuals."""
+    return np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
 
 
 def _made(*arrays: NDArray[Any]) -> Contacts:

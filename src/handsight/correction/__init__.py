@@ -7,6 +7,7 @@ from handsight.correction.mean import ANSWERS
 from handsight.correction.outside import Outside, Plane
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import TwoPhase
+from handsight.correction.weight import WeightEvidence
 
 __all__ = [
     "ANSWERS",
@@ -20,6 +21,7 @@ __all__ = [
     "PosePrior",
     "Residuals",
     "TwoPhase",
+    "WeightEvidence",
     "correct_pose",
     "correct_poses",
     "refine_pose",

@@ -1,5 +1,9 @@
 """The public door of correction: one function for every method."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,6 +19,7 @@ from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import Problem, TwoPhase, descents_at
 from handsight.correction.sampling import mean_by_sampling
 from handsight.correction.solve import solve_single_start, summarize, summarize_pose
+from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
@@ -39,6 +44,7 @@ def correct_pose(
     answer: str = "best",
     samples: int = 0,
     budget: float | None = None,
+    weight: WeightEvidence | None = None,
     method: str | TwoPhase | PaperMethod = "handsight",
 ) -> PoseEstimate:
     """The object's pose in the palm that best explains the contacts and vision, with its uncertainty.
@@ -49,9 +55,10 @@ def correct_pose(
     answer: "best" is the mean of a mode that is no Gaussian, such as a slide that contacts bound and do not fix, and
     else the maximum; or "maximum", or "mean". samples: above 0, the best mode's mean and covariance from that many
     posterior samples instead, up to `MOST_SAMPLES`: slow, and an independent check. budget: seconds after which no
-    search for a better mode or a wrong contact goes on; `converged` is False where one was cut short. method: a name of
-    `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not converge
-    says so in `converged`.
+    search for a better mode or a wrong contact goes on; `converged` is False where one was cut short. weight: where
+    the object's centre of mass is; left out where all else contradicts it, and then `weight_fits` is False. method: a
+    name of `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not
+    converge says so in `converged`.
     """
     options = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
@@ -63,13 +70,22 @@ def correct_pose(
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
     samples, answer = checks.whole(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     limit = Budget.of(budget)
-    problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
+    problem = Problem(
+        model, contacts, vision, outside_records(model, contacts, outside), _weight(weight, model)
+    )
+    if isinstance(options, PaperMethod):
+        return _by_paper(problem, options)
+    solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
+    estimate = solved(problem)
+    return estimate if problem.weight is None else _weighed(problem, estimate, solved)
+
+
+def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
+    """The answer to a problem: from one start where that does, else from many."""
     if options is USUAL and not samples:
         estimate = solve_single_start(problem)
         if estimate is not None:
             return with_means(problem, estimate, answer)
-    if isinstance(options, PaperMethod):
-        return _by_paper(problem, options)
     found = outliers.solve_robustly(problem, options, limit)
     estimate = summarize(problem, found)
     if limit.cut_short:
@@ -87,15 +103,40 @@ def refine_pose(
     *,
     outside: Outside | None = None,
     answer: str = "best",
+    weight: WeightEvidence | None = None,
 ) -> PoseEstimate | None:
     """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
 
     None where the evidence does not fit there: then search anew. `T_start` (4, 4): the maximum of a moment ago, not a
     mean, which may fit nowhere.
     """
-    problem = Problem(model, contacts, vision, outside_records(model, contacts, outside))
+    problem = Problem(
+        model, contacts, vision, outside_records(model, contacts, outside), _weight(weight, model)
+    )
     estimate = solve_single_start(problem, T_start)
-    return None if estimate is None else with_means(problem, estimate, checked_answer(answer))
+    if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
+        return None
+    estimate = with_means(problem, estimate, checked_answer(answer))
+    return estimate if weight is None else replace(estimate, weight_fits=True)
+
+
+def _weight(weight: WeightEvidence | None, model: ObjectModel) -> WeightEvidence | None:
+    if not isinstance(weight, WeightEvidence | None):
+        raise InvalidInput(f"weight: expected WeightEvidence or None, got {type(weight).__name__}")
+    return None if weight is None else weight.of(model)
+
+
+def _weighed(
+    problem: Problem, estimate: PoseEstimate, solved: Callable[[Problem], PoseEstimate]
+) -> PoseEstimate:
+    """The estimate with its weight, or, where all else contradicts that, without."""
+    weight = problem.weight
+    if weight is None or (estimate.consistent and not weight.contradicts(estimate)):
+        return replace(estimate, weight_fits=True)
+    without = solved(replace(problem, weight=None))
+    if not estimate.consistent and not without.consistent and not weight.contradicts(estimate):
+        return replace(estimate, weight_fits=True)  # it is not the weight that does not fit
+    return replace(without, weight_fits=False)
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
@@ -109,6 +150,8 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
     """The published method's pose; the uncertainty beside it is ours, taken at that pose."""
     model, contacts = problem.model, problem.contacts
+    if problem.weight is not None:
+        raise InvalidInput("weight: expected None, for the paper's method knows of none, got WeightEvidence")
     if problem.vision is None:
         raise InvalidInput("vision: the paper's method starts from a pose, got None")
     if options.normals and not contacts.has_normal.all():

@@ -16,6 +16,7 @@ from handsight.checks import Array
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
 """(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
+OPEN_INFORMATION = np.diag(1 / OPEN_VARIANCES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +60,10 @@ class PosePrior:
 
 
 def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
-    record = np.empty(1, dtype=PRIOR)
-    row = record[0]
-    row["pose"]["rotation"], row["pose"]["position"] = T[:3, :3], T[:3, 3]
-    row["covariance"] = covariance
-    return record
+    # Numbers of PRIOR, one after another: by their names they take three times as long. Of the weight it says nothing.
+    numbers = np.zeros(PRIOR.itemsize // 8)
+    numbers[:9], numbers[9:12], numbers[12:48] = T[:3, :3].ravel(), T[:3, 3], covariance.ravel()
+    return numbers.view(PRIOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +106,9 @@ class PoseEstimate:
     """False: the evidence in use does not fit this object here (χ² beyond its 99.9 % quantile)."""
     outliers: tuple[int, ...] = ()
     """Indices of contacts that were rejected as wrong."""
+    weight_fits: bool | None = None
+    """Whether the object's weight had a say: False where all else contradicts it, and it was left out; None where it
+    was not given."""
 
     @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> "PoseEstimate":
@@ -132,7 +135,9 @@ class PoseEstimate:
         if covariance is not None:
             answer["covariance"] = covariance
         rows = self.residual_rows if residuals is None else residuals
-        return PoseEstimate(answer, (answer, *self.modes[1:]), rows, self.consistent, self.outliers)
+        return PoseEstimate(
+            answer, (answer, *self.modes[1:]), rows, self.consistent, self.outliers, self.weight_fits
+        )
 
     @property
     def T_palm_object(self) -> Array:
@@ -205,7 +210,7 @@ def bounded_covariance(information: Array) -> Array:
     the largest eigenvalue is at least 1, about a spin through the origin π²/3; no pose that is known has one near it.
     For those that take covariances alone: a filter reads zeros as certainty.
     """
-    return np.asarray(np.linalg.inv(information + np.diag(1 / OPEN_VARIANCES)))
+    return np.asarray(np.linalg.inv(information + OPEN_INFORMATION))
 
 
 def _hypothesis(mode: np.void) -> Hypothesis:

@@ -73,6 +73,17 @@ class Outside:
             slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.FARTHEST))
             object.__setattr__(self, "slacks", slacks)
 
+    @classmethod
+    def trusted(
+        cls, points_palm: Array, sigmas: Array, links: Indices, slacks: Array | None = None
+    ) -> "Outside":
+        """Points of links, (m,) for each what is said of them, that are clean already: not checked, and kept."""
+        outside = object.__new__(cls)
+        given = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links, "slacks": slacks}
+        for name, value in given.items():
+            object.__setattr__(outside, name, value)
+        return outside
+
 
 def _points(value: ArrayLike) -> Array:
     """(m, 3), or none; raises InvalidInput."""

@@ -11,6 +11,7 @@ from handsight._kernels.records import CONTACT, DESCENT, PRIOR
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction.estimate import PosePrior
+from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
@@ -49,6 +50,7 @@ class Problem:
     vision: PosePrior | None
     outside: Records
     """(m,) OUTSIDE."""
+    weight: WeightEvidence | None = None
 
     def __post_init__(self) -> None:
         check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")
@@ -60,8 +62,9 @@ class Problem:
 
     @cached_property
     def prior(self) -> Records:
-        """(1,) PRIOR, or none when blind."""
-        return NO_PRIOR if self.vision is None else self.vision.record
+        """(1,) PRIOR of vision and weight, or none where there is neither."""
+        record = NO_PRIOR if self.vision is None else self.vision.record
+        return record if self.weight is None else self.weight.beside(record)
 
     def sets(self, used: Mask) -> Records:
         """(K, n) CONTACT: the contacts once for each row of `used` (K, n)."""
@@ -72,7 +75,7 @@ class Problem:
 
     def freedom(self, used: Mask) -> int:
         """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
-        rows = int((used * (1 + 2 * self.contacts.has_normal)).sum())
+        rows = int((used * (1 + 2 * self.contacts.has_normal)).sum()) + (0 if self.weight is None else 3)
         return max(rows - 6, 1) if self.blind else rows
 
 

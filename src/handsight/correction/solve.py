@@ -40,7 +40,7 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
     # Zeros, in a fifth of the time that np.zeros takes.
     rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
     residuals, row = np.empty((len(contacts), 2)), rows[0]
-    row["prior"], row["last"] = vision.record[0], len(contacts)
+    row["prior"], row["last"] = problem.prior[0], len(contacts)
     if T_start is not None:
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
@@ -232,8 +232,9 @@ def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: 
 def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     """The answer to a problem from its minima."""
     minima, used = found.minima, found.used
-    order = np.argsort(-minima["log_weight"], kind="stable")
-    chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.APART))
+    order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
+    if len(minima) > 1:
+        chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.APART))
     answers = _summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]

@@ -1,13 +1,18 @@
 """A tracker's answers as messages: pose, transform and diagnostics, as bytes in the transport's encoding."""
 
-from collections.abc import Iterable, Mapping
+import struct
+from collections.abc import Iterable, Mapping, Sequence
 from types import SimpleNamespace as Message
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.messages.decode import typestore
 from handsight.messages.topics import POSE_COVARIANCE, TF
-from handsight.recording.write import header
+from handsight.recording.write import header, pose, split_stamp
 from handsight.tracking.tracker import State
 
 POSE_TOPIC, MARKERS_TOPIC, DIAGNOSTICS_TOPIC = "/handsight/pose", "/handsight/markers", "/diagnostics"
@@ -36,6 +41,26 @@ class Status(NamedTuple):
     values: Mapping[str, object]
 
 
+class Template:
+    """A message that is written hundreds of times a second, of which only a stamp and the numbers at its end change."""
+
+    def __init__(self, made: Answer, stamp_at: int, count: int) -> None:
+        """`stamp_at`: where its stamp is, as bytes from the beginning; `count` of the numbers."""
+        self._made, self._stamp_at, self._numbers = made, stamp_at, struct.Struct(f"<{count}d")
+
+    def answer(self, stamp: float, numbers: Sequence[float]) -> Answer:
+        """The message of that time [s] and of those numbers; raises InvalidInput for a stamp that it cannot hold."""
+        data = bytearray(self._made.data)
+        struct.pack_into("<iI", data, self._stamp_at, *split_stamp(stamp))
+        self._numbers.pack_into(data, len(data) - self._numbers.size, *numbers)
+        return self._made._replace(data=bytes(data))
+
+
+def pose_numbers(T: Array) -> tuple[float, ...]:
+    """x, y, z [m], and the quaternion's x, y, z, w, of a pose (4, 4)."""
+    return (*T[:3, 3].tolist(), *se3.quaternion_from_rotation(T[:3, :3]).tolist())
+
+
 class Writer:
     """Messages to bytes in one encoding, `cdr` or `ros1`."""
 
@@ -44,26 +69,36 @@ class Writer:
         store = typestore(encoding)
         self._serialize = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
         self._palm = palm
+        self._pose, self._transform = self._pose_template(), self._transform_template()
 
     def answer(self, topic: str, kind: str, **fields: Any) -> Answer:
         """A message of these fields."""
         return Answer(topic, kind, bytes(self._serialize(Message(**fields), kind)))
 
-    def pose(self, stamp: float, estimate: PoseEstimate, at: Message) -> Answer:
+    def pose(self, stamp: float, estimate: PoseEstimate, numbers: Sequence[float]) -> Answer:
         """PoseWithCovarianceStamped in the palm; directions that nothing tells of have a variance of 1 or more.
 
-        `at`: the estimate's pose as a Pose.
+        `numbers`: the estimate's, of `pose_numbers`.
         """
-        body = Message(pose=at, covariance=estimate.bounded_covariance.ravel())
-        return self.answer(POSE_TOPIC, POSE_COVARIANCE, header=self.header(stamp, self._palm), pose=body)
+        return self._pose.answer(stamp, (*numbers, *estimate.bounded_covariance.ravel().tolist()))
 
-    def transform(self, stamp: float, at: Message) -> Answer:
-        """From the palm to the object, whose Pose is `at`, on /tf."""
-        body = Message(translation=at.position, rotation=at.orientation)
-        top = self.header(stamp, self._palm)
-        return self.answer(
-            "/tf", TF, transforms=[Message(header=top, child_frame_id=OBJECT_FRAME, transform=body)]
+    def transform(self, stamp: float, numbers: Sequence[float]) -> Answer:
+        """From the palm to the object, whose pose has these `pose_numbers`, on /tf."""
+        return self._transform.answer(stamp, numbers)
+
+    def _pose_template(self) -> "Template":
+        body = Message(pose=pose(np.eye(4)), covariance=np.zeros(36))
+        made = self.answer(POSE_TOPIC, POSE_COVARIANCE, header=self.header(0.0, self._palm), pose=body)
+        return Template(made, 4, 7 + 36)
+
+    def _transform_template(self) -> "Template":
+        at = pose(np.eye(4))
+        each = Message(
+            header=self.header(0.0, self._palm),
+            child_frame_id=OBJECT_FRAME,
+            transform=Message(translation=at.position, rotation=at.orientation),
         )
+        return Template(self.answer("/tf", TF, transforms=[each]), 8, 7)
 
     def diagnostics(self, stamp: float, statuses: Iterable[Status]) -> Answer:
         """DiagnosticArray."""

@@ -18,6 +18,7 @@ from handsight.live.answers import (
     POSE_TOPIC,
     Answer,
     Writer,
+    pose_numbers,
 )
 from handsight.live.asked import ASKED, asked_start, asked_text, model_named
 from handsight.live.health import Health
@@ -30,7 +31,6 @@ from handsight.messages.prompt import PromptBuffer
 from handsight.messages.topics import POSE_COVARIANCE, TF, rig_topics
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.recording.write import pose
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
 
@@ -62,6 +62,8 @@ class LiveTracker:
         self.rig, self.settings = rig, settings
         self.markers_wanted: Callable[[], bool] = lambda: False
         """Whether anybody looks at markers."""
+        self.show: Callable[[Observation, Tracker], None] = lambda *_: None
+        """Is told each observation that the tracker has taken, in the thread of `step`: a viewer's `update`."""
         self.equal, self._inbox, self._tasks = equal, Inbox(), deque[Callable[[], None]]()
         self._writer = Writer(encoding, rig.frames["palm"])
         self._markers = Markers(self._writer, rig.frames["palm"])
@@ -141,7 +143,8 @@ class LiveTracker:
         self._see_camera()
         if isinstance(order, PromptBuffer):
             order.now = time.monotonic()
-            observations += self._stream.ready()
+            if order.waits_until <= order.now:
+                observations += self._stream.ready()
         observations += self._flush(bool(begun))
         self._waits_until = order.waits_until if isinstance(order, PromptBuffer) else math.inf
         answers = list[Answer]()
@@ -237,12 +240,13 @@ class LiveTracker:
         except HandsightError as error:
             self.health.refused(str(error))
             return []
+        self.show(observation, tracker)
         if estimate is None or tracker.late > late:
             return []
-        at = pose(estimate.T_palm_object)
-        answers = [self._writer.pose(tracker.stamp, estimate, at)]
+        numbers = pose_numbers(estimate.T_palm_object)
+        answers = [self._writer.pose(tracker.stamp, estimate, numbers)]
         if tracker.state != "lost":
-            answers.append(self._writer.transform(tracker.stamp, at))
+            answers.append(self._writer.transform(tracker.stamp, numbers))
         return answers + self._drawn(tracker)
 
     def _drawn(self, tracker: Tracker) -> list[Answer]:

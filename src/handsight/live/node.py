@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Protocol
 
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
@@ -12,12 +13,23 @@ from handsight.live.asked import ASKED, model_named
 from handsight.live.live import LiveTracker
 from handsight.messages import RawMessage
 from handsight.rig import Rig
-from handsight.tracking import TrackerSettings
+from handsight.tracking import Tracker, TrackerSettings
 
 WAITING, WAITING_EQUAL = 10, 2000
 """Answers kept for a slow reader: where all count, whole seconds of them come at once."""
 ANSWERED_WITHIN = 60.0
 """What is asked for waits for the worker at most so long [s]."""
+
+
+class Stepped(Protocol):
+    """A `LiveTracker`, or what hears for it in the same thread."""
+
+    @property
+    def tracker(self) -> Tracker:
+        """Of the object that is followed now."""
+
+    def step(self, timeout: float) -> list[Answer]:
+        """What is to be published now; waits at most so long [s]."""
 
 
 def live_tracker(
@@ -42,7 +54,7 @@ def live_tracker(
 
 
 def work(
-    live: LiveTracker, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
+    live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
 ) -> None:
     """Publishes what is answered until it is the end, and says each change of state; the end is told if it fails."""
     said = ""

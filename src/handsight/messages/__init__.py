@@ -23,7 +23,7 @@ observations that are complete by then. What may be relied on:
 Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
 """
 
-from handsight.messages.decode import CameraIntrinsics
+from handsight.messages.camera_info import CameraIntrinsics
 from handsight.messages.report import Report
 from handsight.messages.stream import ObservationStream
 from handsight.messages.topics import RawMessage, TopicReport

@@ -23,6 +23,8 @@ MIN_STUCK_READINGS = 5
 AT_FULL_SCALE = 0.999
 MAX_DEPTH = 64
 """Transforms from world to palm; beyond it the tree is a circle."""
+IDENTITY = np.eye(4)
+IDENTITY.setflags(write=False)
 MAX_FRAMES, MAX_PUBLISHERS = 10_000, 1000
 """What is kept at most: frames of /tf, and sets of joints that are published together."""
 
@@ -216,16 +218,16 @@ class TransformTree:
             return None
         T = above_source[common]
         T = T if common == target else se3.inverse(above_target[common]) @ T
-        return T if np.abs(T[:3, 3]).max() <= FARTHEST else None  # many of them may lead anywhere
+        x, y, z = T[:3, 3].tolist()
+        return T if max(abs(x), abs(y), abs(z)) <= FARTHEST else None  # many of them may lead anywhere
 
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
         """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""
-        T = np.eye(4)
-        found = {frame: T}
+        T, found = IDENTITY, {frame: IDENTITY}
         while frame in self._to_child and len(found) < MAX_DEPTH:
             parent, T_parent_frame, measured = self._to_child[frame]
             if stamp - measured > MAX_AGE_TRANSFORM or parent in found:
                 break
-            frame, T = parent, T_parent_frame @ T
+            frame, T = parent, T_parent_frame if T is IDENTITY else T_parent_frame @ T
             found[frame] = T
         return found

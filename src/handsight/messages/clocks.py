@@ -3,7 +3,7 @@
 import heapq
 import itertools
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from statistics import median
 
 from handsight.messages.decode import Measurement
@@ -123,44 +123,48 @@ class ReorderBuffer:
         self._back: list[Measurement] = []  # since joint states went back, as long as that is not confirmed
         self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
 
-    def put(self, measurement: Measurement) -> Iterator[Measurement]:
+    def put(self, measurement: Measurement) -> list[Measurement]:
         """Those that are in order with this one, without the late and the duplicated; some have waited till now."""
+        found = list[Measurement]()
         for aligned in self._clocks.put(measurement):
-            yield from self._insert(aligned)
+            found += self._insert(aligned)
+        return found
 
-    def ready(self) -> Iterator[Measurement]:
+    def ready(self) -> list[Measurement]:
         """Those that are in order by now, without another."""
-        yield from self._pop(self._edge())
+        return self._pop(self._edge())
 
-    def finish(self) -> Iterator[Measurement]:
+    def finish(self) -> list[Measurement]:
         """Those that wait: no more come, or none for long."""
+        found = list[Measurement]()
         for aligned in self._clocks.finish():
-            yield from self._insert(aligned)
+            found += self._insert(aligned)
         for each in self._not_back() if self._jumped is None else (*self._not_back(), self._jumped):
             self._push(each)
         self._jumped = None
-        yield from self._pop(float("inf"))
+        return found + self._pop(float("inf"))
 
-    def _insert(self, measurement: Measurement) -> Iterator[Measurement]:
+    def _insert(self, measurement: Measurement) -> list[Measurement]:
         """Those that are in order with this one, which is in the clock of the joint states."""
-        is_joints = measurement.topic.role == "joints"
+        is_joints, found = measurement.topic.role == "joints", list[Measurement]()
         if measurement.stamp < self._newest - MAX_JUMP and (is_joints or self._back):
             self._back.append(measurement)
             if sum(each.topic.role == "joints" for each in self._back) < CONFIRMED_BACK:
-                return
-            yield from self._restart()
-        else:
-            put = (*self._not_back(), *self._confirmed(measurement)) if is_joints else (measurement,)
-            for each in put:
+                return found
+            found = self._restart()
+        elif is_joints:
+            for each in (*self._not_back(), *self._confirmed(measurement)):
                 self._push(each)
-        yield from self._pop(self._edge())
+        else:
+            self._push(measurement)
+        return found + self._pop(self._edge())
 
     def _not_back(self) -> list[Measurement]:
         """What seemed to begin anew, and does not: it is late."""
         back, self._back = self._back, []
         return back
 
-    def _restart(self) -> Iterator[Measurement]:
+    def _restart(self) -> list[Measurement]:
         """All that waits; then the order begins with what is back."""
         joints = [each for each in self._back if each.topic.role == "joints"]
         count, far, stamp = self._report.backwards or (0, 0.0, self._newest)
@@ -168,11 +172,12 @@ class ReorderBuffer:
         if self._jumped is not None:
             self._jumped.topic.reject(MessageRejected(FAR_AHEAD))
             self._jumped = None
-        yield from self._pop(float("inf"))
+        found = self._pop(float("inf"))
         self._forget()
         self._newest = max(each.stamp for each in joints)
         for each in self._not_back():
             self._push(each)
+        return found
 
     def _forget(self) -> None:
         """What was released is of an earlier time."""
@@ -209,28 +214,35 @@ class ReorderBuffer:
         heapq.heappush(self._waiting, (measurement.stamp, next(self._count), measurement))
         self._bytes += measurement.size
 
-    def _pop(self, edge: float) -> Iterator[Measurement]:
+    def _pop(self, edge: float) -> list[Measurement]:
         """Those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
-        while self._waiting and (
-            self._waiting[0][0] <= edge or len(self._waiting) > MAX_WAITING or self._bytes > MAX_WAITING_BYTES
+        found, waiting = list[Measurement](), self._waiting
+        while waiting and (
+            waiting[0][0] <= edge or len(waiting) > MAX_WAITING or self._bytes > MAX_WAITING_BYTES
         ):
-            self._released, _, measurement = heapq.heappop(self._waiting)
+            self._released, _, measurement = heapq.heappop(waiting)
             self._bytes -= measurement.size
-            topic = measurement.topic
-            if topic.role != "tf":
-                publisher = publisher_of(measurement)
-                if self._last_stamps.get(publisher) == self._released:
-                    topic.duplicated += 1
-                    continue
-                if len(self._last_stamps) > MAX_PUBLISHERS:
-                    self._last_stamps.clear()
-                self._last_stamps[publisher] = self._released
-            topic.use(self._released)
-            yield measurement
+            if measurement.topic.role != "tf" and self._is_duplicate(measurement):
+                measurement.topic.duplicated += 1
+                continue
+            measurement.topic.use(self._released)
+            found.append(measurement)
+        return found
+
+    def _is_duplicate(self, measurement: Measurement) -> bool:
+        """Whether its publisher's last is of the stamp that is released now; takes note of it."""
+        publisher = publisher_of(measurement)
+        if self._last_stamps.get(publisher) == self._released:
+            return True
+        if len(self._last_stamps) > MAX_PUBLISHERS:
+            self._last_stamps.clear()
+        self._last_stamps[publisher] = self._released
+        return False
 
 
 def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:
     """What is told apart of one stamp: several may publish joint states or transforms, each its own names."""
     topic, value = measurement.topic, measurement.value
-    names = {"joints": tuple, "tf": lambda link: link[:2]}
-    return topic.name, names[topic.role](value) if topic.role in names else ()
+    if topic.role == "joints":
+        return topic.name, tuple(value)
+    return topic.name, value[:2] if topic.role == "tf" else ()

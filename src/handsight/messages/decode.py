@@ -5,17 +5,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from math import hypot, isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import images, touch
-from handsight.messages.fast import FastReaders
+from handsight.messages import camera_info, images, touch
+from handsight.messages.fast import FastReaders, StampedTransform
 from handsight.messages.topics import CONTACT, TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
-from handsight.vision import PinholeCamera
 
 MAX_JOINTS, MAX_TRANSFORMS = 1000, 10_000
 """Of one message."""
@@ -23,21 +22,6 @@ SHORTEST = 4
 """Bytes of a message that has no more than the count of nothing."""
 MAX_TURNED = 1e6
 """No joint's position is larger [rad or m]; wheels turn far."""
-LENSES = {"plumb_bob": 5, "rational_polynomial": 8}
-"""Distortion models of CameraInfo that a pinhole behind a lens is, and how many numbers they have."""
-MAX_PIXELS_ACROSS = 1e6
-"""No focal length or principal point is larger [pixels]."""
-
-
-class CameraIntrinsics(NamedTuple):
-    """What a CameraInfo says."""
-
-    matrix: Array
-    """(3, 3) [pixels]."""
-    size: tuple[int, int]
-    """(width, height) [pixels]."""
-    lens: Array = np.zeros(0)
-    """k1, k2, p1, p2[, k3[, k4, k5, k6]]; none: images are rectified. `PinholeCamera(*intrinsics)` is the camera."""
 
 
 @dataclass(slots=True, eq=False)
@@ -71,10 +55,10 @@ def decode(
     try:
         if raw.type not in topic.expected:
             raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}")
+        if topic.role in ("tf", "tf_static"):
+            return _transforms(raw, topic, fast)
         if (found := _decode_fast(raw, topic.role, fast)) is None:
             message = _deserialized(raw)
-            if topic.role in ("tf", "tf_static"):
-                return _transforms(message, raw, topic)
             named = frames if topic.role != "contact" else {**frames, "tip": topic.body}
             found = _stamp(message), READERS[topic.role](message, named)
         topic.messages += 1
@@ -97,20 +81,39 @@ def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float,
     return None
 
 
-def _transforms(message: Any, raw: RawMessage, topic: TopicReport) -> list[Measurement]:
+def _transforms(raw: RawMessage, topic: TopicReport, fast: FastReaders) -> list[Measurement]:
     """Each transform by itself: one that cannot be used does not spoil the others."""
-    found = []
-    if len(message.transforms) > MAX_TRANSFORMS:
-        raise MessageRejected(f"expected at most {MAX_TRANSFORMS} transforms, got {len(message.transforms)}")
-    for each in message.transforms:
+    reader, found = fast.get(raw.encoding), list[Measurement]()
+    for each in (reader and reader.transforms(raw.data, MAX_TRANSFORMS)) or _transforms_of(
+        _deserialized(raw)
+    ):
         topic.messages += 1
-        parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
+        parent, child = each.parent.lstrip("/"), each.child.lstrip("/")
         try:
-            T = _rigid_transform(each.transform.translation, each.transform.rotation)
-            found.append(Measurement(topic, _stamp(each), raw.log_time, (parent, child, T)))
+            T = _rigid_transform(*each.numbers)
+            found.append(Measurement(topic, each.stamp, raw.log_time, (parent, child, T)))
         except MessageRejected as error:
             topic.reject(MessageRejected(f"transform to {child[:60]!r}: {error}", nan=error.nan))
     return found
+
+
+def _transforms_of(message: Any) -> list[StampedTransform]:
+    if len(message.transforms) > MAX_TRANSFORMS:
+        raise MessageRejected(f"expected at most {MAX_TRANSFORMS} transforms, got {len(message.transforms)}")
+    return [
+        StampedTransform(
+            _stamp(each),
+            each.header.frame_id,
+            each.child_frame_id,
+            _numbers(each.transform.translation, each.transform.rotation),
+        )
+        for each in message.transforms
+    ]
+
+
+def _numbers(position: Any, orientation: Any) -> tuple[float, ...]:
+    p, q = position, orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
 def _deserialized(raw: RawMessage) -> Any:
@@ -191,22 +194,25 @@ def _wrench_message(message: Any, _: Mapping[str, str]) -> Array:
     return _wrench((force.x, force.y, force.z, torque.x, torque.y, torque.z))
 
 
-def _rigid_transform(position: Any, orientation: Any) -> Array:
-    """(4, 4); raises MessageRejected. In plain floats: for one pose NumPy is ten times slower."""
-    p, x, y, z, w = position, orientation.x, orientation.y, orientation.z, orientation.w
+def _rigid_transform(*numbers: float) -> Array:
+    """(4, 4) of x, y, z [m] and a quaternion's x, y, z, w; raises MessageRejected.
+
+    In plain floats: for one pose NumPy is ten times slower.
+    """
+    px, py, pz, x, y, z, w = numbers
     length = hypot(x, y, z, w)
-    if not isfinite(length + abs(p.x) + abs(p.y) + abs(p.z)):
+    if not isfinite(length + abs(px) + abs(py) + abs(pz)):
         raise MessageRejected("position or orientation is not finite", nan=True)
-    if (far := max(abs(p.x), abs(p.y), abs(p.z))) > FARTHEST:
+    if (far := max(abs(px), abs(py), abs(pz))) > FARTHEST:
         raise MessageRejected(f"expected a position within {FARTHEST:g} m, got {far:g}")
     if length < 1e-6:
         raise MessageRejected("expected an orientation, got a quaternion of length 0")
     x, y, z, w = x / length, y / length, z / length, w / length
     return np.array(
         [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), p.x],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), p.y],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), p.z],
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), px],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), py],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), pz],
             [0.0, 0.0, 0.0, 1.0],
         ]
     )
@@ -216,7 +222,7 @@ def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
     pose, covariance = message.pose, None
     if hasattr(pose, "covariance"):
         covariance, pose = np.array(pose.covariance, dtype=np.float64).reshape(6, 6), pose.pose
-    T = _rigid_transform(pose.position, pose.orientation)
+    T = _rigid_transform(*_numbers(pose.position, pose.orientation))
     if covariance is not None and not np.isfinite(covariance).all():
         raise MessageRejected("covariance is not finite", nan=True)
     if covariance is not None and not covariance.any():
@@ -241,50 +247,6 @@ def _truth(message: Any, frames: Mapping[str, str]) -> Array:
     return pose.T_frame_object
 
 
-def _intrinsics(message: Any, _: Mapping[str, str]) -> CameraIntrinsics:
-    K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
-    if not np.isfinite(K).all():
-        raise MessageRejected("intrinsics are not finite", nan=True)
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
-    if np.abs(K).max() > MAX_PIXELS_ACROSS:
-        most = np.abs(K).max()
-        raise MessageRejected(f"expected intrinsics within {MAX_PIXELS_ACROSS:g} pixels, got {most:g}")
-    K, size = _cut(K, message)
-    try:
-        camera = PinholeCamera(K, size, _lens(message))
-    except InvalidInput as error:
-        raise MessageRejected(str(error)) from None
-    return CameraIntrinsics(camera.matrix, camera.size, camera.lens)
-
-
-def _lens(message: Any) -> Array:
-    """The lens' numbers, none where they are all zero; raises MessageRejected for a lens of another kind."""
-    model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
-    if not np.isfinite(lens).all():
-        raise MessageRejected("the lens' numbers are not finite", nan=True)
-    if model not in LENSES and (model or lens.any()):
-        raise MessageRejected(f"expected a distortion model {' or '.join(LENSES)}, got {model[:40]!r}")
-    most = LENSES.get(model, 0)
-    if lens[most:].any():
-        raise MessageRejected(f"expected at most {most} numbers of a {model} lens, got {len(lens)}")
-    lens = lens[:most].astype(np.float64)
-    return lens if lens.any() else np.zeros(0)
-
-
-def _cut(K: Array, message: Any) -> tuple[Array, tuple[int, int]]:
-    """The intrinsics and the size of the images that come, cut out and binned: the message's are the whole sensor's."""
-    K, roi, size = K.copy(), message.roi, [int(message.width), int(message.height)]
-    for axis, (first, side, binned) in enumerate(
-        ((roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y))
-    ):
-        by = max(int(binned), 1)
-        # Centres of pixels are at whole numbers, so the image begins at -½.
-        K[axis, axis], K[axis, 2] = K[axis, axis] / by, (K[axis, 2] - first + 0.5) / by - 0.5
-        size[axis] = (int(side) or size[axis]) // by
-    return K, (size[0], size[1])
-
-
 READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {
     "joints": lambda message, _: _positions(message.name, message.position.tolist()),
     "wrench": _wrench_message,
@@ -293,5 +255,5 @@ READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {
     "truth": _truth,
     "color": lambda message, _: images.color(message),
     "depth": lambda message, _: images.depth(message),
-    "info": _intrinsics,
+    "info": lambda message, _: camera_info.intrinsics(message),
 }

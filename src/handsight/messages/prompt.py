@@ -1,7 +1,6 @@
 """An order for one who cannot wait: a joint state goes on once what belongs to it is there, or 2 ms later."""
 
 from collections import deque
-from collections.abc import Iterator
 
 from handsight.messages.assemble import MAX_AGE_TRANSFORM
 from handsight.messages.clocks import ReorderBuffer, publisher_of
@@ -41,12 +40,13 @@ class PromptBuffer(ReorderBuffer):
         """When the next joint states have waited long enough, by the clock of `now`; infinite: none wait."""
         return self._pending[0][1] if self._pending else float("inf")
 
-    def finish(self) -> Iterator[Measurement]:
+    def finish(self) -> list[Measurement]:
         """Those that wait: no more come, or none for long."""
-        yield from super().finish()
+        found = super().finish()
         if self._pending:
             self.complete = max(stamp for stamp, _ in self._pending)
             self._pending.clear()
+        return found
 
     def _forget(self) -> None:
         super()._forget()
@@ -55,15 +55,17 @@ class PromptBuffer(ReorderBuffer):
     def _edge(self) -> float:
         while self._pending:
             stamp, until = self._pending[0]
-            if any(self._lacks(stamp, *each) for each in self._reached.values()) and self.now < until:
+            if self.now < until and self._lacks(stamp):
                 break
             self.complete = max(self.complete, stamp)
             self._pending.popleft()
         return self.complete
 
-    @staticmethod
-    def _lacks(stamp: float, newest: float, half: float) -> bool:
-        return newest + half < stamp <= newest + MAX_AGE_TRANSFORM
+    def _lacks(self, stamp: float) -> bool:
+        """Whether something that is due has not reached the stamp."""
+        return any(
+            newest + half < stamp <= newest + MAX_AGE_TRANSFORM for newest, half in self._reached.values()
+        )
 
     def _push(self, measurement: Measurement) -> None:
         topic, stamp, key = measurement.topic, measurement.stamp, publisher_of(measurement)

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Iterable, Mapping
 
 from handsight.messages.assemble import ObservationAssembler
+from handsight.messages.camera_info import CameraIntrinsics
 from handsight.messages.clocks import ReorderBuffer
-from handsight.messages.decode import CameraIntrinsics, Measurement, decode
+from handsight.messages.decode import Measurement, decode
 from handsight.messages.fast import FastReaders
 from handsight.messages.report import Report, missing
 from handsight.messages.topics import RawMessage, rig_topics

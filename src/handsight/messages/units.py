@@ -1,6 +1,7 @@
 """Whether what a robot says is in the units it should be in: told by what its rig says of it."""
 
 from collections import Counter
+from math import hypot
 
 import numpy as np
 
@@ -24,24 +25,18 @@ class Units:
         self._limits = {
             name: limit for name, limit in limits if name in rig.hand.moving and np.isfinite(limit)
         }
+        self._names = list(self._limits)
+        self._most = 2 * np.array(list(self._limits.values())) + 1
 
     def put(self, observation: Observation) -> None:
         """Takes in an observation."""
         self._count += 1
         positions = observation.joint_positions or {}
-        for name, limit in self._limits.items():
-            value = abs(positions.get(name, 0.0))
-            if value > 2 * limit + 1:
-                degrees, millimetres = np.deg2rad(value), 1e-3 * value
-                meant = (
-                    f"degrees? {degrees:.3g} rad"
-                    if degrees <= 2 * limit
-                    else f"{millimetres:.3g} in thousandths?"
-                )
-                said = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
-                self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, said)
+        values = np.abs([positions.get(name, 0.0) for name in self._limits])
+        for k in np.flatnonzero(values > self._most):
+            self._joint(self._names[k], float(values[k]))
         for name, wrench in observation.wrenches.items():
-            force = float(np.linalg.norm(wrench[:3]))
+            force = hypot(*wrench[:3].tolist())
             if force > STRONG:
                 self._note(f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)")
         seen = observation.vision
@@ -50,6 +45,14 @@ class Units:
             if distance > FAR:
                 said = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
                 self._note(f"{self._rig.topics.vision}: poses", distance, said)
+
+    def _joint(self, name: str, value: float) -> None:
+        limit, degrees = self._limits[name], np.deg2rad(value)
+        meant = (
+            f"degrees? {degrees:.3g} rad" if degrees <= 2 * limit else f"{1e-3 * value:.3g} in thousandths?"
+        )
+        said = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
+        self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, said)
 
     def _note(self, what: str, value: float, said: str) -> None:
         self._beyond[what] += 1

@@ -19,7 +19,8 @@ from handsight.objects.fields import FieldValues
 from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
 from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning, Triangles
-from handsight.objects.symmetry import Symmetries
+from handsight.objects.symmetry import Symmetries, nearest
+from handsight.objects.weight import USUAL_SIGMA, check_kept, kept_center, volume_centroid
 
 if TYPE_CHECKING:
     from handsight.objects.record import ModelRecord
@@ -33,6 +34,12 @@ class ObjectModel(Geometry):
     """What it is called in plots; a file's stem. May be empty."""
     symmetries: Symmetries
     """The rotations that leave the surface the same, as far as declared."""
+    mass: float | None = None
+    """[kg]; None: not known."""
+    center_of_mass: Array | None = None
+    """(3,) in the object's frame [m]; None: not known."""
+    sigma_center_of_mass: float = USUAL_SIGMA
+    """One standard deviation per axis [m]."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for symmetries that are none."""
@@ -151,9 +158,56 @@ class ObjectModel(Geometry):
 
         return model_record(self)
 
+    def nearest(self, T: Array, T_reference: Array) -> Array:
+        """The equivalent (4, 4) of a pose (4, 4), modulo the symmetries, that is nearest to a reference (4, 4).
+
+        As `symmetry.nearest` has it, which takes stacks and any symmetry.
+        """
+        if self.symmetries.trivial:
+            return T
+        if not self.record.symmetry_known:
+            return nearest(self.symmetries, T, T_reference, self.radius)
+        from handsight._kernels.batch import equivalent
+
+        out = np.empty((4, 4))
+        equivalent(self.record.model, np.array(T), np.array(T_reference), out)
+        return out
+
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """The same object with these symmetries declared."""
         return dataclasses.replace(self, symmetries=symmetries)
+
+    def with_weight(
+        self,
+        *,
+        mass: float | None = None,
+        center_of_mass: ArrayLike | None = None,
+        sigma_center_of_mass: float | None = None,
+    ) -> Self:
+        """The same object with its mass [kg] and its centre of mass (3,) [m], each as far as it is known.
+
+        Raises InvalidInput, also for a centre that the declared symmetries would move: what is heavier on one side is
+        not symmetric to a hand that weighs it.
+        """
+        sigma = USUAL_SIGMA if sigma_center_of_mass is None else sigma_center_of_mass
+        checks.sigma(sigma, "sigma_center_of_mass")
+        center = None
+        if center_of_mass is not None:
+            given = checks.in_reach(center_of_mass, "center_of_mass", (3,))
+            center = kept_center(self.symmetries, given)
+            check_kept(center, given, 2 * sigma, "center_of_mass")
+        weight = None if mass is None else checks.positive(mass, "mass")
+        return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
+
+    @property
+    def volume_centroid(self) -> Array:
+        """(3,) where the centre of mass would be, were the object the same all through [m].
+
+        Raises InvalidObject for an open surface or a cloud.
+        """
+        if not self.closed or not len(getattr(self, "faces", ())):
+            raise InvalidObject("object: expected a closed mesh for its volume's centroid, got none")
+        return volume_centroid(self.vertices, self.faces)
 
 
 def _length(value: float, name: str) -> float:

@@ -25,7 +25,7 @@ from handsight.rig import Rig
 
 LATEST = float(2**31)
 """Seconds are 32 bits in a message's stamp."""
-TOPIC = "/handsight/pose"
+TRACK_TOPIC = "/handsight/pose"
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z", "sigma_rx", "sigma_ry", "sigma_rz")
 
@@ -56,7 +56,7 @@ class McapFile:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
         data = self._store.serialize_cdr(Message(**fields), kind)
-        sec, nanosec = _split(stamp)
+        sec, nanosec = split_stamp(stamp)
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
 
     def close(self) -> None:
@@ -176,7 +176,7 @@ class RecordingWriter(McapFile):
 
 def header(stamp: float, frame: str = "") -> Message:
     """A std_msgs/Header; raises InvalidInput for a stamp that it cannot hold."""
-    sec, nanosec = _split(stamp)
+    sec, nanosec = split_stamp(stamp)
     return Message(stamp=Message(sec=sec, nanosec=nanosec), frame_id=frame)
 
 
@@ -203,7 +203,7 @@ def _topic(topic: str | None, name: str) -> str:
     return topic
 
 
-def _split(stamp: float) -> tuple[int, int]:
+def split_stamp(stamp: float) -> tuple[int, int]:
     """Seconds and nanoseconds; raises InvalidInput."""
     if not 0 <= stamp < LATEST:
         raise InvalidInput(f"stamp: expected seconds from 0 to {LATEST:.0f}, got {stamp}")
@@ -267,7 +267,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
             if row.T_palm_object is not None:
                 top = header(row.stamp, frame)
                 pose = pose_with_covariance(row.T_palm_object, row.bounded_covariance)
-                file.append(TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
+                file.append(TRACK_TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
 
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:

@@ -3,7 +3,6 @@
 Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
 """
 
-from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -26,6 +25,7 @@ from handsight.rig.form_parts import (
     Text,
     Vector,
 )
+from handsight.rig.object_form import ObjectForm
 from handsight.rig.rig import (
     FARTHEST,
     LARGEST_HELD,
@@ -33,7 +33,6 @@ from handsight.rig.rig import (
     Camera,
     DepthCamera,
     Finger,
-    ObjectEntry,
     check_lens,
 )
 
@@ -236,45 +235,6 @@ class TopicsForm(Form):
     depth: Text | None = None
     camera_info: Text | None = None
     truth: Text | None = None
-
-
-class CylinderForm(Form):
-    LONGEST: ClassVar = {"radius": LARGEST_HELD, "height": LARGEST_HELD}
-
-    radius: Positive
-    height: Positive
-
-
-class ObjectForm(Form):
-    LONGEST: ClassVar = {"box": LARGEST_HELD}
-
-    box: tuple[Positive, Positive, Positive] | None = None
-    cylinder: CylinderForm | None = None
-    mesh: Text | None = None
-    """A path from the rig file on."""
-    scale: Positive | None = None
-    """Metres of a unit of the mesh."""
-    name: Text | None = None
-    """In the object library."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        kinds = ("box", "cylinder", "mesh", "name")
-        said = [kind for kind in kinds if getattr(self, kind) is not None]
-        if len(said) != 1:
-            raise ValueError(f"expected one of {', '.join(kinds)}, got {' and '.join(said) or 'none'}")
-        if self.scale is not None and self.mesh is None:
-            raise ValueError(f"scale: expected beside mesh only, got it beside {said[0]}")
-
-    def entry(self, folder: Path) -> ObjectEntry:
-        """The part of the rig, its mesh beside a file of the folder."""
-        return ObjectEntry(
-            box=self.box,
-            cylinder=None if self.cylinder is None else (self.cylinder.radius, self.cylinder.height),
-            mesh=None if self.mesh is None else folder / self.mesh,
-            scale=1.0 if self.scale is None else self.scale,
-            name=self.name,
-        )
 
 
 class RigForm(Form):

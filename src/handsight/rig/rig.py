@@ -159,9 +159,26 @@ class ObjectEntry:
     """Metres of a unit of the mesh."""
     name: str | None = None
     """In the library that `ObjectModel.from_library` opens."""
+    mass: float | None = None
+    """[kg]; beside a name: instead of the library's."""
+    center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
+    """In the object's frame [m]; `homogeneous`: the centroid of its volume."""
+    sigma_center_of_mass: float | None = None
+    """One standard deviation per axis [m]."""
 
     def model(self) -> ObjectModel:
-        """The object's surface; raises a HandsightError where it cannot be made."""
+        """The object's surface, and what is known of its weight; raises a HandsightError where it cannot be made."""
+        model = self._surface()
+        if self.mass is None and self.center_of_mass is None:
+            return model
+        center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass
+        sigma = self.sigma_center_of_mass
+        if center is None:
+            center, sigma = model.center_of_mass, model.sigma_center_of_mass
+        mass = model.mass if self.mass is None else self.mass
+        return model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
+
+    def _surface(self) -> ObjectModel:
         if self.box is not None:
             return ObjectModel.box(self.box)
         if self.cylinder is not None:

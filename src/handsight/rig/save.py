@@ -129,6 +129,11 @@ def _topics(topics: Topics) -> str:
 
 
 def _object(entry: ObjectEntry) -> dict[str, Any]:
+    known = {name: getattr(entry, name) for name in ("mass", "center_of_mass", "sigma_center_of_mass")}
+    return _surface(entry) | {name: value for name, value in known.items() if value is not None}
+
+
+def _surface(entry: ObjectEntry) -> dict[str, Any]:
     if entry.box is not None:
         return {"box": entry.box}
     if entry.cylinder is not None:

@@ -114,6 +114,33 @@ LEGS = np.array(
 )
 """(10, 6) of a manipulation, once the object is in the hand [s], [m], [rad]; a mere grasp ends with the first."""
 LEGS[:, 4:] = np.deg2rad(LEGS[:, 4:])
+PULLED = np.array(
+    [
+        (0.5, 0.00, 0.00, 0.00, 0, 0),
+        (1.0, 0.00, 0.00, 0.08, 0, 0),
+        (0.5, 0.00, 0.00, 0.08, 0, 0),
+        (3.5, 0.00, 0.00, 0.08, 0, 0),
+        (1.2, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
+        (0.8, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
+    ]
+)
+"""The same where the object is pulled: during the fourth."""
+WEIGH_LEGS = np.array(
+    [  # the last column: tilt about the horizontal across the forearm [deg]
+        (0.5, 0.00, 0.00, 0.00, 0, 0, 0),
+        (1.2, 0.00, 0.00, 0.12, 0, 0, 0),
+        (0.6, 0.00, 0.00, 0.12, 0, 0, 0),
+        *((1.0, 0.00, 0.00, 0.12, 0, 20, 0), (0.6, 0.00, 0.00, 0.12, 0, 20, 0)),
+        *((1.2, 0.00, 0.00, 0.12, 0, 0, 20), (0.6, 0.00, 0.00, 0.12, 0, 0, 20)),
+        *((1.2, 0.00, 0.00, 0.12, 0, -20, 0), (0.6, 0.00, 0.00, 0.12, 0, -20, 0)),
+        *((1.2, 0.00, 0.00, 0.12, 0, 0, -20), (0.6, 0.00, 0.00, 0.12, 0, 0, -20)),
+        *((1.0, 0.00, 0.00, 0.12, 0, 0, 0), (0.6, 0.00, 0.00, 0.12, 0, 0, 0)),
+        *((0.6, 0.00, 0.06, 0.12, 0, 0, 0), (0.6, 0.00, -0.06, 0.15, 0, 0, 0)),
+        *((0.5, 0.04, 0.06, 0.12, 0, 0, 0), (0.5, 0.00, -0.06, 0.16, 0, 0, 0)),
+    ]
+)
+"""(17, 7) of a weighing: after the lift five orientations, then faster and faster to and fro."""
+WEIGH_LEGS[:, 4:] = np.deg2rad(WEIGH_LEGS[:, 4:])
 
 
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
@@ -125,7 +152,9 @@ def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> 
     i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
     s = np.clip(1 - (ends[i] - times) / legs[i, 0], 0, 1)
     smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
-    begins = np.vstack([np.zeros(5), legs[:-1, 1:]])
+    begins = np.vstack([np.zeros(legs.shape[1] - 1), legs[:-1, 1:]])
     now = begins[i] + smooth[:, None] * (legs[i, 1:] - begins[i])
-    R = se3.rotation_exp(now[:, 3:4] * [0.0, 0, 1]) @ se3.rotation_exp(now[:, 4:] * [1.0, 0, 0])
+    R = se3.rotation_exp(now[:, 3:4] * [0.0, 0, 1]) @ se3.rotation_exp(now[:, 4:5] * [1.0, 0, 0])
+    if legs.shape[1] > 6:
+        R = R @ se3.rotation_exp(now[:, 5:6] * [0.0, 1, 0])
     return np.asarray(se3.compose(R, pivot + now[:, :3] - R @ pivot) @ T_world_palm)

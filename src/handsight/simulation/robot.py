@@ -70,7 +70,10 @@ def rig_of(scenario: Scenario) -> Rig:
             camera_info="/camera/camera_info" if scenario.images else None,
             truth="/truth/object",
         ),
-        objects={"can": ObjectEntry(cylinder=CAN_SIZE), "box": ObjectEntry(box=BOX_SIZE)},
+        objects={
+            "can": ObjectEntry(cylinder=CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
+            "box": ObjectEntry(box=BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
+        },
     )
 
 

@@ -1,6 +1,7 @@
 """What is simulated, what spoils it, and what comes out: the values of this room."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +15,15 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig.rig import DepthCamera
 
-Motion = Literal["grasp", "manipulate"]
-Phase = Literal["close", "hold", "move"]
+Profile = Literal["ramp", "steps", "sine"]
+Motion = Literal["grasp", "manipulate", "weigh", Profile]
+Phase = Literal["close", "hold", "move", "pull"]
+PATCH = 0.005
+"""Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
 STEPS_PER_SECOND = 500
 """Of the simulator: two milliseconds are as accurate as one."""
+OBJECT_MASS = 0.15
+"""As usual [kg]."""
 MESHES = (".stl", ".obj", ".ply", ".off")
 LARGEST = 0.5
 """Of a mesh [m]; a larger one is not in metres, and in no hand."""
@@ -51,6 +57,14 @@ class Nuisances:
     """A constant rate at which the bias grows from the first sample on: sigma [N/s]."""
     torque_drift: float = 5e-7
     """[N m/s]"""
+    object_mass: float = OBJECT_MASS
+    """Of the object, evenly in it [kg]; 0: as usual."""
+    object_off_center: float = 0.0
+    """Constant: how far its centre of mass is off the middle of its bounds, in a direction that is drawn, at most a
+    third of the object's size each way [m]."""
+    unsensed_force: float = 0.0
+    """Constant, while the palm moves: what presses on the object, as a link without a sensor would, fixed in the palm,
+    at a point and in a direction that are drawn [N]."""
     tip_compliance: float = 2e-5
     """How far a tip gives way to the force on it, which the joints do not tell [m/N]."""
     camera_position: float = 0.08
@@ -77,6 +91,13 @@ class Nuisances:
     """Depth of a dent that only the robot's model has [m]."""
     object_scan: float = 0.0
     """Above zero, the robot's model is a scanned cloud of 4 000 points with that noise: sigma [m]."""
+    friction: float = 1.0
+    """Of fingertips: how much they hold sideways in parts of what presses on them, and of torque in parts of what a
+    patch of 5 mm holds."""
+    pull_force: float = 9.0
+    """How hard the object is pulled at the most [N], where the motion is a pull."""
+    pull_torque: float = 0.0
+    """And twisted [N m]."""
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -87,12 +108,14 @@ class Nuisances:
                 raise InvalidInput(f"{item.name}: expected at most {MOST:g}, got {value:g}")
         if not 0.5 <= self.object_scale <= 2:
             raise InvalidInput(f"object_scale: expected 0.5 to 2, got {self.object_scale:g}")
+        if not 0.1 <= self.friction <= 2:
+            raise InvalidInput(f"friction: expected 0.1 to 2, got {self.friction:g}")
 
     @classmethod
     def none(cls) -> "Nuisances":
         """Everything as it is."""
         off = {item.name: 0.0 for item in dataclasses.fields(cls)}
-        return cls(**{**off, "object_scale": 1.0})
+        return cls(**{**off, "object_scale": 1.0, "object_mass": OBJECT_MASS, "friction": 1.0})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +129,9 @@ class Scenario:
     """Of everything that is drawn."""
     motion: Motion = "grasp"
     """`grasp`: close, let go of the object, hold for half a second; `manipulate`: then move it over the table, lift it,
-    turn it."""
+    turn it; `weigh`: then lift it, tilt it by 20° about two axes, holding still between, and shake it; `ramp`, `steps`,
+    `sine`: then lift it, hold still while something pulls it out of its place, as the nuisances say how hard, with a
+    force that grows so, and tilt it."""
     rate: float = 100.0
     """Observations per second; 500 must be a multiple of it."""
     images: bool = False
@@ -151,6 +176,16 @@ class TipContact:
     """(3,) of the other body on the tip [N]."""
     other: str
     """The geom that touches it: `object`, `table`, or one of the hand's."""
+    normal_palm: Array
+    """(3,) unit; the way the other body pushes the tip."""
+    velocity_palm: Array
+    """(6,) of the other body relative to the tip: of its point there [m/s], and of its turn [rad/s]."""
+
+    @property
+    def speed(self) -> float:
+        """How fast the other body slips along the tip [m/s]; a turn about the normal is that of a point `PATCH` off."""
+        along = self.velocity_palm[:3] - (self.velocity_palm[:3] @ self.normal_palm) * self.normal_palm
+        return math.hypot(*along, PATCH * (self.velocity_palm[3:] @ self.normal_palm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +200,8 @@ class Sample:
     contacts_truth: tuple[TipContact, ...]
     """Of all fingertips, with whatever they touch."""
     phase: Phase
-    """`close`: the fingers close and the object is held in place; `hold`: it is free and the palm is still; `move`."""
+    """`close`: the fingers close and the object is held in place; `hold`: it is free and the palm is still; `move`;
+    `pull`: the palm is still and the object is pulled."""
     dropped: bool
     """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
     configuration: Array
@@ -179,3 +215,14 @@ class Sample:
             if contact.other == "object":
                 total[contact.finger] = total.get(contact.finger, np.zeros(3)) + contact.force_palm
         return {finger: float(np.linalg.norm(force)) for finger, force in total.items()}
+
+    @property
+    def touches(self) -> Mapping[str, TipContact]:
+        """By finger that touches the object: its contact with it, the hardest."""
+        hardest: dict[str, TipContact] = {}
+        for contact in self.contacts_truth:
+            if contact.other == "object":
+                kept = hardest.get(contact.finger, contact)
+                harder = np.linalg.norm(contact.force_palm) >= np.linalg.norm(kept.force_palm)
+                hardest[contact.finger] = contact if harder else kept
+        return hardest

@@ -15,7 +15,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra
-from handsight.simulation.scenario import LARGEST, STEPS_PER_SECOND
+from handsight.simulation.scenario import LARGEST, OBJECT_MASS, PATCH, STEPS_PER_SECOND
 
 HAND_FILE = "envs/assets/hand/reach.xml"
 """Within gymnasium-robotics; the only scene of it without an object."""
@@ -38,8 +38,8 @@ UNLOADED = np.array(
     ]
 )
 """What each finger's sensor reads without load [N, N m]: calibration knows it."""
-CAN_SIZE, BOX_SIZE, OBJECT_MASS = (0.033, 0.122), (0.060, 0.090, 0.140), 0.15
-"""Radius and height; sides [m]; [kg]."""
+CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
+"""Radius and height; sides [m]."""
 TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
 """From and to along x, y, z [m]."""
 IMAGE_SIZE, FOCAL_LENGTH = (640, 480), 525.0
@@ -86,8 +86,15 @@ def mujoco_module() -> Any:
 
 
 @lru_cache(maxsize=8)
-def scene(name: str) -> Scene:
-    """The scene with that object (`can`, `box` or a mesh file).
+def scene(
+    name: str,
+    mass: float = OBJECT_MASS,
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    friction: float = 1.0,
+) -> Scene:
+    """The scene with that object (`can`, `box` or a mesh file), its mass [kg], what its centre is shifted by [m], and
+    the tips' `friction`.
 
     Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be
     used.
@@ -97,10 +104,12 @@ def scene(name: str) -> Scene:
     spec.delete(spec.geom("floor0"))
     spec.delete(spec.body("floor0"))  # it carries marks of the task that the file is for
     _set_options(mujoco, spec)
-    _make_tips(mujoco, spec)
+    _make_tips(mujoco, spec, friction)
     _let_mount_move(mujoco, spec)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name)
+    if mass != OBJECT_MASS or any(shift):
+        _weigh_object(spec, scene(name).model.body("object"), mass, shift)
     model = spec.compile()
     joints = [model.joint(i) for i in range(model.njnt)]
     return Scene(
@@ -133,7 +142,7 @@ def _set_options(mujoco: Any, spec: Any) -> None:
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
 
 
-def _make_tips(mujoco: Any, spec: Any) -> None:
+def _make_tips(mujoco: Any, spec: Any, friction: float) -> None:
     """An ellipsoid on a sensor for each distal link's collision shape: all force on the link goes through it."""
     worn = {f"robot0:C_{finger}distal" for finger in FINGERS}
     for pair in list(spec.pairs):
@@ -147,7 +156,8 @@ def _make_tips(mujoco: Any, spec: Any) -> None:
         tip.add_geom(
             name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes,
             pos=[0, 0, center_z], mass=TIP_MASS, contype=1 | ON_TABLE, conaffinity=0, condim=4,
-            friction=[1.0, 0.005, 0.0001], priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1], **STIFF,
+            friction=[friction, PATCH * friction, 0.0001], priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
+            **STIFF,
         )  # fmt: skip
         tip.add_site(name=f"{finger}_ft")
         site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": f"{finger}_ft"}
@@ -225,6 +235,14 @@ def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
         conaffinity=1, **looks, **STIFF,
     )  # fmt: skip
     return np.asarray(bounds)
+
+
+def _weigh_object(spec: Any, usual: Any, mass: float, shift: tuple[float, float, float]) -> None:
+    """Gives the object a mass and its centre a shift; its inertia about that grows with the mass."""
+    body = spec.body("object")
+    body.explicitinertial, body.mass = True, mass
+    body.ipos, body.iquat = usual.ipos + shift, usual.iquat
+    body.inertia = usual.inertia * (mass / usual.mass[0])
 
 
 @lru_cache(maxsize=8)

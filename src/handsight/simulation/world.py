@@ -7,9 +7,22 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.simulation.motion import CLOSED, FREE, LEGS, MOVES, SETTLED, Grasp, palm_poses, perturbed
+from handsight.simulation.loaded import Loaded
+from handsight.simulation.motion import (
+    CLOSED,
+    FREE,
+    LEGS,
+    MOVES,
+    PULLED,
+    SETTLED,
+    WEIGH_LEGS,
+    Grasp,
+    palm_poses,
+    perturbed,
+)
+from handsight.simulation.pull import BEGINS, LASTS, Pull, pulls
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
-from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module, scene
+from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module
 
 SETTLE = 0.15
 """For the servos to hold the open hand [s]."""
@@ -32,7 +45,8 @@ class World:
         Raises InvalidObject where hand and object overlap.
         """
         self._mujoco = mujoco_module()
-        self.scene = scene(scenario.object)
+        self._load = Loaded.of(scenario)
+        self.scene = self._load.scene
         self.data: Any = self._mujoco.MjData(self.scene.model)
         low, high = self.scene.bounds_object
         self._size = high - low
@@ -41,8 +55,11 @@ class World:
         T_world_middle = se3.compose(grasp.R_world_palm @ grasp.T_palm_middle[:3, :3], middle)
         T_middle_object = se3.compose(np.eye(3), -(low + high) / 2)
         T_world_palm = T_world_middle @ se3.inverse(self._grasp.T_palm_middle)
-        self._moves = scenario.motion == "manipulate"
-        legs = LEGS if self._moves else LEGS[:1]
+        self._moves = scenario.motion != "grasp"
+        self._scenario, self._pulled = scenario, pulls(scenario.motion)
+        self._pull: Pull | None = None
+        moves = {"grasp": LEGS[:1], "manipulate": LEGS, "weigh": WEIGH_LEGS}
+        legs = moves.get(scenario.motion, PULLED)
         self.duration = SETTLED + float(legs[:, 0].sum())
         times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
         Ts_world_palm = palm_poses(legs, times - SETTLED, T_world_palm, middle)
@@ -63,6 +80,8 @@ class World:
         """What is going on."""
         if self.time < FREE:
             return "close"
+        if self._pulled and BEGINS <= self.time <= BEGINS + LASTS:
+            return "pull"
         return "move" if self._moves and self.time >= MOVES else "hold"
 
     def step(self) -> None:
@@ -73,6 +92,10 @@ class World:
         elif self._T_palm_object_freed is None:
             self._T_palm_object_freed = self.T_palm_object()
         self._move_arm()
+        if self._pulled and self.time >= BEGINS:
+            self._pull_object()
+        elif self.phase == "move":
+            self._load.press(self.data)
         self._mujoco.mj_step(self.scene.model, self.data)
         self.steps += 1
 
@@ -143,12 +166,35 @@ class World:
         self._mujoco.mj_contactForce(self.scene.model, self.data, i, wrench)
         # A contact's position is in the middle of the overlap.
         point = contact.pos + sign * contact.dist / 2 * axes[0]
+        tip, other = int(contact.geom[side]), int(contact.geom[1 - side])
+        velocity = (self._velocity(other, point) - self._velocity(tip, point)) @ T_palm_world[:3, :3].T
         return TipContact(
-            finger=self.scene.tips[int(contact.geom[side])],
+            finger=self.scene.tips[tip],
             point_palm=se3.apply(T_palm_world, point[None])[0],
             force_palm=T_palm_world[:3, :3] @ (sign * axes.T @ wrench[:3]),
-            other=self.scene.model.geom(int(contact.geom[1 - side])).name,
+            other=self.scene.model.geom(other).name,
+            normal_palm=T_palm_world[:3, :3] @ (sign * axes[0]),
+            velocity_palm=velocity.ravel(),
         )
+
+    def _velocity(self, geom: int, point: Array) -> Array:
+        """(2, 3) of a geom's body in the world: of its point there [m/s], and of its turn [rad/s]."""
+        body, found = int(self.scene.model.geom_bodyid[geom]), np.zeros(6)
+        kind = self._mujoco.mjtObj.mjOBJ_BODY
+        self._mujoco.mj_objectVelocity(self.scene.model, self.data, kind, body, found, 0)
+        return np.stack([found[3:] + np.cross(found[:3], point - self.data.xipos[body]), found[:3]])
+
+    def _pull_object(self) -> None:
+        """What pulls it, on it for the next step; what slips out of the hand is let go."""
+        touching = [contact for contact in self.tip_contacts() if contact.other == "object"]
+        if self._pull is None:
+            normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
+            self._pull = Pull(self._scenario, normals)
+        slips = np.inf if self.dropped() else min((contact.speed for contact in touching), default=0.0)
+        moves = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
+        R_world_palm = self.pose(PALM)[:3, :3]
+        wrench = self._pull.wrench(self.time, slips, moves).reshape(2, 3) @ R_world_palm.T
+        self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
 
     def _open(self) -> None:
         """The open hand at its place, at rest, the object at its own."""

@@ -4,17 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from handsight import checks
 from handsight._kernels.contacts_to_palm import contacts_to_palm
+from handsight._kernels.on_table import mark_on_table
 from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.tips_touching import NEAR_TIP
-from handsight.checks import Array, Indices
+from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
-from handsight.rig import Finger, Rig, Table
+from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.ready_contacts import put_ready
 
@@ -22,8 +23,6 @@ SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
 """By the kernel's number; the first is a contact."""
 ON_TABLE = len(REASONS) - 1
-TABLE_WITHIN = 3.0
-"""A contact that is within so many standard deviations on the rig's table, and faces up, is the table's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +41,9 @@ class FingertipContacts:
     independent errors of the joints (`JointOffsets.root`)."""
     near: tuple[str, ...] = ()
     """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
+    loads: Array | None = None
+    """(n, 5) of each contact, of the object on the tip: tangential force (3,) along the palm's axes and normal force
+    [N], torque about the normal [N m]; NaN where a tip does not say it."""
 
 
 class FingertipSensors:
@@ -52,7 +54,12 @@ class FingertipSensors:
         self.rig, self.names = rig, tuple(rig.fingers)
         self._tips = np.array([list(rig.hand.tips).index(name) for name in self.names])
         self._fingers = np.array([finger_record(finger) for finger in rig.fingers.values()], dtype=FINGER)
-        self._offsets = JointOffsets.of(rig)
+        self._offsets, table = JointOffsets.of(rig), rig.table
+        self._table = (
+            None
+            if table is None
+            else np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
+        )
 
     def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
         """What is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are wrong.
@@ -62,7 +69,8 @@ class FingertipSensors:
         a finger that touches it seems to touch the object.
         """
         readings = self._readings(observation.wrenches)
-        readings[[name in observation.contacts for name in self.names]] = np.nan  # they say more themselves
+        if observation.contacts:  # they say more themselves
+            readings[[name in observation.contacts for name in self.names]] = np.nan
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
@@ -80,8 +88,8 @@ class FingertipSensors:
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, felt)
         if observation.contacts:
             put_ready(self.rig, observation.contacts, Ts_palm_tip, by_error, felt)
-        if T is not None and self.rig.table is not None:
-            felt["reason"][_on_table(felt, self.rig.table, T)] = ON_TABLE
+        if T is not None and self._table is not None:
+            mark_on_table(np.array(T), self._table, ON_TABLE, felt)
 
         reasons = {name: REASONS[k] for name, k in zip(self.names, felt["reason"].tolist(), strict=True) if k}
         fingers = tuple(name for name in self.names if name not in reasons)
@@ -91,7 +99,8 @@ class FingertipSensors:
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         near = tuple(name for name, gap in gaps if gap < NEAR_TIP)
-        return FingertipContacts(fingers, contacts, reasons, by_error[felt["reason"] == 0], near)
+        loads = touching["load"].copy()
+        return FingertipContacts(fingers, contacts, reasons, by_error[felt["reason"] == 0], near, loads)
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """(n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""
@@ -106,20 +115,6 @@ class FingertipSensors:
                 return readings
         named = zip(self.names, rows, strict=True)
         return np.array([_reading(row, f"observation.wrenches[{name!r}]") for name, row in named])
-
-
-def _on_table(felt: NDArray[np.void], table: Table, T_world_palm: Array) -> Indices:
-    """Rows of the PALM_CONTACT (n,) that touch the table: no object's surface faces up where it stands."""
-    rows, up = np.flatnonzero(felt["reason"] == 0), T_world_palm[2, :3]
-    covariance, normals = felt["covariance"][rows], felt["normal"][rows]
-    height = felt["point"][rows] @ up + (T_world_palm[2, 3] - table.height)
-    variance_height = (covariance[:, :3, :3] @ up) @ up + table.sigma_height**2
-    near = height**2 < TABLE_WITHIN**2 * variance_height
-    if not near.any():
-        return np.asarray(rows[near])
-    angle = np.arccos(np.clip(normals @ up, -1.0, 1.0))
-    variance_angle = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2 + table.sigma_tilt**2
-    return np.asarray(rows[near & (angle**2 < TABLE_WITHIN**2 * variance_angle)])
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:

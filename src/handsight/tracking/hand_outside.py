@@ -10,7 +10,7 @@ from statistics import median
 
 import numpy as np
 
-from handsight import se3
+from handsight import checks
 from handsight.correction import Outside, PoseEstimate
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
@@ -78,13 +78,11 @@ class HandOutside:
             return None
         points, levers = surface.placed(joint_positions)
         sigmas, known = np.sqrt(self._variance_joint * levers**2 + SKIN**2), margins.known
-        slacks = np.array([known.get(link, 0.0) for link in self.links]) if known else None
-        return Outside(
-            points,
-            sigmas=sigmas[surface.body_of],
-            links=surface.body_of,
-            slacks=None if slacks is None else slacks[surface.body_of],
-        )
+        slacks = np.array([known.get(link, 0.0) for link in self.links])[surface.body_of] if known else None
+        given = points, sigmas[surface.body_of], surface.body_of, slacks
+        if np.abs(points).max() <= checks.FARTHEST:
+            return Outside.trusted(*given)
+        return Outside(points, sigmas=given[1], links=given[2], slacks=slacks)  # which says what is wrong
 
     def reconciled(
         self, estimate: PoseEstimate, outside: Outside, solve: Solve
@@ -104,7 +102,12 @@ class HandOutside:
 
     def _conflicts(self, estimate: PoseEstimate, outside: Outside) -> dict[str, float]:
         """By link that is deeper inside than its joints, skin and margin explain: how deep [m], margin included."""
-        places = se3.apply(se3.inverse(estimate.T_palm_object), np.asarray(outside.points_palm))
+        T, (least, most) = estimate.T_palm_object, self._model.bounds_object
+        places = (np.asarray(outside.points_palm) - T[:3, 3]) @ T[:3, :3]
+        if (
+            not ((places > least) & (places < most)).all(axis=1).any()
+        ):  # as a rule; distances take ten times as long
+            return {}
         depth = -self._model.fine.evaluate(places).distance
         slacks = 0.0 if outside.slacks is None else np.asarray(outside.slacks)
         beyond = np.maximum.reduceat((depth - slacks) / np.asarray(outside.sigmas), self._first)

@@ -17,7 +17,6 @@ from handsight.contact import Contacts
 from handsight.correction import PosePrior
 from handsight.correction.by_contact import information_by_contact
 from handsight.objects import ObjectModel
-from handsight.objects.symmetry import nearest
 from handsight.rig import Rig
 
 CREEP = 0.1
@@ -84,7 +83,7 @@ class JointOffsets:
         H = (J.swapaxes(1, 2) @ information @ J).sum(axis=0)
         slope = (J.swapaxes(1, 2) @ gradient[..., None]).sum(axis=0)[:, 0]
         by_prior = np.linalg.inv(prior.covariance)
-        expected = nearest(model.symmetries, prior.T_palm_object, T_palm_object, model.radius)
+        expected = model.nearest(prior.T_palm_object, T_palm_object)
         H[:6, :6] += by_prior
         slope[:6] -= by_prior @ se3.difference(expected, T_palm_object)
         H[6:, 6:] += np.linalg.inv(self.covariance)

@@ -8,7 +8,6 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.objects.symmetry import nearest
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig, Table
 from handsight.tracking.seen_camera import HandView, SeenCamera
@@ -25,6 +24,9 @@ UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
 """Variances of a pose before anything is known (δp [m²], δθ [rad²])."""
 
 
+EYE, EYE_6 = np.eye(4), np.eye(6)
+
+
 class VisionUpdate:
     """A rig's camera as a sensor of poses, and what has become of its measurements.
 
@@ -34,7 +36,9 @@ class VisionUpdate:
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """`rig.camera` may be None: then poses come in the world or the palm."""
         self._rig, self._model = rig, model
-        self.camera = rig.camera or Camera()
+        self.camera = c = rig.camera or Camera()
+        self._usual_covariance = invertible(np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3))
+        """Of a measurement that does not say its own."""
         self.mount: Mount | None = None
         """What vision's bias is constant in; known with the first measurement."""
         self.unplaced = self.rejected = 0
@@ -58,13 +62,15 @@ class VisionUpdate:
         mount = self._mount_of(seen)
         if self.mount is None:
             self.mount = mount
-        T_mount_palm = np.eye(4) if mount == "palm" else T_world_palm
+        T_mount_palm = EYE if mount == "palm" else T_world_palm
         if mount != self.mount or T_mount_palm is None:
             self.unplaced += 1
             return smoother
         T_mount_object, covariance = self._in_mount(seen)
         T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
-        checks.position(T_palm_object[:3, 3], "vision: the object's place in the palm", (3,))
+        place = T_palm_object[:3, 3]
+        if not np.abs(place).max() <= checks.FARTHEST:
+            checks.position(place, "vision: the object's place in the palm", (3,))
         self._last = T_mount_object, covariance, T_mount_palm
         updated = None if smoother is None else self._gated(smoother, *self._last)
         # Else nothing is known, or nothing that this can be believed with.
@@ -119,12 +125,10 @@ class VisionUpdate:
 
     def _in_mount(self, seen: PoseMeasurement) -> tuple[Array, Array]:
         """The measured pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
-        T_mount_frame = self.camera.T_mount_camera if seen.frame == "camera" else np.eye(4)
+        T_mount_frame = self.camera.T_mount_camera if seen.frame == "camera" else EYE
         if seen.covariance is None:
-            c = self.camera
-            covariance = np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3)
-        else:
-            covariance = se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance)
+            return T_mount_frame @ seen.T_frame_object, self._usual_covariance
+        covariance = se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance)
         return T_mount_frame @ seen.T_frame_object, invertible(covariance)
 
     def _gated(
@@ -132,7 +136,7 @@ class VisionUpdate:
     ) -> PoseBiasSmoother:
         """The smoother after a measurement; beyond the gate it is left out, until several in a row are."""
         expected = smoother.expected(T_mount_palm)
-        T = nearest(self._model.symmetries, T_mount_object, expected, self._model.radius)
+        T = self._model.nearest(T_mount_object, expected)
         if smoother.mahalanobis2(T, covariance, T_mount_palm) > GATE_CHI2:
             self._rejected_in_a_row += 1
             self.rejected += 1
@@ -146,7 +150,7 @@ class VisionUpdate:
 def invertible(covariance: Array) -> Array:
     """A covariance (6, 6) of what is known exactly, or in some direction far better than in others, is of what is known
     well: to 10 µm, 10 µrad and a hundred-thousandth of the widest."""
-    return np.asarray(covariance + 1e-10 * max(1.0, covariance.diagonal().max()) * np.eye(6))
+    return np.asarray(covariance + 1e-10 * max(1.0, *covariance.diagonal().tolist()) * EYE_6)
 
 
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:

@@ -1,10 +1,11 @@
 """A correction propagated to now: the pose stays, its uncertainty grows with the process noise."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from handsight import se3
+from handsight._kernels import propagated as kernel
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior
@@ -47,10 +48,9 @@ def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
 
 def inflated_information(information: Array, variance: Array) -> Array:
     """An information (6, 6), which may be singular, after process noise (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
-    # No noise along an axis is next to none.
-    inverse = np.diag(1 / np.maximum(variance, 1e-18))
-    after = information - information @ np.linalg.solve(information + inverse, information)
-    return np.asarray((after + after.T) / 2)
+    after = np.array(information)
+    kernel.inflate(after, variance)
+    return after
 
 
 def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:
@@ -58,15 +58,15 @@ def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: A
 
     What a declared symmetry leaves at zero in the information is no uncertainty.
     """
-    scale = np.array([1.0, 1, 1, 1 / model.radius, 1 / model.radius, 1 / model.radius])
-    values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
-    known = values > 1e-9 * values[-1]
-    deviations = scale[:, None] * vectors[:, known] / np.sqrt(values[known])
-    lever = estimate.T_palm_object[:3, :3] @ point_object
-    point = deviations[:3] - se3.skew(lever) @ deviations[3:]
-    return np.asarray(point @ point.T)
+    return _at_point(estimate, model, point_object)[0]
 
 
 def sigma_of_point(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> float:
     """Largest standard deviation of where in the palm a point fixed on the object (3,) is [m]."""
-    return float(np.sqrt(np.linalg.eigvalsh(point_covariance(estimate, model, point_object))[-1]))
+    return math.sqrt(_at_point(estimate, model, point_object)[1])
+
+
+def _at_point(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> tuple[Array, float]:
+    """The covariance, and its largest eigenvalue."""
+    covariance, lever = np.empty((3, 3)), estimate.T_palm_object[:3, :3] @ point_object
+    return covariance, kernel.at_point(np.array(estimate.information), model.radius, lever, covariance)

@@ -91,5 +91,5 @@ def _put(
         C = se3.rotate_covariance(R, contact.covariance)
     tangent = np.eye(6)
     tangent[3:, 3:] -= np.outer(normal, normal)
-    row["point"], row["normal"] = point, normal
+    row["point"], row["normal"], row["load"] = point, normal, np.nan
     row["covariance"] = tangent @ (C + J @ J.T) @ tangent

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
+from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.tracking.fingertips import FingertipContacts
@@ -33,6 +34,8 @@ class Step:
     """What they feel."""
     sigma: float
     """Standard deviation of the position, its largest [m]."""
+    slip: Slip = field(default_factory=Slip)
+    """Whether the object slips, and how near to that it is."""
 
     @property
     def fingers(self) -> tuple[str, ...]:
@@ -125,6 +128,7 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         T_world_palm=tracker.T_world_palm,
         fingertips=tracker.fingertips,
         sigma=tracker.sigma,
+        slip=tracker.slip,
     )
 
 

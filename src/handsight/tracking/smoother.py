@@ -11,6 +11,8 @@ overconfident (measured: χ² forty times too large).
 
 Contacts are not measurements of this estimate: they say the same thing at every instant and would be counted again each
 time. The correction fuses them with this estimate as its prior, afresh each time.
+
+What is computed is in `_kernels/pose_bias.py`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,31 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.random_walk import filter_walk
+from handsight._kernels import pose_bias
+from handsight._kernels.records import MEASUREMENT
 from handsight.checks import FARTHEST, Array
+from handsight.correction import PosePrior
 from handsight.tracking.propagation import MOST_WALKED
 
 MOST_MEASUREMENTS = 48
-SAME_PALM = (0.01, np.deg2rad(2.0))
+SAME_PALM = np.array([0.01, np.deg2rad(2.0)])
 """Measurements from palms nearer to each other [m], [rad] are merged; beyond MOST_MEASUREMENTS, the nearest ones."""
-LENGTH_PER_TURN = 0.1
-"""What a radian counts as [m] when palms are compared."""
-GAUSS_NEWTON_STEPS = 2
-"""For each measurement; what they leave comes with the next."""
-SMALL_STEP = 1e-4
-"""χ² of what a step leaves to the next: a hundredth of a standard deviation. Of a step that turns by an angle, at most
-that part of it is left."""
-EYE_6 = np.eye(6)
-MEASUREMENT = np.dtype(
-    [
-        ("T_mount_palm", float, (4, 4)),
-        ("T_mount_object", float, (4, 4)),
-        ("covariance", float, (6, 6)),
-        ("process_noise", float, 6),
-    ]
-)
-"""A pose from vision, or several merged: its own noise, along the mount's axes, and the variance of the object's random
-walk in the palm from the prior to it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +95,15 @@ class PoseAndBias:
     def inflated(self, variance: Array) -> "PoseAndBias":
         """With `variance` (6,) added to the pose's, as far as it says something."""
         covariance = self.covariance.copy()
-        more = np.minimum(variance, np.maximum(MOST_WALKED - covariance.diagonal()[:6], 0.0))
-        covariance[:6, :6] += np.diag(more)
+        variances = np.einsum("ii->i", covariance)[:6]  # where they are, to be written to
+        variances += np.minimum(variance, np.maximum(MOST_WALKED - variances, 0.0))
         return PoseAndBias(self.Ts, covariance)
+
+    def spread(self, covariance: Array) -> "PoseAndBias":
+        """With a covariance (6, 6) added to the pose's."""
+        more = self.covariance.copy()
+        more[:6, :6] += covariance
+        return PoseAndBias(self.Ts, more)
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
         """In a palm that went elsewhere while the object stayed."""
@@ -134,7 +126,7 @@ class PoseBiasSmoother:
     """(6,) the process noise by then."""
     process_noise: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) variance of the object's random walk in the palm since the prior."""
-    measurements: NDArray[np.void] = field(default_factory=lambda: np.empty(0, MEASUREMENT))
+    measurements: NDArray[np.void] = field(default_factory=lambda: np.empty(0, dtype=MEASUREMENT))
     """(k,) MEASUREMENT, a row for each palm they were taken from, in the order of time."""
 
     @classmethod
@@ -145,12 +137,17 @@ class PoseBiasSmoother:
         covariance = np.zeros((12, 12))
         covariance[:6, :6], covariance[6:, 6:] = pose_covariance, bias_covariance
         prior = PoseAndBias(np.stack([T_palm_object, np.eye(4)]), covariance)
-        return cls(prior, pivot, solved=prior)
+        return cls(prior, np.array(pivot), solved=prior)
 
     @property
     def now(self) -> PoseAndBias:
         """The posterior propagated to now."""
         return self.solved.inflated(self.process_noise - self.solved_noise)
+
+    @property
+    def without_touch(self) -> PosePrior:
+        """Where the object is by all but touch."""
+        return PosePrior.trusted(self.solved.T_palm_object, self.now.covariance[:6, :6])
 
     @property
     def is_near(self) -> bool:
@@ -181,8 +178,13 @@ class PoseBiasSmoother:
 
     def updated(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> "PoseBiasSmoother":
         """After vision measured a pose; `covariance` (6, 6) of its own noise, along the mount's axes."""
-        new = (T_mount_palm, T_mount_object, covariance, self.process_noise)
-        return self._solved(self._merged(np.array([new], dtype=MEASUREMENT)))
+        measurements = np.empty(len(self.measurements) + 1, dtype=MEASUREMENT)
+        # NumPy copies structured rows ten times slower than plain ones.
+        measurements.view(np.float64)[: -MEASUREMENT.itemsize // 8] = self.measurements.view(np.float64)
+        measurements[-1] = T_mount_palm, T_mount_object, covariance, self.process_noise
+        solved = self.solved
+        count = pose_bias.merge(measurements, MOST_MEASUREMENTS, SAME_PALM, solved.Ts, self.pivot)
+        return self._solved(measurements[:count])
 
     def informed(self, T_measured_true: Array, covariance: Array) -> "PoseBiasSmoother":
         """After the bias itself was measured: (4, 4) as `PoseAndBias` has it; `covariance` (6, 6) along the mount's
@@ -196,96 +198,25 @@ class PoseBiasSmoother:
 
     def mahalanobis2(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> float:
         """Squared Mahalanobis distance (χ², six degrees of freedom) of a measurement from its prediction."""
-        now = self.now
-        H, innovation = self._linearized(now, T_mount_palm[None], T_mount_object[None])
-        S = H[0] @ now.covariance @ H[0].T + covariance
-        return float(innovation[0] @ np.linalg.solve(S, innovation[0]))
+        now, measured = self.now, np.empty(1, dtype=MEASUREMENT)
+        measured[0] = T_mount_palm, T_mount_object, covariance, self.process_noise
+        return float(pose_bias.distance2(now.Ts, now.covariance, self.pivot, measured))
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """(..., 4, 4) the pose that vision should measure, in the mount's frame; `T_mount_palm` (..., 4, 4)."""
-        state = self.solved
-        return biased(T_mount_palm @ state.T_palm_object, state.T_measured_true, self.pivot)
-
-    def _merged(self, new: NDArray[np.void]) -> NDArray[np.void]:
-        """The measurements with one (1,) more, merged into one from nearly the same palm if there is one."""
-        kept = self.measurements
-        if not len(kept):
-            return new
-        apart = kept["T_mount_palm"] - new["T_mount_palm"]
-        shift = np.sqrt((apart[:, :3, 3] ** 2).sum(axis=1))
-        # Two rotations differ by √8 times the sine of half the angle between them.
-        turn = 2 * np.arcsin(np.minimum(np.sqrt((apart[:, :3, :3] ** 2).sum(axis=(1, 2)) / 8), 1.0))
-        k = int(np.argmin(shift + LENGTH_PER_TURN * turn))
-        if len(kept) < MOST_MEASUREMENTS and (shift[k] > SAME_PALM[0] or turn[k] > SAME_PALM[1]):
-            return np.concatenate([kept, new])
-        merged = np.array([self._averaged(kept[k], new[0])], dtype=MEASUREMENT)
-        return np.concatenate([kept[:k], kept[k + 1 :], merged])
-
-    def _averaged(self, kept: np.void, new: np.void) -> tuple[Array, Array, Array, Array]:
-        """Two measurements as one, from the first's palm: innovations weighted by their information."""
-        both = np.stack([kept, new])
-        expected = self.expected(both["T_mount_palm"])
-        innovation_kept, innovation = se3.difference(both["T_mount_object"], expected)
-        aged = kept["covariance"] + along_mount(
-            kept["T_mount_palm"], new["process_noise"] - kept["process_noise"]
-        )
-        gain = np.linalg.solve(aged + new["covariance"], aged).T
-        covariance = aged - gain @ aged
-        T_mount_object = se3.moved(expected[0], innovation_kept + gain @ (innovation - innovation_kept))
-        return kept["T_mount_palm"], T_mount_object, (covariance + covariance.T) / 2, new["process_noise"]
+        """(4, 4) the pose that vision should measure, in the mount's frame; `T_mount_palm` (4, 4)."""
+        T = np.empty((4, 4))
+        pose_bias.expect(self.solved.Ts, self.pivot, np.array(T_mount_palm), T)
+        return T
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
-        """The maximum a posteriori of the prior and these measurements, by Gauss-Newton from the last answer.
-
-        A step is a Kalman filter over the measurements, in the order of time, with every derivative taken at one state:
-        what the object has walked since an older one is common to all that are as old.
-        """
-        whitening = np.linalg.inv(np.linalg.cholesky(measurements["covariance"]))
-        noise, since = self.process_noise, measurements["process_noise"]
-        walked = since.copy()
-        walked[1:] -= since[:-1]
-        state = self.solved
-        for _ in range(GAUSS_NEWTON_STEPS):
-            H, innovation = self._linearized(
-                state, measurements["T_mount_palm"], measurements["T_mount_object"]
-            )
-            step, covariance = self.prior.difference(state), self.prior.covariance.copy()
-            innovation = (whitening @ innovation[..., None])[..., 0]
-            filter_walk(whitening @ H, innovation, walked, step, covariance)
-            state = state.moved(step)
-            turned = max(step[3:6] @ step[3:6], step[9:] @ step[9:])
-            if turned * (step @ np.linalg.solve(covariance, step)) < SMALL_STEP:
-                break
-        state = replace(state, covariance=covariance).inflated(noise - since[-1])
-        return PoseBiasSmoother(self.prior, self.pivot, state, noise, noise, measurements)
-
-    def _linearized(
-        self, state: PoseAndBias, Ts_mount_palm: Array, Ts_mount_object: Array
-    ) -> tuple[Array, Array]:
-        """Jacobians (k, 6, 12) of the measurements by the state, and innovations (k, 6): measured less expected."""
-        bias = state.T_measured_true
-        expected = biased(Ts_mount_palm @ state.T_palm_object, bias, self.pivot)
-        H = np.zeros((len(Ts_mount_palm), 6, 12))
-        H[:, :3, :3] = H[:, 3:, 3:6] = bias[:3, :3] @ Ts_mount_palm[:, :3, :3]
-        H[:, :, 6:] = EYE_6
-        H[:, :3, 9:] = -se3.skew(expected[:, :3, 3] - self.pivot - bias[:3, 3])
-        return H, se3.difference(Ts_mount_object, expected)
-
-
-def along_mount(Ts_mount_palm: Array, variances: Array) -> Array:
-    """(..., 6, 6) covariances along the mount's axes, of variances (..., 6) along the palm's."""
-    R = Ts_mount_palm[..., :3, :3]
-    out = np.zeros((*variances.shape, 6))
-    out[..., :3, :3] = (R * variances[..., None, :3]) @ R.swapaxes(-1, -2)
-    out[..., 3:, 3:] = (R * variances[..., None, 3:]) @ R.swapaxes(-1, -2)
-    return out
-
-
-def biased(Ts_mount_object: Array, T_measured_true: Array, pivot: Array) -> Array:
-    """Poses (..., 4, 4) as vision measures them, with the bias (4, 4) about `pivot` (3,)."""
-    R = T_measured_true[:3, :3]
-    position = pivot + T_measured_true[:3, 3] + (Ts_mount_object[..., :3, 3] - pivot) @ R.T
-    return se3.compose(R @ Ts_mount_object[..., :3, :3], position)
+        """The maximum a posteriori of the prior and these measurements, begun at the last answer."""
+        noise, Ts, covariance = self.process_noise, self.solved.Ts.copy(), np.empty((12, 12))
+        prior = self.prior
+        if not pose_bias.smooth(prior.Ts, prior.covariance, self.pivot, measurements, Ts, covariance):
+            raise np.linalg.LinAlgError("vision: expected positive definite covariances")
+        since = measurements["process_noise"][-1]
+        state = PoseAndBias(Ts, covariance).inflated(noise - since)
+        return PoseBiasSmoother(prior, self.pivot, state, noise, noise, measurements)
 
 
 def nearest_semidefinite(information: Array) -> Array:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,7 +23,9 @@ from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import Correction, propagated, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
+from handsight.tracking.slipping import Slipping
 from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.weight_update import WeightUpdate
 
 State = Literal["tracking", "uncertain", "lost"]
 Correct = Callable[..., PoseEstimate]
@@ -77,9 +79,10 @@ class Track:
         self.estimate: PoseEstimate | None = None
         self.looked: Observation | None = None
         """The last one, with what its image says as its vision."""
-        self.vision = VisionUpdate(self.rig, self.model)
+        self.vision, self._slipping = VisionUpdate(self.rig, self.model), Slipping(self.rig)
         self._images = ImageVision(self.rig, self.model, on=self.settings.images)
         self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
+        self._weight = WeightUpdate(self.rig, self.model)
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
         self._propagated_to = self._measured_at = self._fits_at = -math.inf
@@ -97,12 +100,13 @@ class Track:
         """The pose after an observation that is `checked` and not older than the last; raises InvalidInput midway."""
         joints, stamp = observation.joint_positions, observation.stamp
         if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
-            T_world_palm = se3.check(
+            T = se3.check(
                 self.rig.hand.T_world_palm(joints), "observation.joint_positions: palm in the world"
             )
-            observation = replace(observation, T_world_palm=T_world_palm)
+            observation = replace(observation, T_world_palm=T)
         self.fingertips = self._sensors.contacts(observation, self._offsets)
         self._predict(observation.T_world_palm, stamp)
+        self._weight.update(observation, self.fingertips, self._offsets, grasped=self._grasp.grasped)
         before, touched = self.smoother, self.fingertips.contacts
         self.smoother = self._seen(observation, before)
         vision = self.smoother is not before
@@ -175,8 +179,12 @@ class Track:
         change = self._grasp.update(fingers, stamp)
         if change == "grasped":
             self._memory.only(fingers)
-        if self.smoother is not None and change is not None:
-            self.smoother = self._regrasped(self.smoother, change)
+        if self.smoother is not None:
+            smoother = self.smoother if change is None else self._regrasped(self.smoother, change)
+            self.smoother = self._slipping.update(stamp, self.fingertips, smoother)
+        if self._slipping.now.slipping:
+            self._memory.only(fingers)
+            self._weight.weigher.forget("the object slips")
 
     def _regrasped(self, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """The smoother after fingers came or went, which may have pushed the object."""
@@ -195,14 +203,14 @@ class Track:
         return smoother.restarted(state)
 
     def _due(self, touched: Contacts, *, vision: bool) -> bool:
-        """Whether vision or touch has something new to say, or touch has not been asked for long enough."""
+        """Whether vision, touch or a slip has something new to say, or touch has not been asked for long enough."""
         last = self._correction
         if last is None:
             return True
         age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
-        if vision or regrasped:
+        if vision or regrasped or self._weight.news or self._slipping.asks(last.stamp):
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
@@ -218,14 +226,15 @@ class Track:
         contacts, remembered = self._memory.added(fingers, touched, now)
         joints = observation.joint_positions
         outside = self._hand.at(joints and self._offsets.corrected(joints), self._margins)
-        samples, answer, prior = self.settings.samples, self.settings.answer, without_touch(smoother)
-        correct = partial(correct_pose, self.model, contacts, outside=outside, answer=answer, samples=samples)
+        samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
+        given: dict[str, Any] = {"outside": outside, "answer": answer, "weight": self._weight.evidence()}
+        correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
         near = None if vision or last is None or fingers != last.fingers else last.estimate
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
             T_near = near.T_palm_object_maximum
-            estimate = refine_pose(self.model, contacts, prior, T_near, outside=outside, answer=answer)
+            estimate = refine_pose(self.model, contacts, prior, T_near, **given)
         if estimate is None:
             estimate = correct(vision=prior)
         if outside is not None:
@@ -233,7 +242,9 @@ class Track:
         if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
             self._recovered_at = now
             estimate, smoother = self._recovered(estimate, smoother, correct)
-            self.smoother, prior = smoother, without_touch(smoother)
+            self.smoother, prior = smoother, smoother.without_touch
+        felt = None if remembered else self.fingertips
+        estimate = self._weight.shared(estimate, felt, prior, self._offsets)
         for i in estimate.outliers:
             if i >= len(touched):
                 self._memory.forget(remembered[i - len(touched)])
@@ -253,7 +264,7 @@ class Track:
         # Touch may have said where something else is, such as the edge of the table.
         lost = self.stamp - self._fits_at > LOST_WITHOUT_FIT
         for other in (wider, self.vision.afresh() if lost else None):
-            found = estimate if other is None else correct(vision=without_touch(other))
+            found = estimate if other is None else correct(vision=other.without_touch)
             if other is not None and found.consistent:
                 return found, other
         return estimate, smoother
@@ -279,6 +290,8 @@ class Track:
             return "lost", f"nothing touched and nothing seen for {now - self._measured_at:.1f} s"
         if now - self._fits_at > LOST_WITHOUT_FIT:
             return "lost", f"the contacts have fitted no pose for {now - self._fits_at:.1f} s"
+        if self._slipping.now.slipping:
+            return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object where it is believed to be"
         if self._correction is None and not self.vision.seen_camera.believed:
@@ -287,8 +300,3 @@ class Track:
         if sigma > self.settings.uncertain_position:
             return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
         return "tracking", ""
-
-
-def without_touch(smoother: PoseBiasSmoother) -> PosePrior:
-    """Where the object is by all but touch."""
-    return PosePrior.trusted(smoother.solved.T_palm_object, smoother.now.covariance[:6, :6])

@@ -7,6 +7,7 @@ from handsight import checks
 from handsight._kernels.warm import warm_tracker
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
+from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, checked
@@ -14,6 +15,7 @@ from handsight.rig import Rig
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.track import State, Track
+from handsight.tracking.weight_update import ObjectWeight
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
 
@@ -33,7 +35,7 @@ class Tracker(Track):
 
     The object is fixed in the palm between corrections (the paper's assumption), its uncertainty growing; while it is
     not grasped, it is fixed in the world. It is corrected when a finger touches or lets go, when a contact has moved,
-    when vision arrives, or at a set rate.
+    when the object slips, when vision arrives, or at a set rate.
 
     Stamps are to go on; what is older than the last one is late, and left out. Clocks jump all the same. A stamp more
     than a second ahead of the last is wrong, or the sensors have paused: it is believed, and taken back if the next one
@@ -122,6 +124,16 @@ class Tracker(Track):
         return state.vision_bias, state.covariance[6:, 6:]
 
     @property
+    def slip(self) -> Slip:
+        """Whether the object slips, and how near to that each finger is."""
+        return self._slipping.now
+
+    @property
+    def weight(self) -> ObjectWeight | None:
+        """What the object weighs, and where its centre of mass is; None where it was not weighed since the grasp."""
+        return self._weight.of(self.estimate)
+
+    @property
     def images(self) -> dict[str, int]:
         """What has become of depth images: how many were `looked_at`, and so on; empty where there were none."""
         return self._images.counts
@@ -175,7 +187,9 @@ class Tracker(Track):
         """All that is known now: what an update changes it binds anew, and never changes in place."""
         eye = self._images.eye
         seeing = () if eye is None else (eye, eye.tracker)
-        parts = self, self.vision, self._grasp, self._memory, self._images, *seeing
+        slips = self._slipping, self._slipping.detector, self._slipping.detector.friction
+        weighs = self._weight, self._weight.weigher
+        parts = self, self.vision, self._grasp, self._memory, self._images, *slips, *weighs, *seeing
         return tuple((part, vars(part).copy()) for part in parts)
 
     def _restore(self, snapshot: Snapshot) -> None:

@@ -1,11 +1,12 @@
 """What is plotted of answers over time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from handsight.checks import Array
+from handsight.dynamics import Slip
 from handsight.evaluation import Truths, pose_errors
 from handsight.objects import ObjectModel
 from handsight.tracking import State
@@ -26,6 +27,8 @@ class Curves(NamedTuple):
     """(n,) of the object's middle [mm], NaN where the truth is not known; None where it never is."""
     states: Sequence[State]
     """n of them."""
+    slips: Sequence[tuple[float, float]] = ()
+    """From when to when the object slipped [s]."""
 
 
 def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Curves:
@@ -35,7 +38,19 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
     times = np.array([moment.stamp - moments[0].stamp for moment in shown])
     sigmas = 1e3 * np.array([moment.sigma for moment in shown])
     sigmas[~np.isfinite(sigmas)] = np.nan
-    return Curves(times, sigmas, _errors(shown, model, truths), [moment.state for moment in shown])
+    slips = slips_of((moment.stamp, moment.slip) for moment in moments)
+    begin = moments[0].stamp if moments else 0.0
+    slips = [(first - begin, last - begin) for first, last in slips]
+    return Curves(times, sigmas, _errors(shown, model, truths), [moment.state for moment in shown], slips)
+
+
+def slips_of(said: Iterable[tuple[float, Slip]]) -> list[tuple[float, float]]:
+    """From when to when the object slipped [s], by what was said at which stamps."""
+    found: dict[float, float] = {}
+    for stamp, slip in said:
+        if slip.slipping:
+            found[slip.began] = stamp
+    return list(found.items())
 
 
 def _errors(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Array | None:

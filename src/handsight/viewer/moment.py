@@ -9,6 +9,7 @@ import numpy as np
 from handsight.checks import Array
 from handsight.contact import compensate
 from handsight.correction import PoseEstimate
+from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -53,38 +54,37 @@ class Moment:
     """The last that vision said; None where it has said nothing for a while."""
     picture: Picture | None = None
     """The last image; None where there was none."""
+    slip: Slip = field(default_factory=Slip)
+    """Whether the object slips, and how near to that it is."""
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
         """Of a tracker, after the last observation that it has taken."""
-        taken = tracker.looked
-        return cls(
-            stamp=tracker.stamp,
-            state=tracker.state,
-            reason=tracker.reason,
-            estimate=tracker.estimate,
-            sigma=tracker.sigma,
-            fingertips=tracker.fingertips,
-            T_world_palm=tracker.T_world_palm,
-            joint_positions=None if taken is None else taken.joint_positions,
-            wrenches={} if taken is None else taken.wrenches,
-            vision=_measured(tracker.stamp, tracker.vision.in_palm(taken, tracker.T_world_palm)),
-        )
+        vision = tracker.vision.in_palm(tracker.looked, tracker.T_world_palm)
+        return cls._made(tracker, tracker.looked, vision)
 
     @classmethod
     def of(cls, step: Step, observation: Observation) -> "Moment":
         """Of a step of a replay, and the observation of that stamp."""
+        return cls._made(step, observation, step.T_palm_object_vision)
+
+    @classmethod
+    def _made(
+        cls, known: Tracker | Step, taken: Observation | None, T_palm_object_vision: Array | None
+    ) -> "Moment":
+        seen = T_palm_object_vision
         return cls(
-            stamp=step.stamp,
-            state=step.state,
-            reason=step.reason,
-            estimate=step.estimate,
-            sigma=step.sigma,
-            fingertips=step.fingertips,
-            T_world_palm=step.T_world_palm,
-            joint_positions=observation.joint_positions,
-            wrenches=observation.wrenches,
-            vision=_measured(step.stamp, step.T_palm_object_vision),
+            stamp=known.stamp,
+            state=known.state,
+            reason=known.reason,
+            estimate=known.estimate,
+            sigma=known.sigma,
+            fingertips=known.fingertips,
+            T_world_palm=known.T_world_palm,
+            joint_positions=None if taken is None else taken.joint_positions,
+            wrenches={} if taken is None else taken.wrenches,
+            vision=None if seen is None else Measured(known.stamp, seen),
+            slip=known.slip,
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":
@@ -136,7 +136,3 @@ class Moment:
                 force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
                 found[name] = R @ force
         return found
-
-
-def _measured(stamp: float, T_palm_object: Array | None) -> Measured | None:
-    return None if T_palm_object is None else Measured(stamp, T_palm_object)

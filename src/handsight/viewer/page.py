@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from handsight.checks import Array
-from handsight.errors import HandsightError, MissingExtra
+from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.viewer.curves import Curves
@@ -18,7 +18,7 @@ from handsight.viewer.picture import Picture
 from handsight.viewer.scene import LAYERS, Color, Scene
 
 HOST = "127.0.0.1"
-PORT = 8080
+PORT, MAX_PORT = 8080, 65535
 UNSEEN, IMAGE_EVERY = 1e-3, 0.1
 """On the same image an outline whose pose has changed by less in any of its numbers is not drawn again, nor is any so
 soon [s]."""
@@ -41,10 +41,12 @@ class Page:
     def __init__(self, rig: Rig, model: ObjectModel, *, port: int = PORT, title: str = "handsight") -> None:
         """Where `port` is taken, the next one that is free. Raises MissingExtra, HandsightError where none is."""
         viser = require_viser()
+        if not 1 <= port <= MAX_PORT:  # viser would wait for ever
+            raise InvalidInput(f"port: expected a number from 1 to {MAX_PORT}, got {port}")
         try:
             with _unsaid():
                 self.server = viser.ViserServer(host=HOST, port=port, label="handsight", verbose=False)
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
         self.port: int = self.server.get_port()
         """That it has."""

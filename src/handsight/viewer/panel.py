@@ -17,7 +17,7 @@ from handsight.viewer.sentence import sentence
 from handsight.vision.pixels import Color
 
 STATES: dict[State, str] = {"tracking": "#2e7d32", "uncertain": "#c77800", "lost": "#b71c1c"}
-SIGMA, ERROR, NOW = "#1565c0", "#d81b60", "#111111"
+SIGMA, ERROR, NOW, SLIP = "#1565c0", "#d81b60", "#111111", "#6a1b9a"
 MOST_CHANGES = 200
 """Of the state, that are drawn."""
 STATUS, CONTROLS, STRIP, CURVES, IMAGE, SHOWN = range(0, 60, 10)
@@ -137,10 +137,18 @@ def _strip(curves: Curves, now: float) -> str:
         for k, until in zip(changes, ends, strict=True)
     ]
     names = " ".join(f'<span style="color:{color}">&#9632; {name}</span>' for name, color in STATES.items())
+    slips = [slip for slip in curves.slips if slip[1] >= begin][-MOST_CHANGES:]
+    marks = "".join(
+        f'<div title="slips" style="position:absolute;bottom:-.2em;height:.4em;min-width:3px;background:{SLIP};'
+        f'left:{share(first, begin, end)};width:{share(begin + last - max(first, begin), begin, end)}"></div>'
+        for first, last in slips
+    )
+    if slips:
+        names += f' <span style="color:{SLIP}">&#9632; slips</span>'
     return (
         '<div style="padding:0 .8em"><div style="position:relative;height:.9em;border-radius:.2em;'
         f'background:linear-gradient(to right,{",".join(spans)})"><div style="position:absolute;top:-.15em;'
-        f'height:1.2em;width:3px;background:{NOW};left:{share(now, begin, end)}"></div></div>'
+        f'height:1.2em;width:3px;background:{NOW};left:{share(now, begin, end)}"></div>{marks}</div>'
         f'<div style="font-size:.75em">{names}</div></div>'
     )
 

@@ -10,6 +10,8 @@ from handsight.viewer.moment import Moment
 
 COUNTS = ("no", "a", "two", "three", "four", "five")
 NO_TOUCH = "no finger touches"
+NEAR_SLIP = 0.8
+"""Share of what friction holds from which on it is worth a word."""
 LIKELY = 0.02
 """Weight from which another pose is worth a word."""
 
@@ -27,6 +29,9 @@ def _grounds(moment: Moment) -> Iterator[str]:
         yield _touch(fingers, "")
         return
     yield _touch(fingers, " and fit the object" if estimate.consistent else "")
+    least = moment.slip.least or 0.0
+    if least >= NEAR_SLIP and not moment.slip.slipping:
+        yield f"the grip uses {least:.0%} of what friction holds"
     if moment.outliers:
         yield f"{_listed(moment.outliers)} left out as wrong"
     known = f"the position is known to {1e3 * moment.sigma:.{0 if moment.sigma >= 0.01 else 1}f} mm"

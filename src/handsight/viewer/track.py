@@ -13,9 +13,11 @@ from handsight.objects import ObjectModel
 from handsight.tracking.propagation import point_covariance
 from handsight.tracking.replay import Step
 from handsight.viewer.corrections import require_matplotlib, save
+from handsight.viewer.curves import slips_of
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000
+SLIP = "#6a1b9a"
 STATES = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
 
 
@@ -33,6 +35,7 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
         _coordinate(axes[k], times, *curves[:, :, k])
         axes[k].set_ylabel(f"{axis} [cm]")
     _states(axes[3], steps)
+    _slips(axes, steps)
     axes[3].set_xlabel("time [s]")
     world = any(step.T_world_palm is not None for step in steps)
     axes[0].set_title(f"{name}: centre of the base in the {'world' if world else 'palm'}'s frame")
@@ -68,6 +71,15 @@ def _coordinate(axes: Any, times: Array, tracked: Array, seen: Array, true: Arra
     low, high = np.nanmin(all_there), np.nanmax(all_there)
     axes.set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
     axes.grid(alpha=0.3)
+
+
+def _slips(axes: Any, steps: Sequence[Step]) -> None:
+    """A mark over every plot while the object slips."""
+    for k, (first, last) in enumerate(slips_of((step.stamp, step.slip) for step in steps)):
+        for axis in axes:
+            axis.axvspan(first - steps[0].stamp, last - steps[0].stamp, color=SLIP, alpha=0.25, lw=0)
+        if k == 0:
+            axes[3].text(0.5, -1.6, "slips", color=SLIP, transform=axes[3].transAxes, fontsize=9)
 
 
 def _states(axes: Any, steps: Sequence[Step]) -> None:

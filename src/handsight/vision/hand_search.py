@@ -144,8 +144,9 @@ def _shifts(reach: float, step: float = SHIFT) -> Array:
     count, layers = (max(int(np.ceil(reach / each - 0.5)), 0) for each in (step, LAYER))
     across, along = step * np.arange(-count, count + 1), LAYER * np.arange(-layers, layers + 1)
     shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = np.linalg.norm(shifts[:, :2], axis=1) <= reach + step / 2
-    return np.asarray(shifts[inside & (np.linalg.norm(shifts, axis=1) <= reach + LAYER / 2)])
+    # A cell counts where any of it is within reach: by its nearest corner, not by its middle.
+    nearest = np.maximum(np.abs(shifts) - np.array([step, step, LAYER]) / 2, 0.0)
+    return np.asarray(shifts[np.linalg.norm(nearest, axis=1) <= reach])
 
 
 def distinct(hand: PlacedHand, looks: NDArray[np.void], apart: float, most: int) -> NDArray[np.void]:

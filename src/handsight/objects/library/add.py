@@ -41,7 +41,7 @@ def new_object(
     if not isinstance(facts, Facts):
         raise InvalidInput(f"facts: expected Facts, got {type(facts).__name__}")
     model = ObjectModel.from_file(file, scale, symmetries=symmetries)
-    _check_inside(facts, model)
+    check_inside(facts, model)
     data = _ply(Path(file), scale)
     said = msgspec.to_builtins(facts) | {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
     return NewObject(said, info_of(model), data)
@@ -74,6 +74,24 @@ def add(folder: Folder, new: NewObject) -> None:
                 file.write(msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n")
 
 
+def revise(folder: Folder, number: int, facts: Facts) -> None:
+    """Replaces what is known of an object besides its surface; raises NotWritten, InvalidFile for what is no library.
+
+    Facts that a folder of somebody else's has not are begun.
+    """
+    models = folder.models
+    with locked(models):
+        documents = folder.documents()
+        known = {} if documents.facts is None else plain(documents.facts, FACTS)["objects"]
+        data = content(models / f"obj_{number:06d}.ply")
+        said = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+        before = known.get(str(number), said)
+        new = msgspec.to_builtins(facts) | {key: before[key] for key in said}
+        with new_file(models / FACTS) as file:
+            document = {"version": VERSION, "objects": {**known, str(number): new}}
+            file.write(msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n")
+
+
 def _numbers(models: Path) -> list[int]:
     """Of the models' files there, listed or not."""
     stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
@@ -90,7 +108,7 @@ def _ply(file: Path, scale: float) -> bytes:
     return data
 
 
-def _check_inside(facts: Facts, model: ObjectModel) -> None:
+def check_inside(facts: Facts, model: ObjectModel) -> None:
     """Raises InvalidInput for a centre of mass that is not in the object."""
     if facts.center_of_mass is None:
         return

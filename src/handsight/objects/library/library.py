@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from handsight import checks
+from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
-from handsight.objects.library.add import add, new_object
+from handsight.objects.library.add import add, check_inside, new_object, revise
 from handsight.objects.library.bop import MM
 from handsight.objects.library.facts import Facts
 from handsight.objects.library.folder import Folder
@@ -75,6 +76,13 @@ class Library:
         """The object so called, with its symmetries; raises as `entry` and `file`."""
         entry = self.entry(name)
         model = ObjectModel.from_file(self.file(entry), scale=MM, symmetries=entry.symmetries)
+        facts = entry.facts
+        if facts is not None and (facts.mass is not None or facts.center_of_mass is not None):
+            model = model.with_weight(
+                mass=facts.mass,
+                center_of_mass=facts.center_of_mass,
+                sigma_center_of_mass=facts.sigma_center_of_mass,
+            )
         return replace(model, name=entry.name)
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
@@ -123,6 +131,25 @@ class Library:
             raise InvalidInput(f"{self.place}: expected a folder to add to, got a URL")
         add(self._source, new_object(file, facts, scale, symmetries))
         return self.entry(facts.name)
+
+    def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:
+        """The object so called, whose mass [kg] and centre of mass (3,) [m] are now known so; the rest stays.
+
+        Raises InvalidInput for an object that nobody has named, for a library at a URL, and for a centre that is not in
+        the object; NotWritten.
+        """
+        if isinstance(self._source, Remote):
+            raise InvalidInput(f"{self.place}: expected a folder to write to, got a URL")
+        entry = self.entry(name)
+        if entry.facts is None:
+            raise InvalidInput(f"name: expected an object that was added with a name, got {entry.name!r}")
+        x, y, z = (float(value) for value in np.round(center_of_mass, 6))
+        said = {key: getattr(entry.facts, key) for key in ("name", "licence", "source")}
+        sigma = round(float(sigma_center_of_mass), 6)
+        facts = Facts(**said, mass=round(mass, 6), center_of_mass=(x, y, z), sigma_center_of_mass=sigma)
+        check_inside(facts, self.model(name))
+        revise(self._source, entry.number, facts)
+        return self.entry(name)
 
 
 def _check_unit(measured: float, entry: Entry) -> None:

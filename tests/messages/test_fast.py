@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handsight.messages.fast_cdr import FastCdrReader
-from handsight.messages.fast_ros1 import FastRos1Reader
+from handsight.messages.fast import FastReader
 from messages.ros import START, Messages
 
 M, M1 = Messages(), Messages(ros=1)
@@ -27,7 +26,7 @@ def encoded(message, little=True):
 def test_joint_states_are_what_rosbags_reads(names, frame, draw):
     lengths = st.integers(0, 5)
     counts = [draw.draw(lengths) for _ in range(3)]
-    for made, encode, quick in ((M, encoded, FastCdrReader()), (M1, encoded_ros1, FastRos1Reader())):
+    for made, encode, quick in ((M, encoded, FastReader("cdr")), (M1, encoded_ros1, FastReader("ros1"))):
         position, velocity, effort = (np.arange(count, dtype=np.float64) for count in counts)
         message = made.make(
             "sensor_msgs/msg/JointState",
@@ -44,7 +43,7 @@ def test_joint_states_are_what_rosbags_reads(names, frame, draw):
 
 
 def test_other_names_are_read_anew():
-    quick = FastCdrReader()
+    quick = FastReader("cdr")
     for names in (("a", "b"), ("a",), ("a", "b", "c"), ("b", "a")):
         assert list(quick.joints(encoded(M.joints(1.0, names, np.zeros(len(names)))))[1]) == list(names)
 
@@ -54,7 +53,7 @@ def test_other_names_are_read_anew():
     st.text(st.characters(codec="ascii", min_codepoint=32), max_size=9),
 )
 def test_wrenches_are_what_rosbags_reads(six, frame):
-    for made, encode, quick in ((M, encoded, FastCdrReader()), (M1, encoded_ros1, FastRos1Reader())):
+    for made, encode, quick in ((M, encoded, FastReader("cdr")), (M1, encoded_ros1, FastReader("ros1"))):
         message = made.wrench(START + 0.25, six)
         message = made.make(
             message.__msgtype__, header=made.header(START + 0.25, frame), wrench=message.wrench
@@ -65,7 +64,7 @@ def test_wrenches_are_what_rosbags_reads(six, frame):
 
 
 def test_big_endian_is_left_to_the_general_reader():
-    quick = FastCdrReader()
+    quick = FastReader("cdr")
     assert quick.joints(encoded(M.joints(1.0), little=False)) is None
     assert quick.wrench(encoded(M.wrench(1.0, np.ones(6)), little=False)) is None
 
@@ -75,7 +74,7 @@ def test_big_endian_is_left_to_the_general_reader():
 @settings(max_examples=150, derandomize=True)
 @given(data=st.data())
 def test_what_is_damaged_is_left_to_the_general_reader_or_is_well_formed(ros, kind, data):
-    made, encode, quick = ((M1, encoded_ros1, FastRos1Reader()), (M, encoded, FastCdrReader()))[ros - 1]
+    made, encode, quick = ((M1, encoded_ros1, FastReader("ros1")), (M, encoded, FastReader("cdr")))[ros - 1]
     spoilt = bytearray(encode(made.joints(1.0) if kind == "joints" else made.wrench(1.0, np.ones(6))))
     for _ in range(data.draw(st.integers(1, 4))):
         spoilt[data.draw(st.integers(0, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
@@ -84,3 +83,38 @@ def test_what_is_damaged_is_left_to_the_general_reader_or_is_well_formed(ros, ki
     assert found is None or all(isinstance(name, str) for name in found[1])
     found = quick.wrench(spoilt)
     assert found is None or len(found[1]) == 6
+
+
+FRAMES = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=9)
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+@given(st.lists(st.tuples(FRAMES, FRAMES, st.lists(st.floats(), min_size=7, max_size=7)), max_size=4))
+def test_transforms_are_what_rosbags_reads(ros, links):
+    made, encode, quick = ((M1, encoded_ros1, FastReader("ros1")), (M, encoded, FastReader("cdr")))[ros - 1]
+    transforms = [
+        made.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=made.header(START + 0.25, parent),
+            child_frame_id=child,
+            transform=made.make(
+                "geometry_msgs/msg/Transform",
+                translation=made.make("geometry_msgs/msg/Vector3", **dict(zip("xyz", seven, strict=False))),
+                rotation=made.make(
+                    "geometry_msgs/msg/Quaternion", **dict(zip("xyzw", seven[3:], strict=True))
+                ),
+            ),
+        )
+        for parent, child, seven in links
+    ]
+    data = encode(made.make("tf2_msgs/msg/TFMessage", transforms=transforms))
+    found = quick.transforms(data, 4)
+    assert [(each.stamp, each.parent, each.child) for each in found] == [
+        (START + 0.25, parent, child) for parent, child, _ in links
+    ]
+    np.testing.assert_array_equal(
+        [each.numbers for each in found], [seven for _, _, seven in links] or np.zeros(0)
+    )
+    assert not links or quick.transforms(data, len(links) - 1) is None
+    assert all(quick.transforms(data[:end], 4) is None for end in range(len(data)))
+    assert quick.transforms(data + b"\0", 4) is None

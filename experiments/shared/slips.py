@@ -1,0 +1,68 @@
+"""Pulls that make an object slip in the simulated hand, and what counts as a slip that was noticed."""
+
+import numpy as np
+
+from handsight.simulation import Nuisances, Sample, Scenario
+from handsight.simulation.scenario import Profile
+from shared.report import Array, Row
+
+PRESSED = 0.2
+"""A tip that presses the object less has no say [N]."""
+FAST, SLOW = 3e-3, 5e-4
+"""The object slips where all tips slide faster than the first, holds where one is slower than the second [m/s]."""
+NEAR, JOINED, LEAST = 0.02, 0.1, 1e-3
+"""So near to a slip an alarm is of it; slips with less between them are one [s]; shorter ones are none [m]."""
+MOTIONS: tuple[Profile, ...] = ("ramp", "steps", "sine")
+FORCES, TORQUES = {"box": (3.0, 9.0), "can": (4.0, 10.0)}, {"box": (0.02, 0.08), "can": (0.04, 0.16)}
+"""Of the pulls, between [N], [N m]."""
+
+
+def scenario(name: str, seed: int, rate: float) -> Scenario:
+    """A pull, all of it drawn by the seed; every other one with a torque."""
+    rng = np.random.default_rng((seed, 99))
+    friction, force, torque = rng.uniform(0.5, 1.0), rng.uniform(*FORCES[name]), rng.uniform(*TORQUES[name])
+    nuisances = Nuisances(friction=friction, pull_force=force, pull_torque=torque if seed % 2 else 0.0)
+    return Scenario(object=name, seed=seed, motion=MOTIONS[seed % 3], rate=rate, nuisances=nuisances)
+
+
+def speed(sample: Sample) -> float:
+    """Of the tip along which the object slips least, of those that press it [m/s]; 0 where none does."""
+    forces = sample.forces_object
+    return min((t.speed for finger, t in sample.touches.items() if forces[finger] > PRESSED), default=0.0)
+
+
+def counted(alarms: Array, speeds: Array, period: float) -> Row:
+    """How many samples were in alarm, rightly and strictly so, how many slipped, how many of those were in alarm."""
+    around = np.ones(2 * round(NEAR / period) + 1)
+    right, strictly = (np.convolve(speeds > least, around, "same") > 0 for least in (SLOW, FAST))
+    slipped = speeds > FAST
+    numbers = {
+        "alarmed": alarms, "right": alarms & right, "strict": alarms & strictly, "slipped": slipped,
+        "found": alarms & slipped,
+    }  # fmt: skip
+    return {name: int(flags.sum()) for name, flags in numbers.items()}
+
+
+def delays(alarms: Array, speeds: Array, stamps: Array) -> list[float | None]:
+    """From the begin of each slip to its alarm [s], which may have begun before it; None where there was none."""
+    found: list[float | None] = []
+    period = float(stamps[1] - stamps[0])
+    ringing = runs(alarms, 0.0, period)
+    for begin, end in runs(speeds > FAST, JOINED, period):
+        if speeds[begin:end].sum() * period < LEAST:
+            continue
+        mine = [first for first, last in ringing if first < end and last > begin - round(NEAR / period)]
+        found.append(float(stamps[mine[0]] - stamps[begin]) if mine else None)
+    return found
+
+
+def runs(flags: Array, joined: float, period: float) -> list[tuple[int, int]]:
+    """Begin and end of each time the flags are set; those with less than `joined` [s] between them are one."""
+    edges = np.diff(np.r_[0, flags.astype(int), 0])
+    found: list[tuple[int, int]] = []
+    for begin, end in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
+        if found and (begin - found[-1][1]) * period < joined:
+            found[-1] = found[-1][0], int(end)
+        else:
+            found.append((int(begin), int(end)))
+    return found

@@ -1,0 +1,82 @@
+"""The tables of `weight.py`."""
+
+from collections import Counter
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from shared import report
+from shared.report import Rows
+
+ACCELERATIONS = (0.0, 0.4, 1.0, 2.0, np.inf)
+"""Between which means are counted together [m/s²]."""
+
+
+def show(rows: Rows) -> None:
+    """Prints the tables."""
+    dropped = Counter((row["object"], row["mass"]) for row in report.chosen(rows, table="dropped"))
+    cells: list[tuple[tuple[Any, ...], Rows]] = []
+    for row in report.chosen(rows, table="weighing"):
+        key = (row["object"], row["mass"], row["orientations"])
+        if key not in [cell[0] for cell in cells]:
+            mine = report.chosen(rows, table="weighing", object=key[0], mass=key[1], orientations=key[2])
+            cells.append((key, mine))
+    lines = [
+        [f"{o} {m:g} kg, {n}", len(mine), *_mean_p90(believed, "error"), _mean(believed, "nees"),
+         _mean(believed, "mass error"), _mean(mine, "refused"), dropped[o, m]]
+        for (o, m, n), mine in cells for believed in [report.chosen(mine, refused=0.0)]
+    ]  # fmt: skip
+    columns = ["object, orientations", "grasps", "mm", "p90", "NEES", "mass %", "refused", "dropped"]
+    report.print_table("Weighing", columns, lines)
+    lines = [
+        [f"{o} {m:g} kg, {n}", *_mean_p90(mine, "without pose"), *_mean_p90(mine, "with pose"),
+         *_mean_p90(mine, "shared pose"), _mean(mine, "without across"), _mean(mine, "with across"),
+         *(_mean(mine, f"{way} turn") for way in ("without", "with", "shared")), _mean(mine, "left out")]
+        for (o, m, n), mine in cells
+    ]  # fmt: skip
+    columns = [
+        "object, orientations", "without mm", "p90", "with", "p90", "shared", "p90", "across g", "with",
+        "turn °", "with", "shared", "left out",
+    ]  # fmt: skip
+    report.print_table("Pose", columns, lines)
+    _show_moving(rows)
+    _show_wrong(rows)
+
+
+def _show_moving(rows: Rows) -> None:
+    lines = []
+    for low, high in pairwise(ACCELERATIONS):
+        for name in report.distinct(rows, "object"):
+            mine = [
+                r for r in report.chosen(rows, table="moving", object=name) if low <= r["acceleration"] < high
+            ]
+            if mine:
+                what = f"{name}, {low:g} to {high:g} m/s²"
+                kept = *_mean_p90(mine, "error kept"), _mean(mine, "nees kept")
+                lines.append([what, len(mine), *_mean_p90(mine, "error"), _mean(mine, "nees"), *kept])
+    report.print_table(
+        "Moving", ("object, acceleration", "means", "mm", "p90", "NEES", "kept mm", "p90", "NEES"), lines
+    )
+
+
+def _show_wrong(rows: Rows) -> None:
+    lines = []
+    for what in report.distinct(report.chosen(rows, table="wrong"), "what"):
+        for name in report.distinct(rows, "object"):
+            mine = report.chosen(rows, table="wrong", what=what, object=name)
+            keys = "ever", "now", "left out", "pose", "without"
+            lines.append([f"{what}, {name}", *(_mean(mine, key) for key in keys)])
+    columns = ["what is wrong", "noticed by then", "now", "left out", "pose mm", "without"]
+    report.print_table("Wrong", columns, lines)
+
+
+def _mean(rows: Rows, name: str) -> str:
+    return f"{report.values(rows, name).mean():.2f}" if rows else "-"
+
+
+def _mean_p90(rows: Rows, name: str) -> tuple[str, str]:
+    found = report.values(rows, name)
+    if not rows:
+        return "-", "-"
+    return f"{found.mean():.2f}", f"{np.quantile(found, 0.9):.2f}"

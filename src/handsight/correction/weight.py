@@ -1,0 +1,81 @@
+"""The object's weight as evidence of its pose: where its centre of mass is, in the object and in the palm."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from handsight import checks, se3
+from handsight._kernels.records import PRIOR
+from handsight.checks import Array
+from handsight.correction.estimate import PoseEstimate
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.objects.weight import check_kept, kept_center
+
+if TYPE_CHECKING:
+    Records = NDArray[np.void]
+
+LEFT_IN_PLACE = 2.0
+"""In sigmas: a symmetry that moves the centre of mass farther is none of what weighs so."""
+CONTRADICTS = float(chdtri(3, 1e-3))
+"""χ² of three numbers that one in a thousand exceeds: such a centre of mass is another's."""
+PAID = 0.02
+"""Of the weight's variance: where less than that is left to compare, the weight alone has told the pose."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightEvidence:
+    """Where an object's centre of mass is: in the object, and in the palm by what hangs on the fingertips."""
+
+    center_object: Array
+    """(3,) [m]"""
+    center_palm: Array
+    """(3,) [m]"""
+    covariance: Array
+    """(3, 3) of both together, along the palm's axes, positive definite [m²]."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput."""
+        for name in ("center_object", "center_palm"):
+            object.__setattr__(self, name, checks.in_reach(getattr(self, name), f"weight.{name}", (3,)))
+        covariance = checks.covariance(self.covariance, "weight.covariance", (3, 3))
+        if not np.linalg.eigvalsh(covariance)[0] > 0:
+            raise InvalidInput("weight.covariance: expected a positive definite one, got a singular one")
+        object.__setattr__(self, "covariance", covariance)
+
+    def beside(self, prior: "Records") -> "Records":
+        """(1,) PRIOR: this beside vision's (1,), or beside none (0,)."""
+        record = prior.copy() if len(prior) else np.zeros(1, dtype=PRIOR)
+        row = record[0]
+        row["unseen"] = not len(prior)
+        weight = row["weight"]
+        weight["known"], weight["center_object"] = True, self.center_object
+        weight["center_palm"], weight["information"] = self.center_palm, np.linalg.inv(self.covariance)
+        return record
+
+    def of(self, model: ObjectModel) -> "WeightEvidence":
+        """The same of an object whose symmetries leave the centre of mass in place; raises InvalidInput where they do
+        not."""
+        center = kept_center(model.symmetries, self.center_object)
+        limit = LEFT_IN_PLACE * float(np.sqrt(np.trace(self.covariance) / 3))
+        check_kept(center, self.center_object, limit, "weight.center_object")
+        return WeightEvidence(center, self.center_palm, self.covariance)
+
+    def contradicts(self, estimate: PoseEstimate) -> bool:
+        """Whether a pose that was found with it lies where all else would not have it.
+
+        With J the rows' derivative, Σ their covariance and C that of the pose, what is left over has the covariance
+        Σ - J C Jᵀ: the less, the more the weight itself has told the pose.
+        """
+        T, C = estimate.T_palm_object, estimate.bounded_covariance
+        arm = T[:3, :3] @ self.center_object
+        J = np.hstack([np.eye(3), -se3.skew(arm)])
+        root = np.linalg.cholesky(self.covariance)
+        off = np.linalg.solve(root, T[:3, 3] + arm - self.center_palm)
+        told = np.linalg.solve(root, J)
+        values, vectors = np.linalg.eigh(np.eye(3) - told @ C @ told.T)
+        along = (vectors.T @ off) ** 2
+        return bool((along / np.maximum(values, PAID)).sum() > CONTRADICTS)

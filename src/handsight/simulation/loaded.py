@@ -1,0 +1,55 @@
+"""What an object weighs, where its centre of mass is, and what else presses on it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from handsight.checks import Array
+from handsight.simulation.scenario import OBJECT_MASS, Scenario
+from handsight.simulation.scene import PALM, Scene, scene
+
+OUTERMOST = 1 / 3
+"""Of the object's size each way: so far off its middle a centre of mass may be."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A scene whose object weighs what a scenario says."""
+
+    scene: Scene
+    force_palm: Array
+    """(3,) on the object, by what no sensor feels [N]."""
+    point_object: Array
+    """(3,) where [m]."""
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Loaded":
+        """Draws by the scenario's seed; raises as `scene` does."""
+        n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
+        friction = float(n.friction)
+        usual, off, force = scene(scenario.object, friction=friction), rng.normal(size=3), rng.normal(size=3)
+        low, high = usual.bounds_object
+        point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
+        force *= n.unsensed_force / np.linalg.norm(force)
+        mass = n.object_mass or OBJECT_MASS
+        if mass == OBJECT_MASS and not n.object_off_center:
+            return cls(usual, force, point)
+        most = OUTERMOST * (high - low)
+        shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
+        weighing = scene(scenario.object, mass, tuple(shift.tolist()), friction=friction)
+        return cls(weighing, force, point)
+
+    def press(self, data: Any) -> None:
+        """Lets what no sensor feels press on the object, from now to the next step."""
+        if not self.force_palm.any():
+            return
+        palm, body = data.body(PALM), data.body("object")
+        force = palm.xmat.reshape(3, 3) @ self.force_palm
+        point = body.xmat.reshape(3, 3) @ self.point_object + body.xpos
+        body.xfrc_applied[:3], body.xfrc_applied[3:] = force, np.cross(point - body.xipos, force)
+
+
+def center_of_mass(scene: Scene) -> Array:
+    """(3,) of the object, in its frame [m]."""
+    return np.asarray(scene.model.body("object").ipos).copy()

@@ -1,0 +1,52 @@
+"""What `handsight track` says of slips."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from handsight.cli.run import Run
+from handsight.cli.track import grip
+from handsight.dynamics import Slip
+from handsight.tracking.replay import Tally
+from handsight.viewer.curves import slips_of
+
+
+def steps():
+    """Ten a second; two slips, the first of four samples, the second of one."""
+    said = [Slip(False, {"ff": 0.5, "th": 0.7}, 0.8)] * 3
+    said += [Slip(True, {"ff": 0.97}, 0.8, 1000.3)] * 4
+    said += [Slip(False, {"ff": 0.5}, 0.8, 1000.3, 1000.7)] * 2
+    said += [Slip(True, {"ff": 1.0}, 0.8, 1000.9, 1000.7), Slip(False, {"ff": 0.4}, 0.81, 1000.9, 1001.0)]
+    return [SimpleNamespace(stamp=1000 + k / 10, slip=slip) for k, slip in enumerate(said)]
+
+
+def test_slips_are_counted_and_said():
+    run = Run("pulled", Tally(), [], steps=steps())
+    assert [(began, pytest.approx(seconds, abs=1e-6)) for began, seconds in run.slips] == [
+        (1000.3, 0.3),
+        (1000.9, 0.0),
+    ]
+    assert "the object slipped 2 times, 0.30 s in all, first at 0.30 s; friction 0.81" in run.sentences()
+    summary = run.summary()
+    assert summary["friction"] == 0.81
+    assert summary["slips"] == [{"began": 1000.3, "seconds": 0.3}, {"began": 1000.9, "seconds": 0.0}]
+
+
+def test_where_nothing_slipped_nothing_is_said():
+    run = Run("held", Tally(), [], steps=steps()[:3])
+    assert run.slips == []
+    assert not any("slip" in sentence for sentence in run.sentences())
+    assert Run("nothing", Tally(), []).friction is None
+
+
+def test_the_grip_is_said_while_it_goes_on():
+    first, slipping = steps()[0].slip, steps()[4].slip
+    assert grip(first) == "the finger that holds best uses 50% of what friction 0.80 holds"
+    assert grip(slipping).startswith("slips: the finger that holds best uses 97%")
+    assert grip(Slip()) == "friction is not known yet"
+    assert grip(Slip(False, {}, 0.8)) == "nothing is held"
+
+
+def test_slips_have_a_begin_and_a_last_instant():
+    found = slips_of((step.stamp, step.slip) for step in steps())
+    assert found == [(1000.3, pytest.approx(1000.6)), (1000.9, pytest.approx(1000.9))]

@@ -1,0 +1,164 @@
+"""While the object slips the pose is uncertain along the slip, and the tracker corrects and says so."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dynamics.loads import load
+from dynamics.loads import rig as some_rig
+from handsight import se3
+from handsight.contact import Contacts
+from handsight.tracking import FingertipContacts, Tracker
+from handsight.tracking.slipping import BEFORE, FARTHEST, SIDEWAYS, SPEED, Slipping
+from handsight.tracking.smoother import PoseBiasSmoother
+
+FINGERS = ("ff", "mf", "th")
+FRICTION, PERIOD = 0.7, 0.004
+
+
+def smoother():
+    small = np.diag([1e-8] * 6)
+    return PoseBiasSmoother.from_prior(np.eye(4), small, small, np.zeros(3))
+
+
+def felt(ratio, angle=0.0):
+    """Three contacts with normals along z, all loaded alike; the object slips along x, turned by an angle."""
+    points = np.array([[0.02, 0, 0], [-0.02, 0, 0], [0, 0.02, 0]])
+    contacts = Contacts(points, np.tile([0.0, 0, 1], (3, 1)))
+    return FingertipContacts(FINGERS, contacts, {}, loads=np.array([load(ratio * FRICTION, angle=angle)] * 3))
+
+
+def slipping():
+    part = Slipping(some_rig())
+    part.detector.friction.coefficient = FRICTION
+    return part
+
+
+def run(part, state, seconds, ratio, begin, period=PERIOD):
+    for k in range(round(seconds / period)):
+        state = part.update(begin + (k + 1) * period, felt(ratio), state)
+    return state
+
+
+def spread(state):
+    """What was added to the covariance of the pose."""
+    return state.now.covariance[:6, :6] - 1e-8 * np.eye(6)
+
+
+def test_what_holds_leaves_the_pose_as_it_is():
+    state, part = smoother(), slipping()
+    assert run(part, state, 0.5, 0.9, 0.0) is state
+    assert not part.now.slipping
+    assert part.now.least == pytest.approx(0.9, rel=1e-6)
+
+
+@pytest.mark.parametrize("period", [0.002, 0.01])
+def test_the_sigma_along_a_slip_grows_with_its_time_whatever_the_rate(period):
+    part = slipping()
+    run(part, smoother(), 0.1, 0.3, 0.0, period)
+    state = run(part, smoother(), 0.3, 1.0, 0.1, period)
+    since = part.detector.stamp - part.now.began + BEFORE
+    found = spread(state)
+    assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(1, SIDEWAYS) * SPEED * since, rel=1e-6)
+    assert np.sqrt(found[1, 1]) == pytest.approx(SIDEWAYS * SPEED * since, rel=0.01)
+    assert np.abs(found[3:, 3:] - np.diag(np.diagonal(found)[3:])).max() < 1e-9
+
+
+def test_it_grows_no_farther_than_objects_slip_in_a_hand():
+    part = slipping()
+    state = run(part, smoother(), 5.0, 1.0, 0.0)
+    assert np.sqrt(spread(state)[0, 0]) == pytest.approx(np.hypot(1, SIDEWAYS) * FARTHEST, rel=1e-6)
+
+
+def test_each_slip_counts_anew_and_adds_to_those_before():
+    part = slipping()
+    once = run(part, smoother(), 0.2, 1.0, 0.0)
+    between = run(part, once, 0.3, 0.2, 0.2)
+    assert not part.now.slipping
+    twice = run(part, between, 0.2, 1.0, 0.5)
+    assert spread(twice)[0, 0] > 1.7 * spread(once)[0, 0]
+
+
+def test_a_correction_is_asked_for_when_a_slip_begins_while_it_lasts_and_when_it_ends():
+    part, asked, corrected = slipping(), [], 0.0
+    for k in range(200):
+        stamp = (k + 1) * PERIOD
+        part.update(stamp, felt(1.0 if 0.2 < stamp <= 0.4 else 0.2), smoother())
+        if part.asks(corrected):
+            asked.append(stamp)
+            corrected = stamp
+    assert asked[0] == part.now.began
+    assert asked[-1] == part.now.ended
+    gaps = np.diff(asked)
+    assert gaps.max() < 0.06
+    assert 0.2 < asked[0] < asked[-1] < 0.55
+    assert len(asked) > 8
+
+
+def test_a_reading_without_contacts_is_no_slip():
+    part, state = slipping(), smoother()
+    run(part, state, 0.1, 1.0, 0.0)
+    assert part.update(0.2, FingertipContacts((), None, {}), state) is state
+    assert not part.now.slipping
+
+
+def slippery(tracker, seen, count, friction):
+    """The tracker after more of the same instant, with fingertips of a friction that it takes for known."""
+    tracker._slipping.detector.friction = SimpleNamespace(coefficient=friction, update=lambda vectors: None)
+    for _ in range(count):
+        tracker.update(replace(seen, stamp=tracker.stamp + 0.01, vision=None))
+    return tracker
+
+
+@pytest.fixture
+def held(box):
+    tracker = Tracker(box.rig, box.model)
+    for seen in box.observations:
+        tracker.update(seen)
+    return tracker
+
+
+def test_a_tracker_says_that_it_slips_and_knows_less_until_it_holds(box, held):
+    seen, before, corrections = box.held[-1], held.sigma, held.corrections
+    slippery(held, seen, 20, 50.0)
+    assert held.state == "tracking", held.reason
+    assert held.corrections == corrections
+    assert 0 < held.slip.least < 0.1
+    slippery(held, seen, 20, 1e-3)
+    assert held.slip.slipping
+    assert held.state == "uncertain"
+    assert held.reason == "the object slips: every finger that holds it is at the limit of friction"
+    assert held.corrections > corrections + 5
+    assert held.sigma > before
+    during, sigma = held.corrections, held.sigma
+    slippery(held, seen, 20, 50.0)
+    assert not held.slip.slipping
+    assert held.corrections > during
+    assert "slips" not in held.reason
+    assert held.sigma > 0.9 * sigma  # nothing has told where it is now
+    off = se3.difference(held.estimate.T_palm_object, box.T_palm_object)
+    assert off @ np.linalg.solve(held.estimate.covariance, off) < 22.5  # 99.9 % of six numbers
+
+
+def test_contacts_of_fingers_that_let_go_are_forgotten(box, held):
+    seen = box.held[-1]
+    lifted = dict(seen.wrenches)
+    finger = next(name for name in ("ff", "mf") if name in held.fingertips.fingers)
+    calibration = box.rig.fingers[finger].calibration
+    lifted[finger] = np.concatenate([calibration.bias_force, calibration.bias_torque])
+    slippery(held, replace(seen, wrenches=lifted), 3, 50.0)
+    assert finger in held._memory._last
+    slippery(held, replace(seen, wrenches=lifted), 3, 1e-3)
+    assert finger not in held._memory._last
+
+
+def test_a_jump_that_is_taken_back_takes_the_slip_back(box, held):
+    seen = slippery(held, box.held[-1], 2, 50.0) and box.held[-1]
+    now, stamp = held.slip, held.stamp
+    held.update(replace(seen, stamp=stamp + 50.0, vision=None))
+    held.update(replace(seen, stamp=stamp + 0.01, vision=None))
+    assert held.undone == 1
+    assert held._slipping.detector.stamp == held.stamp == stamp + 0.01
+    assert held.slip.friction == now.friction

@@ -1,0 +1,95 @@
+"""A tracker weighs what it holds in the air: where its centre of mass is known it tells the pose, else it is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight.simulation import Scenario, model_of, rig_of
+from handsight.tracking.weighing import best_weight
+
+SCENARIO = Scenario(object="box", seed=2, motion="weigh", rate=50)
+
+
+@pytest.fixture(scope="module")
+def lifted(simulated):
+    """A box that is lifted and tilted, up to the third orientation; vision sees it for two seconds."""
+    samples = [sample for sample in simulated(SCENARIO) if sample.observation.stamp < 6.95]
+    return [
+        replace(
+            sample.observation, vision=sample.observation.vision if sample.observation.stamp < 2 else None
+        )
+        for sample in samples
+    ], samples
+
+
+def middle_error(tracker, sample):
+    T, T_true = tracker.estimate.T_palm_object, sample.T_palm_object
+    return np.linalg.norm(T[:3, 3] - T_true[:3, 3])
+
+
+def follow(tracker, observations):
+    for observation in observations:
+        tracker.update(observation)
+    return tracker
+
+
+@pytest.mark.slow
+def test_where_the_centre_of_mass_is_known_its_weight_tells_the_pose(lifted):
+    observations, samples = lifted
+    rig, model = rig_of(SCENARIO), model_of(SCENARIO)
+    without = follow(hs.Tracker(rig, model), observations)
+    tracker = follow(hs.Tracker(rig, model.with_weight(center_of_mass=np.zeros(3))), observations)
+    assert middle_error(tracker, samples[-1]) < 0.004
+    assert middle_error(tracker, samples[-1]) < middle_error(without, samples[-1])
+    assert tracker.sigma < without.sigma
+    assert tracker.estimate.weight_fits is True
+    assert tracker.weight.reason == ""
+    assert abs(tracker.weight.mass - 0.15) < 3 * tracker.weight.sigma_mass
+
+
+@pytest.mark.slow
+def test_where_it_is_not_it_is_estimated_and_told(lifted):
+    observations, samples = lifted
+    tracker = follow(hs.Tracker(rig_of(SCENARIO), model_of(SCENARIO)), observations)
+    found, T = tracker.weight, samples[-1].T_palm_object
+    assert tracker.estimate.weight_fits is None
+    assert found.directions >= 3
+    off = found.center_palm - T[:3, 3]
+    assert off @ np.linalg.solve(found.covariance_palm, off) < 16.3
+    assert np.linalg.norm(off) < 0.004
+    off = found.center_object
+    assert off @ np.linalg.solve(found.covariance, off) < 16.3
+
+
+@pytest.mark.slow
+def test_a_wrong_mass_is_said_and_the_pose_is_no_worse(lifted):
+    observations, _ = lifted
+    rig, model = rig_of(SCENARIO), model_of(SCENARIO)
+    wrong = follow(hs.Tracker(rig, model.with_weight(mass=0.3, center_of_mass=np.zeros(3))), observations)
+    without = follow(hs.Tracker(rig, model), observations)
+    assert wrong.weight.reason.endswith(" kg, not 0.3")
+    assert wrong.estimate.weight_fits is None
+    np.testing.assert_allclose(wrong.estimate.T_palm_object, without.estimate.T_palm_object, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_recording_tells_the_best_of_its_weighings(lifted):
+    observations, _ = lifted
+    found, reason = best_weight(iter(observations), hs.Tracker(rig_of(SCENARIO), model_of(SCENARIO)))
+    assert reason == ""
+    assert abs(found.mass - 0.15) < 3 * found.sigma_mass
+    on_table = [observation for observation in observations if observation.stamp < 1.9]
+    none, reason = best_weight(iter(on_table), hs.Tracker(rig_of(SCENARIO), model_of(SCENARIO)))
+    assert none is None
+    assert reason == "the object was never in the air"
+    assert len(on_table) > 10
+
+
+def test_what_stands_on_the_table_is_not_weighed(can):
+    """The palm has not risen since the grasp."""
+    tracker = follow(hs.Tracker(can.rig, can.model.with_weight(center_of_mass=np.zeros(3))), can.observations)
+    assert tracker.weight is None
+    assert tracker._weight.weigher.reason == "the palm has not risen since the grasp"
+    assert tracker.estimate.weight_fits is None
