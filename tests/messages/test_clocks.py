@@ -170,6 +170,22 @@ def test_a_simulator_at_a_tenth_of_real_time_is_one_clock():
     assert not stream.report.topics["/vision/object"].shifted
 
 
+@pytest.mark.parametrize("first", ["/joint_states", "/vision/object"])
+def test_a_recording_that_paused_as_it_was_played_is_one_clock(first):
+    """Its stamps stood still; vision that begins after the pause must not look like another clock."""
+    pause, wait = 5.0, 1e-4
+    rows = joints(grid(200))
+    rows += [(topic, log + 2 + pause, M.joints(2 + log)) for topic, log, _ in rows]
+    later = wait if first == "/joint_states" else -wait
+    for k in range(10):
+        stamp = START + 2 + k / 10
+        rows.append(("/vision/object", stamp + pause + later, M.pose(stamp, np.eye(4))))
+    observations, stream = heard(by_log(rows))
+    assert len(observations) == 400
+    assert not stream.report.topics["/vision/object"].shifted
+    assert sum(seen.vision is not None for seen in observations) == 10
+
+
 def test_a_recording_played_in_a_loop_begins_anew_each_time_and_says_so():
     """A transform of the end of the first round is none of the second's; a static one holds."""
     rows, static = touched(300), [("/tf_static", START, M.tf(START, ("world", "base", np.eye(4))))]

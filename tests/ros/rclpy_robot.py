@@ -3,7 +3,7 @@
 `rclpy_robot.py steps.pickle answers.pickle`; a step is one of
 
 * `("say", [(topic, type, seconds, bytes), ...])`: once each topic is listened to, at their pace;
-* `("hear", topic, count)`: until that many messages have come; `("told", text)`: until diagnostics have it;
+* `("hear", topic, count)`: until that many messages have come; `("told", text)`: until diagnostics have it from now on;
 * `("set", name, text)`: a parameter of the node; `("call", service)`: a Trigger, whose answer is kept as a message is.
 """
 
@@ -25,8 +25,12 @@ ANSWERED = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 KEPT = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+ASKS = "/handsight/"
+"""How topics begin by which a user asks for something."""
 UNHEARD = "std_msgs/msg/String"
-"""What nobody listens to on the topics of this robot."""
+"""What nobody listens to on other topics."""
+KNOWN_AFTER = 3.0
+"""That others know of a publisher takes longer than that it knows of them: a second where Fast DDS asks again [s]."""
 LIMIT = 60.0
 """Of waiting: who follows may still be loading [s]."""
 
@@ -54,13 +58,14 @@ class Robot:
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def say(self, messages):
-        for topic, kind, *_ in messages:
-            if topic not in self.speak:
-                self.speak[topic] = self.node.create_publisher(made(kind), topic, KEPT)
-        listened = [self.speak[topic] for topic in {m[0] for m in messages if m[1] != UNHEARD}]
+        new = {topic: kind for topic, kind, *_ in messages if topic not in self.speak}
+        for topic, kind in new.items():
+            self.speak[topic] = self.node.create_publisher(made(kind), topic, KEPT)
+        topics = {m[0] for m in messages if m[1] != UNHEARD or m[0].startswith(ASKS)}
+        listened = [self.speak[topic] for topic in topics]
         self.wait_for(lambda: all(each.get_subscription_count() for each in listened), "one who listens")
         self.wait_for(lambda: all(map(self.node.count_publishers, ANSWERED)), "one who answers")
-        time.sleep(1.0)  # that others know of this one takes longer than that this one knows of them
+        time.sleep(KNOWN_AFTER if new else 0.0)
         begun = time.monotonic()
         for topic, _, seconds, data in messages:
             while (left := seconds - messages[0][2] - (time.monotonic() - begun)) > 0:
@@ -71,9 +76,10 @@ class Robot:
         self.wait_for(lambda: sum(each[0] == topic for each in self.heard) >= count, f"{count} on {topic}")
 
     def told(self, text):
-        diagnosed = "/diagnostics"
+        diagnosed, before = "/diagnostics", len(self.heard)
         self.wait_for(
-            lambda: any(text.encode() in each[2] for each in self.heard if each[0] == diagnosed), text
+            lambda: any(text.encode() in each[2] for each in self.heard[before:] if each[0] == diagnosed),
+            text,
         )
 
     def set(self, name, text):

@@ -3,6 +3,7 @@
 import pickle
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
@@ -11,7 +12,9 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 
 from handsight.cli.demo import DATA
 from handsight.live import Answer
-from handsight.messages.topics import WRENCH
+from handsight.messages.decode import typestore
+from handsight.messages.topics import POSE_COVARIANCE, WRENCH
+from handsight.recording.write import header, pose_with_covariance
 from tests.live.recorded import read, said, tracked
 from tests.ros.ros2 import processes, same
 
@@ -19,7 +22,13 @@ pytestmark = pytest.mark.slow
 RIG = DATA / "can.rig.yaml"
 ROBOT = Path(__file__).with_name("rclpy_robot.py")
 STRING, A = "std_msgs/msg/String", b"\0\1\0\0\2\0\0\0a\0\0\0"
-"""A type that nobody expects, and a message of it."""
+"""A type that nobody expects of a sensor, and a message of it."""
+
+
+def users_pose():
+    """A pose in the palm."""
+    at = {"header": header(0.0, "palm"), "pose": pose_with_covariance(np.eye(4), None)}
+    return bytes(typestore("cdr").serialize_cdr(type(header(0.0))(**at), POSE_COVARIANCE))
 
 
 def robot(running, release, folder, *steps):
@@ -77,11 +86,19 @@ def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tm
             ("told", named),
             ("say", play[half:]),
             ("hear", "/handsight/pose", 5),
+            ("say", touch),
+            ("told", "the clock went back by"),
             ("call", "/handsight/reset"),
             ("set", "object", "spoon"),
             ("call", "/handsight/set_object"),
             ("set", "object", "can"),
             ("call", "/handsight/set_object"),
+            ("say", [("/handsight/object", STRING, 0.0, A)]),
+            ("told", "/handsight/object: object: expected one of the rig (can)"),
+            ("say", [("/handsight/reset", "std_msgs/msg/Empty", 0.0, b"\0\1\0\0\0")]),
+            ("told", "begun anew: vision's next pose starts"),
+            ("say", [("/handsight/start", POSE_COVARIANCE, 0.0, users_pose())]),
+            ("told", "begun anew from the user's pose"),
         )
         node = running.node(RIG, object="can")
         answers = answers_of(asks, tmp_path)

@@ -34,6 +34,8 @@ class Clocks:
     def __init__(self) -> None:
         self._known = set[str]()
         self._joint_offsets: deque[float] = deque(maxlen=15)
+        self._joints_at = -float("inf")
+        """When the last joint states came [s]."""
         self._begun: deque[Measurement] | None = deque()
         self._begun_bytes = 0
         self._first_joints: Measurement | None = None
@@ -78,13 +80,19 @@ class Clocks:
 
     def _aligned(self, measurement: Measurement) -> Measurement:
         topic = measurement.topic
-        # What begins later is compared with the joint states of its own time: a simulator's clock may drift.
-        if topic.name not in self._known:
+        # What begins later is compared with the joint states of its own time: a simulator's clock may drift, and that
+        # of a recording that is played stands still while it pauses.
+        paused, is_joints = measurement.log_time - self._joints_at > COMPARED, topic.role == "joints"
+        if paused and is_joints:
+            self._joint_offsets.clear()
+        if topic.name not in self._known and (is_joints or not paused):
             self._learn([measurement])
         if topic.unstamped:
             measurement.stamp = measurement.log_time
-        elif topic.role == "joints":
+        elif is_joints:
             self._joint_offsets.append(measurement.log_time - measurement.stamp)
+        if is_joints:
+            self._joints_at = measurement.log_time
         measurement.stamp += topic.difference if topic.shifted else 0.0
         return measurement
 

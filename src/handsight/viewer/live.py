@@ -151,7 +151,7 @@ class Viewer(NullViewer):
     def _run(self) -> None:
         """Sends a frame each time that the page asks for one, until it is gone."""
         with contextlib.suppress(EOFError, OSError):
-            while not self._closed:
+            while True:
                 self._watched = self._pipe.recv()
                 frame = self._next() if self._watched else None
                 if frame is not None:
