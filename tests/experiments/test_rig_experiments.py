@@ -296,11 +296,13 @@ def test_whole_manipulations_are_followed_and_told_truthfully(tmp_path, monkeypa
 
 @pytest.mark.slow
 @needs_simulator
-def test_a_hand_knows_its_joints_better_after_some_grips_and_says_how_well(tmp_path):
-    rows = run("joint_offsets", tmp_path, "--quick")["joint_offsets"]
+def test_a_hand_knows_its_joints_better_after_some_grips_and_says_how_well(tmp_path, monkeypatch):
+    """Hands differ: of 20 by four, what is seen came to 0.28 to 0.71 of what it was."""
+    monkeypatch.setattr("joint_offsets.GRASPS", 5)
+    rows = run("joint_offsets", tmp_path, "--quick", "--trials", "4")["joint_offsets"]
     new, learnt = (
-        [row for row in rows if row["way"] == way and int(row["grip"]) >= 8] for way in ("as new", "learnt")
+        [row for row in rows if row["way"] == way and int(row["grip"]) >= 4] for way in ("as new", "learnt")
     )
     assert column(learnt, "offsets").mean() < 0.9 * column(new, "offsets").mean()
     assert 0.7 < column(learnt, "offsets").mean() / column(learnt, "claimed").mean() < 1.4
-    assert column(learnt, "seen").mean() < 0.9 * column(new, "seen").mean()
+    assert column(learnt, "seen").mean() < 0.8 * column(new, "seen").mean()
