@@ -113,6 +113,19 @@ def test_a_finger_that_never_touches_is_told(grasp, folder, monkeypatch, capsys)
     assert list(summary["fingers_without_contact"]) == ["lf"]
 
 
+def test_a_finger_that_the_others_contradict_is_told(grasp, folder, monkeypatch, capsys):
+    """As where one `reading` has the wrong sign."""
+    rig = folder / "can.rig.yaml"
+    rig.write_text(rig.read_text().replace("reading: on_tip", "reading: on_sensor", 1))
+    first = next(iter(grasp[0].fingers))
+    assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "taken for wrong" in line]
+    assert [line.split(":")[0] for line in told] == [f"finger {first}"]
+    rejected = json.loads((folder / "can-track" / "summary.json").read_text())["fingers_rejected"]
+    assert rejected[first] > 0.9
+    assert all(part < 0.1 for finger, part in rejected.items() if finger != first)
+
+
 def test_huge_numbers_of_vision_and_tf_are_left_out_and_the_rest_is_tracked(
     grasp, folder, monkeypatch, capsys
 ):

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 MOST_REFUSED = 5
 """Kinds of wrong observations that are told each."""
+OFTEN = 0.5
+"""A finger that is rejected in so large a part of the answers while it touches is told."""
 
 
 @dataclass(slots=True)
@@ -73,6 +76,15 @@ class Run:
                 found[step.slip.began] = step.stamp - step.slip.began
         return list(found.items())
 
+    @property
+    def rejected(self) -> dict[str, float]:
+        """By finger: in what part of the answers while it touched its contact was taken for wrong."""
+        touching = Counter(finger for step in self.steps for finger in step.fingers)
+        wrong = Counter(
+            finger for step in self.steps for finger in step.fingertips.rejected_by(step.estimate)
+        )
+        return {finger: wrong[finger] / count for finger, count in touching.items()}
+
     def summary(self) -> dict[str, Any]:
         """The run in numbers, as JSON's values."""
         tally = self.tally
@@ -88,6 +100,7 @@ class Run:
             "last_reason": self.reason,
             "refused": dict(tally.refused),
             "fingers_without_contact": self.untouched,
+            "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
             "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "depth_images": self.images,
             "weight": None if self.weight is None else weight_numbers(self.weight),
@@ -122,6 +135,12 @@ class Run:
         for finger, why in self.untouched.items():
             reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
             lines.append(f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})")
+        lines += [
+            f"finger {finger}: taken for wrong in {100 * part:.0f} % of the poses while it touched: "
+            "its reading, bias, sensor.pose or surface?"
+            for finger, part in self.rejected.items()
+            if part >= OFTEN
+        ]
         if slips := self.slips:
             first = slips[0][0] - self.steps[0].stamp
             lines.append(

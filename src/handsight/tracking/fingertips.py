@@ -13,6 +13,7 @@ from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.tips_touching import NEAR_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
+from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
@@ -44,6 +45,10 @@ class FingertipContacts:
     loads: Array | None = None
     """(n, 5) of each contact, of the object on the tip: tangential force (3,) along the palm's axes and normal force
     [N], torque about the normal [N m]; NaN where a tip does not say it."""
+
+    def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
+        """Fingers whose contacts an answer takes for wrong."""
+        return tuple(self.fingers[i] for i in estimate.outliers if i < len(self.fingers))
 
 
 class FingertipSensors:

@@ -102,9 +102,7 @@ class Moment:
     @property
     def outliers(self) -> tuple[str, ...]:
         """Fingers whose contacts the answer rejects as wrong."""
-        fingers, estimate = self.fingertips.fingers, self.estimate
-        rejected = () if estimate is None else estimate.outliers
-        return tuple(fingers[i] for i in rejected if i < len(fingers))
+        return () if self.estimate is None else self.fingertips.rejected_by(self.estimate)
 
     def links(self, rig: Rig) -> dict[str, Array]:
         """T_palm_link (4, 4) of the links that are known of."""
