@@ -11,6 +11,8 @@ SHELL := /bin/bash
 .PHONY: help demo test lint docs bench venv clean
 
 PYTHON ?=
+# Of the tests: one more than two cores, for some do nothing but wait for other processes.
+WORKERS ?= 3
 BIN := .venv/bin
 STAMP := .venv/filled
 
@@ -21,7 +23,7 @@ demo: $(STAMP)
 	@$(BIN)/handsight demo
 
 test: $(STAMP)
-	@$(BIN)/python -m pytest -n 2 --dist worksteal
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 lint: $(STAMP)
 	@$(BIN)/ruff format --check .
