@@ -74,6 +74,7 @@ class WeightUpdate:
             reason = "a finger is on the table"
         if reason:
             self.weigher.forget(reason)
+            self.weigher.listen(observation)
             return
         self.weigher.update(observation, touch.fingers, touch.contacts, (offsets.mean, offsets.root))
 
