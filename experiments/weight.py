@@ -88,9 +88,11 @@ def weighed(run: Run, weigher: Weigher, change: Any = None) -> Iterator[tuple[An
 
 def error(run: Run, sample: Any, weigher: Weigher, *, across: bool) -> tuple[float, float]:
     """How far the centre of mass in the palm is off [mm], and its NEES per freedom; across gravity, or in space."""
-    found, T = weigher.weighing, sample.T_palm_object
+    found, T, load = weigher.weighing, sample.T_palm_object, weigher._last
     assert found is not None
-    axes = across_gravity(sample) if across else np.eye(3)
+    assert load is not None
+    # What hangs on an accelerated hand hangs along gravity less the acceleration.
+    axes = np.linalg.svd(load.gravity[None])[2][1:] if across else np.eye(3)
     off = axes @ (found.center_palm - (T[:3, :3] @ run.center_object + T[:3, 3]))
     nees = off @ np.linalg.solve(axes @ found.covariance_center @ axes.T, off) / len(off)
     return 1e3 * float(np.linalg.norm(off)), float(nees)

@@ -41,6 +41,8 @@ BIASED = 5.0
 """In sigmas of a reading: by a larger bias a sensor is not as it was calibrated."""
 BEGIN_AFTER = 3.0
 """So long loads may contradict what was kept before all of that is dropped [s]."""
+SURE_AGAIN = 3
+"""Then so many directions must fit before any is believed: one fits whatever presses."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +69,13 @@ class Weigher:
         """(6 t,) sigmas: what a calibration has left is about as much as a reading's noise."""
         self.tare = np.zeros((len(rig.fingers), 6))
         """(t, 6) what the tips have read while they touched nothing, in their sensors' frames [N], [N m]."""
+        self._lifted = False
         self._window: tuple[Observation, ...] = ()
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
+        self._doubted = False
+        """Whether what was kept has been dropped because loads contradicted it, and nothing has told another yet."""
 
     @property
     def believed(self) -> Weighing | None:
@@ -81,6 +86,7 @@ class Weigher:
         """The object has been let go, put down, or has slipped: what was weighed says nothing more of where it is."""
         if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
+            self._doubted = False
 
     @property
     def biased(self) -> tuple[str, ...]:
@@ -91,6 +97,7 @@ class Weigher:
 
     def listen(self, observation: Observation) -> None:
         """Takes note of what tips read in the air, while nothing is lifted."""
+        self._lifted = False
         window = self._full(observation)
         if window and not lacking(self.rig, window):
             read = read_in_air(self.rig, window)
@@ -108,6 +115,8 @@ class Weigher:
         `fingers` that touch it, and in their order their contacts in the palm. `joints`: what is known of the joints'
         constant errors, their mean (j,) and L (j, j), L Lᵀ their covariance [rad].
         """
+        if not self._lifted:
+            self._lifted, self._window = True, ()
         window = self._full(observation)
         if not window:
             return False
@@ -170,11 +179,14 @@ class Weigher:
                 self.reason = f"it weighs {found.mass:.3g} kg, not {self.mass:.3g}"
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
+        if not self.reason and self._doubted and len(instants) < SURE_AGAIN:
+            self.reason = f"loads have fitted no weight, and fit one in {len(instants)} directions only"
+        self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         if not self.reason or self._fits_at == -np.inf:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > BEGIN_AFTER:
-            self._kept, self._fits_at = (), load.stamp
+            self._kept, self._fits_at, self._doubted = (), load.stamp, True
 
     def _keep(self, load: LoadSum) -> None:
         """Keeps a still instant if gravity is as at none that is, or in place of the one where it is the same."""

@@ -199,9 +199,9 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     rows[:3, 4:7], rows[3:, 4:7] = mass * tilted, lever @ tilted
     rows[3:, 7] = G @ (R.T @ crept) * unknowns.creep
     noise = load.noise.copy()
-    shaken = UNSURE * load.acceleration
-    noise[:3, :3] += (mass * shaken) ** 2 * np.eye(3)
-    noise[3:, 3:] += shaken**2 * lever @ lever.T + (mass * GYRATION**2 * load.turning) ** 2 * np.eye(3)
+    shaken = UNSURE * load.acceleration * np.vstack([mass * np.eye(3), lever])  # both by the same error
+    noise += shaken @ shaken.T
+    noise[3:, 3:] += (mass * GYRATION**2 * load.turning) ** 2 * np.eye(3)
     noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
     rows = np.column_stack(
         [rows, load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases, load.wrench, FIXED]
