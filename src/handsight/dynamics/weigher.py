@@ -180,7 +180,7 @@ class Weigher:
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
         if not self.reason and self._doubted and len(instants) < SURE_AGAIN:
-            self.reason = f"loads have fitted no weight, and fit one in {len(instants)} directions only"
+            self.reason = f"loads have fitted no weight, and not one in {SURE_AGAIN} directions since"
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         if not self.reason or self._fits_at == -np.inf:
