@@ -38,6 +38,9 @@ from shared.report import Array, Row, Rows
 
 RATE, CARRY_RATE = 250.0, 100.0
 """Samples a second."""
+COLUMNS = (
+    "held", "slips", "missed", "precision", "strict", "recall", "delay ms, 90 %", "friction first %", "end %", "way °",
+)  # fmt: skip
 WAYS = (("without weight", ""), ("weighed", "weighed "))
 """How the tracker is told of, and how its errors are called in a row."""
 
@@ -177,19 +180,7 @@ def print_pulls(name: str, rows: Rows) -> None:
     cells += ["{:.0f}, {:.0f}".format(*np.percentile(delays, [50, 90])) if delays else "-"]
     cells += [f"{np.nanmedian(off[key]):.1f}, {np.nanmax(off[key]):.1f}" for key in off]
     cells += [f"{np.nanmedian(report.values(held, 'way')):.0f}"]
-    columns = [
-        "held",
-        "slips",
-        "missed",
-        "precision",
-        "strict",
-        "recall",
-        "delay ms, 90 %",
-        "friction first %",
-        "end %",
-        "way °",
-    ]
-    report.print_table(f"Pulls of the {name} (synthetic)", columns, [cells], "friction: median and largest")
+    report.print_table(f"Pulls of the {name} (synthetic)", COLUMNS, [cells], "friction: median and largest")
     followed = [row for row in held if "inside" in row]
     if followed:
         lines = [[told, len(followed), *_followed_cells(followed, key)] for told, key in WAYS]

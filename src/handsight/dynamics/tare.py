@@ -32,14 +32,13 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
     ends = [Ts_palm_sensor(rig, dict(o.joint_positions or {})) for o in (observations[0], observations[-1])]
     far = np.linalg.norm(ends[1][:, :3, 3] - ends[0][:, :3, 3], axis=1) > WAY
     found = np.full((len(rig.fingers), 6), np.nan)
+    R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
     limit = chdtri(3 * (len(observations) - 1), UNSTEADY)
     for i, (name, finger) in enumerate(rig.fingers.items()):
         if not far[i]:
             continue
         readings = np.array([o.wrenches[name] for o in observations])
-        T = observations[-1].T_world_palm
-        assert T is not None
-        gravity = ends[1][i, :3, :3].T @ T[:3, :3].T @ rig.gravity
+        gravity = ends[1][i, :3, :3].T @ R_palm_world @ rig.gravity
         loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, finger.calibration))
         mean = loads.mean(axis=0)
         spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / finger.sigma_force**2
