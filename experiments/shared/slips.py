@@ -13,7 +13,7 @@ FAST, SLOW = 3e-3, 5e-4
 NEAR, JOINED, LEAST = 0.02, 0.1, 1e-3
 """So near to a slip an alarm is of it; slips with less between them are one [s]; shorter ones are none [m]."""
 MOTIONS: tuple[Profile, ...] = ("ramp", "steps", "sine")
-FORCES, TORQUES = {"box": (3.0, 9.0), "can": (4.0, 10.0)}, {"box": (0.02, 0.08), "can": (0.04, 0.16)}
+FORCES, TORQUES = {"box": (3.0, 9.0), "can": (6.0, 16.0)}, {"box": (0.02, 0.08), "can": (0.04, 0.16)}
 """Of the pulls, between [N], [N m]."""
 
 

@@ -65,9 +65,19 @@ def _show_wrong(rows: Rows) -> None:
     for what in report.distinct(report.chosen(rows, table="wrong"), "what"):
         for name in report.distinct(rows, "object"):
             mine = report.chosen(rows, table="wrong", what=what, object=name)
-            keys = "ever", "now", "left out", "pose", "without"
-            lines.append([f"{what}, {name}", *(_mean(mine, key) for key in keys)])
-    columns = ["what is wrong", "noticed by then", "now", "left out", "pose mm", "without"]
+            if mine:
+                worst = max(row["pose"] - row["without"] for row in mine)
+                means = (_mean(mine, key) for key in ("ever", "now", "pose", "without"))
+                lines.append([f"{what}, {name}", len(mine), *means, f"{worst:.1f}"])
+    columns = [
+        "what is wrong",
+        "grasps",
+        "noticed by then",
+        "at last",
+        "pose mm",
+        "without",
+        "worse by at most",
+    ]
     report.print_table("Wrong", columns, lines)
 
 

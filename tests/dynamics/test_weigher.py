@@ -62,6 +62,15 @@ def test_what_else_bears_the_object_is_said(newtons):
     assert weigher.reason
 
 
+def test_one_direction_is_not_believed_after_loads_have_fitted_none():
+    """What presses may only seem to have gone: one direction fits whatever does."""
+    pressed = Held(extra_palm=np.array([0.0, 0.0, 1.0]))
+    weigher = weighed(Weigher(rig()), pressed, [TILTS[k % 3] for k in range(5)])
+    assert weighed(weigher, Held(), TILTS[1:2], begin=20.0).believed is None
+    assert weigher.reason == "loads have fitted no weight, and not one in 3 directions since"
+    assert weighed(weigher, Held(), TILTS[:3], begin=21.0).believed is not None
+
+
 def test_a_biased_tip_is_said():
     """By ten times what its calibration should leave, as the palm turns it against gravity."""
     biases = np.zeros((5, 6))

@@ -1,13 +1,17 @@
 """Mass and centre of mass from fingertips' loads: equations against differences, truth recovered, honest sigmas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from dynamics.weighed import CENTER, MASS, TILTS, Held, rig, touched
 from handsight import se3
 from handsight.dynamics import Carried, Unknowns, weigh
 from handsight.dynamics.loads import accelerations, load_sum
 from handsight.dynamics.weigher import CREEP, SIGMA_GRAVITY
+from handsight.dynamics.weight import _chance
 
 JOINTS = len(rig().hand.moving)
 STAY = np.zeros(JOINTS)
@@ -50,6 +54,36 @@ def test_acceleration_is_taken_out():
     shaken = weigh(carried(Held(), TILTS[:3], acceleration=(1.0, -2.0, 1.5)), unknowns())
     assert shaken.mass == pytest.approx(still.mass, rel=1e-3)
     np.testing.assert_allclose(shaken.center_palm, still.center_palm, atol=2e-4)
+
+
+def test_an_acceleration_that_is_wrong_costs_nothing_across_what_hangs():
+    """It is wrong in the force as it is in the torque: c x F = T, whatever the acceleration is."""
+    (instant,) = carried(Held(), TILTS[:1], acceleration=(1.0, -2.0, 1.5))
+    wrong = replace(instant.load, gravity=instant.load.gravity + np.array([0.3, -0.2, 0.1]), acceleration=1.5)
+    found = weigh([replace(instant, load=wrong)], unknowns())
+    hangs = instant.load.wrench[:3] / np.linalg.norm(instant.load.wrench[:3])
+    across = np.eye(3) - np.outer(hangs, hangs)
+    assert np.linalg.norm(across @ (found.center_palm - CENTER)) < 1e-3
+
+
+def test_what_unknowns_would_explain_is_what_they_do_explain():
+    """The score is by how much the squares fall where the columns are fitted too."""
+    rng = np.random.default_rng(0)
+    H, columns, y = rng.normal(size=(20, 7)), rng.normal(size=(20, 3)), rng.normal(size=20)
+    left, least = (y - A @ np.linalg.lstsq(A, y)[0] for A in (H, np.hstack([H, columns])))
+    chance = _chance(columns, left, H, np.linalg.inv(H.T @ H))
+    assert chance == pytest.approx(chi2.sf(left @ left - least @ least, 3))
+
+
+@pytest.mark.parametrize("extra", [(0.25, 0, 0), (0, 0.25, 0), (0, 0, 0.25)])
+def test_what_presses_from_a_place_in_the_palm_is_noticed(extra):
+    alone, pressed = (
+        weigh(carried(Held(extra_palm=np.array(force)), TILTS[:3]), unknowns())
+        for force in ((0, 0, 0), extra)
+    )
+    assert alone.consistent
+    assert pressed.chance_fixed < 0.05 * alone.chance_fixed
+    assert pressed.chance_fixed < pressed.chance
 
 
 def test_accelerations_are_those_of_the_way():

@@ -6,6 +6,8 @@ import pytest
 from handsight.simulation import Nuisances, Scenario
 from handsight.simulation.loaded import Loaded, center_of_mass
 from handsight.simulation.motion import WEIGH_LEGS, palm_poses
+from handsight.simulation.scene import FINGERS
+from handsight.simulation.simulate import _one_tip
 from simulation.simulated import only
 
 
@@ -42,3 +44,27 @@ def test_a_weighing_has_five_orientations_20_degrees_apart():
     angles = np.rad2deg(np.arccos(np.clip(down @ down.T, -1, 1)))
     np.testing.assert_allclose(angles[0, 1:], 20, atol=1e-6)
     assert (angles[np.triu_indices(5, 1)] > 19.9).all()
+
+
+def test_what_bears_an_object_presses_upwards_on_its_underside():
+    import mujoco
+
+    loaded = Loaded.of(Scenario(object="box", seed=4, nuisances=only(support_force=0.5)))
+    data = mujoco.MjData(loaded.scene.model)
+    data.joint("object").qpos[:] = [0.1, 0.2, 0.3, np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]  # z to -y
+    mujoco.mj_forward(loaded.scene.model, data)
+    loaded.press(data)
+    force, torque = data.body("object").xfrc_applied.reshape(2, 3)
+    x, y, z = loaded.base_object
+    assert z == pytest.approx(-0.07)
+    np.testing.assert_allclose(force, [0, 0, 0.5])
+    np.testing.assert_allclose(torque, np.cross([x, -z, y], force), atol=1e-12)
+
+
+def test_one_gripping_tip_is_biased():
+    found = [_one_tip(only(tip_bias=0.1), seed) for seed in range(8)]
+    sizes = np.linalg.norm(found, axis=2)
+    np.testing.assert_allclose(np.sort(sizes)[:, -1], 0.1)
+    assert (np.sort(sizes)[:, :-1] == 0).all()
+    assert {FINGERS[k] for k in sizes.argmax(axis=1)} <= {"ff", "mf", "th"}
+    assert not _one_tip(only(), 0).any()

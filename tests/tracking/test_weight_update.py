@@ -91,5 +91,5 @@ def test_what_stands_on_the_table_is_not_weighed(can):
     """The palm has not risen since the grasp."""
     tracker = follow(hs.Tracker(can.rig, can.model.with_weight(center_of_mass=np.zeros(3))), can.observations)
     assert tracker.weight is None
-    assert tracker._weight.weigher.reason == "the palm has not risen since the grasp"
+    assert tracker.unweighed == "the palm has not risen since the grasp"
     assert tracker.estimate.weight_fits is None

@@ -163,13 +163,14 @@ class Run:
         return lines
 
 
-def weight_said(weight: "ObjectWeight | None") -> str:
-    """What an object weighs, and where its centre of mass is in it, in a line."""
+def weight_said(weight: "ObjectWeight | None", why: str = "") -> str:
+    """What an object weighs, and where its centre of mass is in it, in a line, or `why` it was not weighed."""
     if weight is None:
-        return "not in the air"
+        return f"not weighed: {why or 'not in the air'}"
     place = ", ".join(f"{1e3 * x:.0f}" for x in weight.center_object)
     sigma = 1e3 * math.sqrt(weight.covariance.trace() / 3)
     said = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
+    said += f"; too much read by {', '.join(weight.biased)} in the air is taken off" if weight.biased else ""
     return f"not believed: {weight.reason} ({said})" if weight.reason else said
 
 
@@ -182,6 +183,7 @@ def weight_numbers(weight: "ObjectWeight") -> dict[str, Any]:
         "covariance_m2": weight.covariance.tolist(),
         "directions": weight.directions,
         "not_believed": weight.reason,
+        "biased": list(weight.biased),
     }
 
 

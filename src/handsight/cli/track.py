@@ -88,7 +88,7 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
         ("σ", f"{1e3 * step.sigma:.1f} mm"),
         ("touching", ", ".join(step.fingers) or "nothing"),
         ("grip", grip(step.slip)),
-        ("weight", weight_said(tracker.weight)),
+        ("weight", weight_said(tracker.weight, tracker.unweighed)),
     ]
 
 

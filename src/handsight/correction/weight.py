@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 LEFT_IN_PLACE = 2.0
 """In sigmas: a symmetry that moves the centre of mass farther is none of what weighs so."""
-CONTRADICTS = float(chdtri(3, 1e-3))
-"""χ² of three numbers that one in a thousand exceeds: such a centre of mass is another's."""
+CONTRADICTS = float(chdtri(3, 0.01))
+"""χ² of three numbers that one in a hundred exceeds: such a centre of mass is another's."""
 PAID = 0.02
 """Of the weight's variance: where less than that is left to compare, the weight alone has told the pose."""
 

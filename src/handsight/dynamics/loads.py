@@ -16,7 +16,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import compensate
 from handsight.observation import Observation
-from handsight.rig import Finger, Rig
+from handsight.rig import Rig
 
 ORDER, SPAN, FEWEST = 3, 0.1, 5
 """Of the polynomials that accelerations are read from (Savitzky and Golay 1964), their length [s], and of how many
@@ -91,19 +91,18 @@ def load_sum(
     `touched`: by finger that is touched, where in the palm [m], and the normal there. `joints` (j,): by how much the
     hand's moving joints read too much, as far as that is known [rad].
     """
-    names = tuple(rig.fingers)
-    tips = [tuple(rig.hand.tips).index(name) for name in names]
+    names, tips = tuple(rig.fingers), _tips(rig)
     hand = rig.hand.kinematics(_mean_joints(rig, observations, joints))
     Ts_palm_tip = hand.Ts_palm_tip[tips]
-    Ts_palm_sensor = Ts_palm_tip @ np.stack([_T_tip_sensor(rig.fingers[name]) for name in names])
-    places = Ts_palm_sensor[:, :3, 3]
+    sensors = Ts_palm_tip @ _Ts_tip_sensor(rig)
+    places = sensors[:, :3, 3]
     middle = np.mean([point for point, _ in touched.values()] or places, axis=0)
     Ts_world_palm = np.array([o.T_world_palm for o in observations])
     step = (observations[-1].stamp - observations[0].stamp) / max(len(observations) - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / len(observations)
     wrench, by_joint, by_bias, forces = _summed(
-        rig, observations, gravity, Ts_palm_sensor, hand.jacobians(places, tips)
+        rig, observations, gravity, sensors, hand.jacobians(places, tips)
     )
     B = by_bias * np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in rig.fingers.values()])
     return LoadSum(
@@ -151,16 +150,16 @@ def _mean_joints(rig: Rig, observations: Sequence[Observation], joints: Array) -
 
 
 def _summed(
-    rig: Rig, observations: Sequence[Observation], gravity: Array, Ts_palm_sensor: Array, J: Array
+    rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
 ) -> tuple[Array, Array, Array, Array]:
     """The sum of mean loads (6,), what errors of joints (6, j) and biases (6, 6 t) make of it, and the forces (t, 3);
-    `J` (t, 6, j): Jacobians at the sensors."""
-    t = len(Ts_palm_sensor)
+    `sensors` (t, 4, 4) in the palm, `J` (t, 6, j): Jacobians there."""
+    t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
     by_bias, forces = np.zeros((6, 6 * t)), np.zeros((t, 3))
     for i, (name, finger) in enumerate(rig.fingers.items()):
         reading = np.mean([o.wrenches[name] for o in observations], axis=0)
-        R, s = Ts_palm_sensor[i, :3, :3], Ts_palm_sensor[i, :3, 3]
+        R, s = sensors[i, :3, :3], sensors[i, :3, 3]
         f, m = (R @ part for part in compensate(reading[:3], reading[3:], R.T @ gravity, finger.calibration))
         # What is read turns with the tip, the tip's own weight does not.
         F, S, M = se3.skew(f + finger.calibration.mass * gravity), se3.skew(s), se3.skew(m)
@@ -173,10 +172,22 @@ def _summed(
     return wrench, by_joint, by_bias, forces
 
 
-def _T_tip_sensor(finger: Finger) -> Array:
-    """(4, 4) the sensor's frame in that of the body that the tip moves with."""
-    T = finger.tip.T_surface_sensor
-    return finger.T_frame_surface if T is None else finger.T_frame_surface @ T
+def Ts_palm_sensor(rig: Rig, joint_positions: Mapping[str, float]) -> Array:
+    """(t, 4, 4) the fingers' sensors in the palm."""
+    tips: Array = rig.hand.kinematics(joint_positions).Ts_palm_tip[_tips(rig)]
+    return np.asarray(tips @ _Ts_tip_sensor(rig))
+
+
+def _tips(rig: Rig) -> list[int]:
+    """Which of the hand's tips the fingers are."""
+    return [tuple(rig.hand.tips).index(name) for name in rig.fingers]
+
+
+def _Ts_tip_sensor(rig: Rig) -> Array:
+    """(t, 4, 4) each sensor's frame in that of the body that its tip moves with."""
+    fingers = rig.fingers.values()
+    at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in fingers)
+    return np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
 
 
 def _rms(rows: Array) -> float:

@@ -13,10 +13,10 @@ from handsight.checks import Array
 from handsight.dynamics.friction import PATCH, Friction, Vector
 from handsight.rig import Rig
 
-SLIPS, HOLDS, STICKS = 0.95, 0.9, 0.4
+SLIPS, HOLDS, STICKS = 0.95, 0.93, 0.4
 """Of the least ratio: a slip begins at the first, and ends where it has been below the second for `LASTS`, or is below
 the third."""
-LASTS = 0.05
+LASTS = 0.03
 """On the brink of slipping, ratios go to and fro [s]."""
 MEAN = 0.01
 """Time constant of the mean of a load [s]: of steady readings as good as the mean of 20 ms."""

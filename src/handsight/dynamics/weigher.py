@@ -9,6 +9,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.dynamics.loads import LoadSum, lacking, load_sum
 from handsight.dynamics.odometry import moved_with_tips
+from handsight.dynamics.tare import read_in_air
 from handsight.dynamics.weight import Carried, Unknowns, Weighing, weigh
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -36,8 +37,12 @@ SIGMA_GRAVITY = float(np.deg2rad(1.0))
 """A world is off plumb by so much, about each axis."""
 WRONG_MASS = 3.3
 """In sigmas: a mass that is farther off than that is another one."""
+BIASED = 5.0
+"""In sigmas of a reading: by a larger bias a sensor is not as it was calibrated."""
 BEGIN_AFTER = 3.0
 """So long loads may contradict what was kept before all of that is dropped [s]."""
+SURE_AGAIN = 3
+"""Then so many directions must fit before any is believed: one fits whatever presses."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,10 +67,15 @@ class Weigher:
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
         self._biases = np.array(sensors).reshape(-1)
         """(6 t,) sigmas: what a calibration has left is about as much as a reading's noise."""
+        self.tare = np.zeros((len(rig.fingers), 6))
+        """(t, 6) what the tips have read while they touched nothing, in their sensors' frames [N], [N m]."""
+        self._lifted = False
         self._window: tuple[Observation, ...] = ()
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
+        self._doubted = False
+        """Whether what was kept has been dropped because loads contradicted it, and nothing has told another yet."""
 
     @property
     def believed(self) -> Weighing | None:
@@ -74,8 +84,24 @@ class Weigher:
 
     def forget(self, reason: str) -> None:
         """The object has been let go, put down, or has slipped: what was weighed says nothing more of where it is."""
-        if self._last is not None or self._window or self.reason != reason:
+        if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
+            self._doubted = False
+
+    @property
+    def biased(self) -> tuple[str, ...]:
+        """Fingers whose sensors read more than their calibration leaves, which is taken off."""
+        sizes = np.linalg.norm(self.tare[:, :3], axis=1)
+        named = zip(self.rig.fingers.items(), sizes, strict=True)
+        return tuple(name for (name, finger), size in named if size > BIASED * finger.sigma_force)
+
+    def listen(self, observation: Observation) -> None:
+        """Takes note of what tips read in the air, while nothing is lifted."""
+        self._lifted = False
+        window = self._full(observation)
+        if window and not lacking(self.rig, window):
+            read = read_in_air(self.rig, window)
+            self.tare = np.where(np.isnan(read), self.tare, read)
 
     def update(
         self,
@@ -89,20 +115,17 @@ class Weigher:
         `fingers` that touch it, and in their order their contacts in the palm. `joints`: what is known of the joints'
         constant errors, their mean (j,) and L (j, j), L Lᵀ their covariance [rad].
         """
-        if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
+        if not self._lifted:
+            self._lifted, self._window = True, ()
+        window = self._full(observation)
+        if not window:
             return False
-        window = self._window
-        if window and not 0 < observation.stamp - window[-1].stamp <= PAUSE:
-            window = ()
-        self._window = window = (*window, observation)
-        if observation.stamp - window[0].stamp < WINDOW - 1e-9 or len(window) < FEWEST:
-            return False
-        self._window = ()
         if why := lacking(self.rig, window):
             self.reason = why
             return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         load = load_sum(self.rig, window, dict(zip(fingers, places, strict=False)), joints[0])
+        load = replace(load, wrench=load.wrench - load.by_bias @ self.tare.ravel())
         if np.linalg.norm(load.wrench[:3]) < LIGHTEST:
             self.reason = f"less than {LIGHTEST:g} N hangs on the fingertips"
             return False
@@ -110,6 +133,19 @@ class Weigher:
         self._weigh(load, joints[1])
         self._keep(load)
         return True
+
+    def _full(self, observation: Observation) -> tuple[Observation, ...]:
+        """The observations of a window that this one completes; none as long as it does not."""
+        if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
+            return ()
+        window = self._window
+        if window and not 0 < observation.stamp - window[-1].stamp <= PAUSE:
+            window = ()
+        self._window = window = (*window, observation)
+        if observation.stamp - window[0].stamp < WINDOW - 1e-9 or len(window) < FEWEST:
+            return ()
+        self._window = ()
+        return window
 
     def _carry(self, load: LoadSum) -> None:
         """Brings what is kept through what the grip has done since the last."""
@@ -143,11 +179,14 @@ class Weigher:
                 self.reason = f"it weighs {found.mass:.3g} kg, not {self.mass:.3g}"
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
+        if not self.reason and self._doubted and len(instants) < SURE_AGAIN:
+            self.reason = f"loads have fitted no weight, and not one in {SURE_AGAIN} directions since"
+        self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         if not self.reason or self._fits_at == -np.inf:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > BEGIN_AFTER:
-            self._kept, self._fits_at = (), load.stamp
+            self._kept, self._fits_at, self._doubted = (), load.stamp, True
 
     def _keep(self, load: LoadSum) -> None:
         """Keeps a still instant if gravity is as at none that is, or in place of the one where it is the same."""

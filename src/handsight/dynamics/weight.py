@@ -15,7 +15,7 @@ to first order. How fast contacts creep, κ, is one more unknown that all instan
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -33,8 +33,14 @@ GYRATION = 0.05
 """Of what a hand holds: the torque to turn it faster is not taken out, but counts as so uncertain [m]."""
 PASSES = 2
 """What gravity's direction does to the torque depends on m c: the second pass knows it."""
-UNLIKELY = 0.01
-"""A fit that is so unlikely is none: something else bears part of the load, or adds to it."""
+UNLIKELY, UNLIKELY_FIXED = 0.003, 0.02
+"""A fit that is so unlikely is none: something else bears part of the load, or adds to it; the second of what is fixed
+in the palm, as what a link of the hand bears nearly is."""
+
+NOT_TOLD = 1e-6
+"""In parts of what is known best: what the loads know so much less of may be anything."""
+FIXED = np.diag([1.0, 1.0, 1.0, REACH, REACH, REACH])
+"""A wrench that is fixed in the palm: force [N], and torque that such a force has at `REACH`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +71,8 @@ class Weighing:
     """Squared deviations of all that is not explained."""
     freedom: int
     """Degrees of freedom of that."""
+    chance_fixed: float
+    """That as much of it would seem to press from a place in the palm, if nothing did."""
     directions: int
     """Of gravity, in how many it was weighed."""
 
@@ -73,9 +81,14 @@ class Weighing:
         P = self.joint_covariance
         variance, off = P[0, 0] + sigma**2, mass - self.mass
         gain = P[:, 0] / variance
-        covariance = P - np.outer(gain, P[0])
-        chi2 = self.chi2 + off**2 / variance
-        return Weighing(self.mean + gain * off, covariance, float(chi2), self.freedom + 1, self.directions)
+        mean, covariance, chi2 = (
+            self.mean + gain * off,
+            P - np.outer(gain, P[0]),
+            self.chi2 + off**2 / variance,
+        )
+        return replace(
+            self, mean=mean, joint_covariance=covariance, chi2=float(chi2), freedom=self.freedom + 1
+        )
 
     @property
     def mass(self) -> float:
@@ -105,7 +118,7 @@ class Weighing:
     @property
     def consistent(self) -> bool:
         """Whether the loads are those of a weight, as far as can be told."""
-        return self.mass > 0 and self.chance > UNLIKELY
+        return self.mass > 0 and self.chance > UNLIKELY and self.chance_fixed > UNLIKELY_FIXED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +149,7 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
         mass, moment, passes = start.mass, start.mass * start.center_palm, 1
     for _ in range(passes):
         rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
-        H, y = rows[:, :-1], rows[:, -1]
+        H, y, fixed = rows[:, :-7], rows[:, -7], rows[:, -6:]
         information = H.T @ H
         information[:4, :4] += prior.T @ prior  # c is near the loads
         information[4:, 4:] += np.eye(len(information) - 4)
@@ -147,7 +160,16 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     chi2 = float(left @ left + off @ off + x[4:] @ x[4:])
     # Unknowns with a prior pay for themselves; of mass and moment, which are four, the prior above pays for three.
     mean, joint = _marginal(x, covariance, unknowns)
-    return Weighing(mean, joint, chi2, len(rows) - 1, len(instants))
+    chance = _chance(fixed, left, H, covariance)
+    return Weighing(mean, joint, chi2, len(rows) - 1, chance, len(instants))
+
+
+def _chance(columns: Array, left: Array, H: Array, covariance: Array) -> float:
+    """That, for nothing, (n, k) more `columns` would explain as much of what is `left` (n,) (Rao's score)."""
+    score, seen = columns.T @ left, columns.T @ H
+    values, vectors = np.linalg.eigh(columns.T @ columns - seen @ covariance @ seen.T)
+    told = values > NOT_TOLD * values[-1]
+    return float(chdtrc(told.sum(), ((vectors.T @ score)[told] ** 2 / values[told]).sum()))
 
 
 def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, Array]:
@@ -162,8 +184,8 @@ def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, A
 
 
 def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
-    """(6, 4 + 3 + 1 + j + 6 t + 1) rows of an instant by (m, m c, φ, κ, joints, biases), all but the first four in
-    their sigmas, and their right side; linear at (m, m c) = (`mass`, `moment`)."""
+    """(6, 4 + 3 + 1 + j + 6 t + 1 + 6) rows of an instant by (m, m c, φ, κ, joints, biases), all but the first four in
+    their sigmas, their right side, and by what is fixed in the palm; linear at (m, m c) = (`mass`, `moment`)."""
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
     G = se3.skew(g)
@@ -177,11 +199,11 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     rows[:3, 4:7], rows[3:, 4:7] = mass * tilted, lever @ tilted
     rows[3:, 7] = G @ (R.T @ crept) * unknowns.creep
     noise = load.noise.copy()
-    shaken = UNSURE * load.acceleration
-    noise[:3, :3] += (mass * shaken) ** 2 * np.eye(3)
-    noise[3:, 3:] += shaken**2 * lever @ lever.T + (mass * GYRATION**2 * load.turning) ** 2 * np.eye(3)
+    shaken = UNSURE * load.acceleration * np.vstack([mass * np.eye(3), lever])  # both by the same error
+    noise += shaken @ shaken.T
+    noise[3:, 3:] += (mass * GYRATION**2 * load.turning) ** 2 * np.eye(3)
     noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
     rows = np.column_stack(
-        [rows, load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases, load.wrench]
+        [rows, load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases, load.wrench, FIXED]
     )
     return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))

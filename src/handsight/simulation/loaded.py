@@ -22,6 +22,10 @@ class Loaded:
     """(3,) on the object, by what no sensor feels [N]."""
     point_object: Array
     """(3,) where [m]."""
+    support: float
+    """Upwards in the world, by what else bears the object [N]."""
+    base_object: Array
+    """(3,) where [m]."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Loaded":
@@ -32,22 +36,27 @@ class Loaded:
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
         force *= n.unsensed_force / np.linalg.norm(force)
+        # Underneath as it stands when it is grasped: the lowest of its own axes.
+        base = np.array([*((low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low))[:2], low[2]])
+        presses = force, point, n.support_force, base
         mass = n.object_mass or OBJECT_MASS
         if mass == OBJECT_MASS and not n.object_off_center:
-            return cls(usual, force, point)
+            return cls(usual, *presses)
         most = OUTERMOST * (high - low)
         shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
         weighing = scene(scenario.object, mass, tuple(shift.tolist()), friction=friction)
-        return cls(weighing, force, point)
+        return cls(weighing, *presses)
 
     def press(self, data: Any) -> None:
         """Lets what no sensor feels press on the object, from now to the next step."""
-        if not self.force_palm.any():
+        if not self.force_palm.any() and not self.support:
             return
         palm, body = data.body(PALM), data.body("object")
-        force = palm.xmat.reshape(3, 3) @ self.force_palm
-        point = body.xmat.reshape(3, 3) @ self.point_object + body.xpos
-        body.xfrc_applied[:3], body.xfrc_applied[3:] = force, np.cross(point - body.xipos, force)
+        R = body.xmat.reshape(3, 3)
+        forces = palm.xmat.reshape(3, 3) @ self.force_palm, np.array([0.0, 0.0, self.support])
+        levers = (R @ point + body.xpos - body.xipos for point in (self.point_object, self.base_object))
+        body_torque = sum(np.cross(lever, force) for lever, force in zip(levers, forces, strict=True))
+        body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), body_torque
 
 
 def center_of_mass(scene: Scene) -> Array:

@@ -65,6 +65,11 @@ class Nuisances:
     unsensed_force: float = 0.0
     """Constant, while the palm moves: what presses on the object, as a link without a sensor would, fixed in the palm,
     at a point and in a direction that are drawn [N]."""
+    support_force: float = 0.0
+    """Constant, while the palm moves: what a table, or another hand, bears of the object, upwards at a point of its
+    underside that is drawn [N]."""
+    tip_bias: float = 0.0
+    """Constant: what one tip reads too much, of those that grip can and box, in a direction that is drawn [N]."""
     tip_compliance: float = 2e-5
     """How far a tip gives way to the force on it, which the joints do not tell [m/N]."""
     camera_position: float = 0.08

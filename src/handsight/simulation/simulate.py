@@ -14,12 +14,14 @@ from handsight.simulation.camera import BELIEVED_CAMERA, displacement, spoil
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
-from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
+from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
 from handsight.simulation.world import World
 from handsight.vision.depth_noise import PRESETS
 
 VISION_PER_SECOND, IMAGES_PER_SECOND = 10.0, 30.0
+GRIPPING = ("ff", "mf", "th")
+"""Fingers that grip can and box alike."""
 
 
 class Sensors:
@@ -31,7 +33,9 @@ class Sensors:
         seed, n = int(scenario.seed), scenario.nuisances
         constant = np.random.default_rng((seed, 2))
         self._offsets = n.joint_offset * constant.normal(size=len(world.scene.joints))
-        self._bias = UNLOADED + _drawn(n.force_bias, n.torque_bias, constant, len(FINGERS))
+        self._bias = (
+            UNLOADED + _drawn(n.force_bias, n.torque_bias, constant, len(FINGERS)) + _one_tip(n, seed)
+        )
         self._drift = _drawn(n.force_drift, n.torque_drift, constant, len(FINGERS))
         self._noise, self._vision, self._grain = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
         # The scene stands on its table; the world is the robot's, which has the table elsewhere.
@@ -103,6 +107,15 @@ class Sensors:
             gram = J @ J.T + 1e-6 * np.eye(3)
             bent[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
         return bent
+
+
+def _one_tip(nuisances: Nuisances, seed: int) -> Array:
+    """(fingers, 6) what one tip reads too much."""
+    rng = np.random.default_rng((seed, 12))
+    finger, direction = rng.choice([FINGERS.index(name) for name in GRIPPING]), rng.normal(size=3)
+    bias = np.zeros((len(FINGERS), 6))
+    bias[finger, :3] = nuisances.tip_bias * direction / np.linalg.norm(direction)
+    return bias
 
 
 def _drawn(sigma_first: float, sigma_second: float, rng: np.random.Generator, *rows: int) -> Array:

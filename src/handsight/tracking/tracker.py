@@ -134,6 +134,11 @@ class Tracker(Track):
         return self._weight.of(self.estimate)
 
     @property
+    def unweighed(self) -> str:
+        """Why the object is not weighed now, or what it weighs not believed; empty where it is."""
+        return self._weight.weigher.reason
+
+    @property
     def images(self) -> dict[str, int]:
         """What has become of depth images: how many were `looked_at`, and so on; empty where there were none."""
         return self._images.counts

@@ -41,6 +41,8 @@ class ObjectWeight:
     """In how many directions of gravity it was weighed: of one, the centre's height along that is open."""
     reason: str
     """Why it is not believed; empty where it is."""
+    biased: tuple[str, ...]
+    """Fingers whose sensors have read more in the air than their calibration leaves: it is taken off."""
 
 
 class WeightUpdate:
@@ -74,6 +76,7 @@ class WeightUpdate:
             reason = "a finger is on the table"
         if reason:
             self.weigher.forget(reason)
+            self.weigher.listen(observation)
             return
         self.weigher.update(observation, touch.fingers, touch.contacts, (offsets.mean, offsets.root))
 
@@ -122,17 +125,20 @@ class WeightUpdate:
         R = T[:3, :3]
         covariance = R.T @ (found.covariance_center + J @ estimate.bounded_covariance @ J.T) @ R
         reason = self.weigher.reason
-        if not reason and estimate.weight_fits is False:
-            reason = "contacts and vision have the centre of mass elsewhere"
+        center, declared = R.T @ (found.center_palm - T[:3, 3]), self.model.center_of_mass
+        if not reason and estimate.weight_fits is False and declared is not None:
+            off = 1e3 * float(np.linalg.norm(center - declared))
+            reason = f"contacts and vision have the centre of mass elsewhere, by {off:.0f} mm"
         return ObjectWeight(
             mass=found.mass,
             sigma_mass=found.sigma_mass,
-            center_object=R.T @ (found.center_palm - T[:3, 3]),
+            center_object=center,
             covariance=covariance,
             center_palm=found.center_palm,
             covariance_palm=found.covariance_center,
             directions=found.directions,
             reason=reason,
+            biased=self.weigher.biased,
         )
 
 
