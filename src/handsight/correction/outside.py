@@ -90,7 +90,10 @@ class Outside:
         `T_palm_frame` (4, 4): where its link is. `by_error` (6, j): how that moves [m] and turns [rad] in the palm for
         one standard deviation of each of j errors of its joints; None: it is fixed in the palm.
         """
-        points, variance = touch.outside(T_palm_frame), np.repeat([touch.array.sigma_mount**2, 0.0], 3)
+        array, points = touch.array, touch.outside(T_palm_frame)
+        # Its height is as wrong at one side as at the other: what is soft gives way more where it is pressed more.
+        turn = 2 * array.sigma_mount / (array.pitch * min(array.shape))
+        variance = np.repeat([array.sigma_mount**2, turn**2], 3)
         if by_error is not None:
             variance = variance + (np.asarray(by_error) ** 2).sum(axis=1)
         return cls(points, sigmas=SIGMA_RAISED, skin=np.sqrt(variance))

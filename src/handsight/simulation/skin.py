@@ -12,12 +12,15 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact.taxels import TaxelArray
-from handsight.simulation.scene import PALM
+from handsight.simulation.scenario import Scenario
+from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
 
 SPRINGS = 1e7
 """Of the skin [N/m per m²]: 5 mm of foam."""
 FINER = 3
 """Springs of a taxel, each way."""
+PALM_GEOM = "robot0:C_palm0"
+"""What the array lies on."""
 FLOOR = 0.002
 """Noise of a taxel that feels nothing: sigma [N]."""
 SIDES = 128
@@ -114,3 +117,31 @@ def felt(
     gaps = (gaps.reshape(*array.shape, -1) + np.broadcast_to(uneven, array.shape)[:, :, None]).ravel()
     forces = sunk(gaps, force, SPRINGS * fine**2)
     return np.asarray(forces.reshape(*array.shape, -1).sum(axis=2))
+
+
+class PalmSkin:
+    """The array on the simulated palm; errors that are constant are drawn at the start, noise at every reading."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Draws by the scenario's seed."""
+        n, seed, shape = scenario.nuisances, int(scenario.seed), PALM_SKIN.shape
+        constant = np.random.default_rng((seed, 11))
+        self._uneven = n.skin_uneven * constant.normal(size=shape)
+        self._offset = n.skin_offset * constant.normal(size=shape)
+        self._share, self._noise = n.skin_noise, np.random.default_rng((seed, 12))
+        self._solid = solid_of(scenario.object)
+
+    def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
+        """(rows, columns) of the array, by its name [N]; `force`: how hard the object presses on the palm [N]."""
+        T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
+        true = felt(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
+        share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
+        read = true * (1 + self._share * share) + (FLOOR * floor if self._share else 0.0) + self._offset
+        return {"palm": np.minimum(read, PALM_SKIN.full_scale or np.inf)}
+
+
+def solid_of(name: str) -> Solid:
+    """Of a scenario's object, in its frame."""
+    if name == "can":
+        return Solid.cylinder(*CAN_SIZE)
+    return Solid.box(np.array(BOX_SIZE)) if name == "box" else Solid.hull(*convex_hull(name))

@@ -1,7 +1,7 @@
 """What a rig's tactile arrays feel over time: each read above what it read while nothing was touched."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,36 +16,51 @@ from handsight.rig import Rig
 
 FEWEST, MOST = 5, 50
 """Readings of an untouched array from which on their mean is its baseline, and how many are taken."""
-NEWS = 0.05
-"""Share of an array's taxels (pressed ones of now and then) that say something else: the pose is asked for anew."""
+NEWS = 0.3
+"""Of the taxels that are pressed or were so many parts: where more have changed, the pose is asked for anew."""
+
+
+Place = tuple[Array, Array | None]
+"""T_palm_frame (4, 4) of an array's link, and how its joints' errors move it (6, j); None: it is fixed in the palm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinContacts:
-    """What all arrays say at one instant, in the palm."""
+    """What all arrays say at one instant; in the palm it is put when it is asked for."""
 
-    contacts: Contacts | None = None
-    """Of pressed taxels; None where none is."""
-    outside: Outside | None = None
-    """By untouched taxels; None where nothing is pressed: then they need not be near the object."""
-    pressed: Mapping[str, Mask] = field(default_factory=dict)
-    """By array that was heard, (rows, columns)."""
+    touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
+    """By array that was heard and whose link's place is known."""
+
+    @property
+    def pressed(self) -> bool:
+        """Whether any taxel is."""
+        return any(touch.pressed.any() for touch, _ in self.touches.values())
+
+    def contacts(self) -> Contacts | None:
+        """Of pressed taxels; None where none is."""
+        found: Contacts | None = None
+        for touch, (T_palm_frame, _) in self.touches.values():
+            more = touch.contacts(T_palm_frame)
+            found = more if found is None else found if more is None else found.joined(more)
+        return found
 
     def beside(self, outside: Outside | None) -> Outside | None:
-        """The hand's links and the arrays, whatever there is of both."""
-        if outside is None or self.outside is None:
-            return self.outside if outside is None else outside
-        return outside.joined(self.outside)
+        """The hand's links, and what cannot be above the untouched taxels of arrays that are pressed elsewhere."""
+        for touch, place in self.touches.values():
+            if touch.pressed.any():
+                more = Outside.of_skin(touch, *place)
+                outside = more if outside is None else outside.joined(more)
+        return outside
 
     def news(self, last: "SkinContacts") -> bool:
         """Whether other taxels are pressed than at the last correction."""
-        if self.pressed.keys() != last.pressed.keys():
+        if self.touches.keys() != last.touches.keys():
             return True
-        now, then = (
-            np.concatenate([np.zeros(0, bool), *(m.ravel() for m in s.pressed.values())])
-            for s in (self, last)
-        )
-        return bool((now != then).sum() > NEWS * (now | then).sum())
+        for name, (touch, _) in self.touches.items():
+            now, then = touch.pressed, last.touches[name][0].pressed
+            if (now != then).sum() > NEWS * (now | then).sum():
+                return True
+        return False
 
 
 NOTHING = SkinContacts()
@@ -98,21 +113,13 @@ class SkinSensors:
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
-        found, pressed = list[tuple[Contacts, Outside]](), dict[str, Mask]()
+        found = dict[str, tuple[SkinTouch, Place]]()
         for name, array in self.rig.skin.items():
-            if name not in observation.skin:
-                continue
-            touch = self._touch(name, array, observation.skin[name], touched=touched)
-            pressed[name] = touch.pressed
-            place = self._place(name, observation.joint_positions)
-            if place is not None and (contacts := touch.contacts(place[0])) is not None:
-                found.append((contacts, Outside.of_skin(touch, *place)))
-        if not found:
-            return replace(NOTHING, pressed=pressed)
-        contacts, outside = found[0]
-        for others, beyond in found[1:]:
-            contacts, outside = contacts.joined(others), outside.joined(beyond)
-        return SkinContacts(contacts, outside, pressed)
+            if name in observation.skin:
+                touch = self._touch(name, array, observation.skin[name], touched=touched)
+                if (place := self._place(name, observation.joint_positions)) is not None:
+                    found[name] = touch, place
+        return SkinContacts(found)
 
     def _touch(self, name: str, array: TaxelArray, values: Array, *, touched: bool) -> SkinTouch:
         """What the array's readings say above its baseline, of which these are part where nothing is touched."""

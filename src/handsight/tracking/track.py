@@ -110,7 +110,7 @@ class Track:
         self.fingertips = self._sensors.contacts(observation, self._offsets)
         self.skin = self._skin.felt(observation, touched=self.fingertips.contacts is not None)
         self._predict(observation.T_world_palm, stamp)
-        if self.skin.contacts is not None:
+        if self.skin.pressed:
             self._weight.weigher.forget("the skin of the hand bears a part of it")
         else:
             self._weight.update(observation, self.fingertips, self._offsets, grasped=self._grasp.grasped)
@@ -239,7 +239,8 @@ class Track:
         contacts, remembered = self._memory.added(fingers, touched, now)
         joints = observation.joint_positions
         outside, skin = self._hand.at(joints and self._offsets.corrected(joints), self._margins), self.skin
-        contacts = contacts if skin.contacts is None else contacts.joined(skin.contacts)
+        pressed = skin.contacts()
+        contacts = contacts if pressed is None else contacts.joined(pressed)
         samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
         given: dict[str, Any] = {
             "outside": skin.beside(outside),
@@ -263,7 +264,7 @@ class Track:
             self._recovered_at = now
             estimate, smoother = self._recovered(estimate, smoother, correct)
             self.smoother, prior = smoother, smoother.without_touch
-        felt = None if remembered or skin.contacts is not None else self.fingertips
+        felt = None if remembered or pressed is not None else self.fingertips
         estimate = self._weight.shared(estimate, felt, prior, self._offsets)
         for i in estimate.outliers:
             if len(touched) <= i < len(touched) + len(remembered):
