@@ -136,8 +136,7 @@ class Topics:
     """By finger."""
     contacts: Mapping[str, str] = field(default_factory=dict)
     """By finger, of tips that sense contacts themselves: ShadowContactStateStamped."""
-    skin: Mapping[str, str] = field(default_factory=dict)
-    """By tactile array: Float32MultiArray, or Image."""
+    skin: Mapping[str, str] = field(default_factory=dict)  # by tactile array: Float32MultiArray or Image
     vision: str | None = "/vision/object"
     """PoseStamped or PoseWithCovarianceStamped."""
     tf: str | None = "/tf"
@@ -230,7 +229,8 @@ class Rig:
                     f"expected the body of the hand's tip {body!r}" if body else "expected a tip of the hand"
                 )
                 raise InvalidInput(f"fingers[{name!r}].frame: {expected}, got {finger.frame!r}")
-        self.hand.chains_to({f"skin[{name!r}].frame": array.frame for name, array in self.skin.items()})
+        for name, array in self.skin.items():
+            self.hand.chains_to({f"skin[{name!r}].frame": array.frame})
         checks.load(self.gravity, "gravity", (3,))
         _check_sigmas(self, "sigma_joint_offset", "sigma_joint")
         if found := shared(self):
