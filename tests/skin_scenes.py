@@ -8,7 +8,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight.contact.taxels import SkinTouch, TaxelArray
-from handsight.simulation.skin import FLOOR, Solid, felt
+from handsight.simulation.skin import FLOOR, FOAM, Solid, felt
 
 VISION = (0.03 * np.sqrt(3), np.deg2rad(6) * np.sqrt(3))
 """Root mean square length and angle of vision's error: 30 mm and 6° per axis."""
@@ -48,7 +48,7 @@ def palm_array(pitch: float = 0.004) -> TaxelArray:
     )  # fmt: skip
 
 
-def box_on_skin(rng: np.random.Generator, array: TaxelArray) -> SkinScene:
+def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float = FOAM) -> SkinScene:
     """The box lies flat, one of its long edges on the array, the ends of which may be beyond it."""
     size = np.array(scenes.BOX)
     yaw, edge = np.deg2rad(rng.uniform(-25, 25)) + np.pi * rng.integers(2), rng.uniform(-0.015, 0.015)
@@ -63,7 +63,7 @@ def box_on_skin(rng: np.random.Generator, array: TaxelArray) -> SkinScene:
         [np.full(3, half[0]), rng.uniform(0.3, 0.9, 3) * half[1], rng.uniform(-0.02, 0.02, 3)]
     )
     tips = places, np.tile([1.0, 0, 0], (3, 1))
-    return _measured(scenes.box(), Solid.box(size), T, tips, array, across, rng)
+    return _measured(scenes.box(), Solid.box(size), T, tips, array, across, rng, springs)
 
 
 def can_on_skin(rng: np.random.Generator, array: TaxelArray, *, end: bool = True) -> SkinScene:
@@ -86,11 +86,11 @@ def can_on_skin(rng: np.random.Generator, array: TaxelArray, *, end: bool = True
     return _measured(scenes.can(), Solid.cylinder(radius, height), T, tips, array, axis, rng)
 
 
-def _measured(model, solid, T, tips, array, across, rng) -> SkinScene:
+def _measured(model, solid, T, tips, array, across, rng, springs=FOAM) -> SkinScene:
     contacts = scenes.touched(T, tips, (1.2e-3, np.deg2rad(2)), rng)
     sigma = np.repeat(np.asarray(VISION) / np.sqrt(3), 3)
     vision = hs.PosePrior(se3.moved(T, sigma * rng.normal(size=6)), np.diag(sigma**2))
-    true = felt(array, solid, T, rng.uniform(*FORCE), UNEVEN * rng.normal(size=array.shape))
+    true = felt(array, solid, T, rng.uniform(*FORCE), UNEVEN * rng.normal(size=array.shape), springs)
     readings = true * (1 + NOISE * rng.normal(size=true.shape)) + FLOOR * rng.normal(size=true.shape)
     # The rig has the array elsewhere: as if all else were off.
     wrong = se3.compose(np.eye(3), np.array([0.0, 0, MOUNT * rng.normal()]))

@@ -101,21 +101,22 @@ class Outside:
     def joined(self, other: "Outside") -> "Outside":
         """What both say; each must have sigmas of its own."""
         parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
-        first = len(parts[0][1])
 
         def filled(name: str, usual: float) -> Array:
+            """Of all points, where one number stands for all or none."""
             given = ((getattr(each, name), points) for each, points in parts)
             return np.concatenate(
                 [np.full(len(p), usual) if v is None else np.broadcast_to(v, len(p)) for v, p in given]
             )
 
         links = [np.arange(len(p)) if each.links is None else np.asarray(each.links) for each, p in parts]
+        beyond = links[0].max(initial=-1) + 1 - links[1].min(initial=0)
         skins = [np.asarray(each.skin) for each, _ in parts if each.skin is not None]
         return Outside(
             np.concatenate([points for _, points in parts]),
             [*self.planes, *other.planes],
             sigmas=filled("sigmas", np.nan),
-            links=np.concatenate([links[0], links[1] + (links[0].max() + 1 if first else 0)]),
+            links=np.concatenate([links[0], links[1] + beyond]),
             slacks=filled("slacks", 0.0),
             skin=np.max(skins, axis=0) if skins else None,
         )

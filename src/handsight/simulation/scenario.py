@@ -91,7 +91,7 @@ class Nuisances:
     """Of a taxel's reading, in parts of what it feels: sigma."""
     skin_offset: float = 0.02
     """Constant, of each taxel: what it reads untouched, sigma [N]."""
-    skin_uneven: float = 1e-4
+    skin_uneven: float = 5e-5
     """Constant, of each taxel: how far it is off the flat array, sigma [m]."""
     object_dent: float = 0.0
     """Depth of a dent that only the robot's model has [m]."""

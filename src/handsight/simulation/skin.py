@@ -15,8 +15,9 @@ from handsight.contact.taxels import TaxelArray
 from handsight.simulation.scenario import Scenario
 from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
 
-SPRINGS = 1e7
-"""Of the skin [N/m per m²]: 5 mm of foam."""
+FOAM, RUBBER = 1e7, 6e7
+"""Springs of a skin [N/m per m²]: 5 mm of foam; 1.5 mm of soft rubber, as on the simulated palm: that is hard to the
+physics engine, and a skin into which things sank would contradict where they are."""
 FINER = 3
 """Springs of a taxel, each way."""
 PALM_GEOM = "robot0:C_palm0"
@@ -101,11 +102,16 @@ def sunk(gaps: Array, force: float, stiffness: float) -> Array:
 
 
 def felt(
-    array: TaxelArray, solid: Solid, T_grid_object: Array, force: float, uneven: Array | float = 0.0
+    array: TaxelArray,
+    solid: Solid,
+    T_grid_object: Array,
+    force: float,
+    uneven: Array | float = 0.0,
+    springs: float = RUBBER,
 ) -> Array:
     """(rows, columns) what each taxel feels of a solid at a pose that presses on the skin with a force [N].
 
-    `uneven` (rows, columns): how far each taxel is below the flat grid [m].
+    `uneven` (rows, columns): how far each taxel is below the flat grid [m]. `springs` [N/m per m²].
     """
     fine = array.pitch / FINER
     steps = fine * (np.arange(FINER) - (FINER - 1) / 2)
@@ -115,7 +121,7 @@ def felt(
     R = T_grid_object[:3, :3]
     gaps = solid.ahead((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
     gaps = (gaps.reshape(*array.shape, -1) + np.broadcast_to(uneven, array.shape)[:, :, None]).ravel()
-    forces = sunk(gaps, force, SPRINGS * fine**2)
+    forces = sunk(gaps, force, springs * fine**2)
     return np.asarray(forces.reshape(*array.shape, -1).sum(axis=2))
 
 
