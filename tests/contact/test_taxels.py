@@ -67,6 +67,17 @@ def test_a_dead_taxel_amid_pressed_ones_says_nothing(dead):
     assert touch.pressed.sum() == 11
 
 
+def test_a_taxel_that_is_pressed_alone_far_from_the_others_is_stuck():
+    reading = block()
+    reading[5, 8] = 1.0
+    touch, plain = ARRAY.touch(reading), ARRAY.touch(block())
+    np.testing.assert_array_equal(touch.pressed, plain.pressed)
+    assert plain.untouched.sum() - touch.untouched.sum() == 1
+    alone = np.zeros(ARRAY.shape)
+    alone[5, 8] = 1.0  # where nothing else is, it is all there is
+    assert ARRAY.touch(alone).pressed.sum() == 1
+
+
 def test_a_taxel_that_is_half_covered_says_nothing():
     reading = block()
     reading[1:4, 6] = 0.3
@@ -87,6 +98,9 @@ def test_an_offset_is_taken_off_and_a_taxel_without_one_is_silent():
 def test_a_taxel_at_full_scale_is_pressed_whatever_its_offset():
     array = replace(ARRAY, full_scale=2.0)
     assert array.touch(block(value=2.0), baseline=1.95).pressed.sum() == 12
+    reading = block(value=1.5)
+    reading[2, 3] = 2.0  # those around it are pressed, too
+    assert array.touch(reading).pressed.sum() == 12
 
 
 def test_of_many_taxels_the_outermost_are_kept():
@@ -127,7 +141,12 @@ def test_what_is_no_array_is_told(field, value, said):
         replace(ARRAY, **{field: value})
 
 
-@pytest.mark.parametrize("reading", [np.zeros((9, 6)), np.zeros(54), [[1, 2]], "much", None])
+@pytest.mark.parametrize("reading", [np.zeros((9, 6)), np.zeros(54), [[1, 2]], [[1, 2], [3]], "much", None])
 def test_readings_of_another_shape_are_told(reading):
     with pytest.raises(InvalidInput, match="reading: expected 6 rows of 9 numbers, got"):
         ARRAY.touch(reading)
+
+
+def test_a_baseline_of_another_shape_is_told():
+    with pytest.raises(InvalidInput, match=r"baseline: expected a number or 6 rows of 9, got shape \(9,\)"):
+        ARRAY.touch(block(), np.zeros(9))

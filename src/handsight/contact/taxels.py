@@ -2,13 +2,14 @@
 
 Frame `grid`: origin in the middle of the grid, x along a row (the column's number grows), y along a column (the row's
 number grows), +z out of the skin, towards what touches it. A taxel that is pressed is a contact with the link's
-normal; one that is not is a point the object cannot cover. One that is dead, or half covered, says nothing.
+normal; one that is not is a point the object cannot cover. One that is dead, stuck or half covered says nothing.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight.checks import Array, Indices, Mask
@@ -91,7 +92,10 @@ class TaxelArray:
 
     def reading(self, values: ArrayLike, name: str = "reading") -> Array:
         """(rows, columns) as floats, NaN where a taxel reads nothing; raises InvalidInput for another shape."""
-        array = np.asarray(values)
+        try:
+            array = np.asarray(values)
+        except ValueError:  # ragged
+            array = np.zeros(0)
         if array.dtype.kind not in "fiu" or array.shape != self.shape:
             expected = f"expected {self.rows} rows of {self.columns} numbers"
             raise InvalidInput(f"{name}: {expected}, got {checks.brief(values)} of shape {array.shape}")
@@ -104,14 +108,19 @@ class TaxelArray:
         says nothing. Nor does one at infinity. Raises InvalidInput.
         """
         reading = self.reading(values)
+        if np.shape(baseline) not in ((), self.shape):
+            expected = f"expected a number or {self.rows} rows of {self.columns}"
+            raise InvalidInput(f"baseline: {expected}, got shape {np.shape(baseline)}")
         felt = reading - np.asarray(baseline, dtype=np.float64)
         known = np.isfinite(felt)
         felt = np.where(known, felt, 0.0)
         if self.full_scale is not None:
-            felt = np.where(known & (reading >= self.full_scale), np.inf, felt)
+            felt = np.where(known & (reading >= self.full_scale), self.full_scale, felt)
         over = known & (felt >= self.threshold)
-        around = _around(felt)
-        pressed = over & (felt >= COVERED * np.minimum(around.max(axis=0), np.finfo(np.float64).max))
+        alone = over & ~_around(over, 2).any(axis=0)
+        if over.sum() > alone.sum():  # where others are pressed together it is stuck
+            known, over = known & ~alone, over & ~alone
+        pressed = over & (felt >= COVERED * _around(felt, 1).max(axis=0))
         return SkinTouch(self, pressed, known & ~_between(over))
 
 
@@ -128,11 +137,11 @@ def _between(touched: Mask) -> Mask:
     return found
 
 
-def _around(felt: Array) -> Array:
-    """(8, rows, columns) what the neighbours of each taxel feel, 0 beyond the rim."""
-    rows, columns = felt.shape
-    wide = np.pad(felt, 1)
-    steps = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+def _around(values: NDArray[Any], reach: int) -> NDArray[Any]:
+    """(n, rows, columns) the values of each taxel's neighbours up to so many taxels away, 0 beyond the rim."""
+    rows, columns = values.shape
+    wide, size = np.pad(values, reach), 2 * reach + 1
+    steps = [(i, j) for i in range(size) for j in range(size) if (i, j) != (reach, reach)]
     return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
 
 

@@ -217,13 +217,8 @@ class Track:
         age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
-        if (
-            vision
-            or regrasped
-            or self._weight.news
-            or self.skin.news(last.skin)
-            or self._slipping.asks(last.stamp)
-        ):
+        news = self._weight.news or self.skin.news(last.skin) or self._slipping.asks(last.stamp)
+        if vision or regrasped or news:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
@@ -242,11 +237,8 @@ class Track:
         pressed = skin.contacts()
         contacts = contacts if pressed is None else contacts.joined(pressed)
         samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        given: dict[str, Any] = {
-            "outside": skin.beside(outside),
-            "answer": answer,
-            "weight": self._weight.evidence(),
-        }
+        everything, weight = skin.beside(outside), self._weight.evidence()
+        given: dict[str, Any] = {"outside": everything, "answer": answer, "weight": weight}
         correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
         near = None if vision or last is None or fingers != last.fingers else last.estimate
         estimate = None
