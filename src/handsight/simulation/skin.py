@@ -68,7 +68,8 @@ class Solid:
         """Of a convex mesh."""
         corners = vertices[faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        corners, normals = corners[length[:, 0] > 0], (normals / np.maximum(length, 1e-300))[length[:, 0] > 0]
         inward = np.einsum("ki,ki->k", normals, corners[:, 0] - vertices.mean(axis=0)) < 0
         normals[inward] *= -1
         return cls(normals, np.einsum("ki,ki->k", normals, corners[:, 0]))

@@ -240,7 +240,9 @@ class Track:
         everything, weight = skin.beside(outside), self._weight.evidence()
         given: dict[str, Any] = {"outside": everything, "answer": answer, "weight": weight}
         correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
-        near = None if vision or last is None or fingers != last.fingers else last.estimate
+        # What vision says anew is little beside an array that is pressed, whose search takes long.
+        seen = vision and pressed is None
+        near = None if seen or last is None or fingers != last.fingers else last.estimate
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
