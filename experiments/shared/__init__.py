@@ -9,3 +9,4 @@ sys.path.append(str(Path(__file__).parents[2] / "tests"))
 import hand_scenes as hand_scenes
 import scenes as scenes
 import sight_scenes as sight_scenes
+import skin_scenes as skin_scenes

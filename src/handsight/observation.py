@@ -5,7 +5,7 @@ What is missing is None, or not in the mapping: nothing stands for a reading tha
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +105,8 @@ class Observation:
     contacts: Mapping[str, ContactMeasurement | None] = field(default_factory=dict)
     """By finger, of tips that sense contacts themselves; None: it says that it touches nothing. Such a finger's
     wrench is not asked for a contact."""
+    skin: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """By tactile array: (rows, columns) what its taxels read; NaN: that taxel reads nothing."""
 
 
 def checked(observation: Observation) -> Observation:
@@ -126,8 +128,9 @@ def checked(observation: Observation) -> Observation:
     joints, wrenches, taken = observation.joint_positions, observation.wrenches, observation.image_stamp
     if taken is not None:
         taken = _seconds(taken, "observation.image_stamp")
-    color, depth, contacts = observation.color, observation.depth, observation.contacts
-    return Observation(stamp, joints, wrenches, vision, T, color, depth, taken, contacts)
+    color, depth = observation.color, observation.depth
+    touched = observation.contacts, observation.skin
+    return Observation(stamp, joints, wrenches, vision, T, color, depth, taken, *touched)
 
 
 def _seconds(stamp: float, name: str) -> float:

@@ -88,3 +88,15 @@ def test_a_scanned_can_is_nearly_as_good_as_the_can_and_its_spin_is_open(tmp_pat
     assert column(rows, "scan named").sum() > 0.85 * column(rows, "open").sum()
     # With what bumps lend it was one in twenty.
     assert np.mean([row["scan in 95%"] == "True" for row in rows]) > 0.6
+
+
+@pytest.mark.slow
+def test_an_edge_on_the_palms_array_ends_the_slide(tmp_path):
+    rows = run("skin", tmp_path, "--trials", 6)["skin"]
+    for scene in ("box, an edge on it", "can, an end on it", "hand presses the can"):
+        tips, skin = (
+            column(rows, "slide", scene=scene, **{"with": name}).mean() for name in ("tips", "+ untouched")
+        )
+        assert skin < 2.5
+        assert skin < tips
+    assert (tmp_path / "skin.png").stat().st_size > 5_000

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
-from handsight.contact import Ellipsoid, Sphere, WrenchCalibration
+from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
 from handsight.hand import Hand
 from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
 from handsight.rig.save import text
@@ -95,7 +95,22 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             depth="/d",
             camera_info="/i",
             truth="/t",
+            skin={"the palm": "/skin"},
         ),
+        skin={
+            "the palm": TaxelArray(
+                frame="palm",
+                T_frame_grid=se3.random(rng, spread=0.05),
+                rows=3,
+                columns=5,
+                pitch=0.0035,
+                threshold=a,
+                full_scale=a + b,
+                sigma_point=2.5e-4,
+                sigma_normal=0.07,
+                sigma_mount=7e-4,
+            )
+        },
         objects={
             "a box": ObjectEntry(box=(a, b, c)),
             "tin": ObjectEntry(cylinder=(a, b)),

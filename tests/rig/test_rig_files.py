@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handsight.contact import Ellipsoid, Sphere, WrenchCalibration
+from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.hand import Hand
 from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
 from handsight.rig.save import text, write
 from rig.rigs import TIPS, URDF, full, hand, rig_text
 
-VALUES = (Rig, Finger, Camera, Table, Topics, ObjectEntry, WrenchCalibration)
+VALUES = (Rig, Finger, Camera, Table, Topics, ObjectEntry, TaxelArray, WrenchCalibration)
 
 
 def leaves(value, path=""):

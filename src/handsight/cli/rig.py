@@ -257,6 +257,11 @@ def _rows(rig: "Rig") -> list[tuple[str, str]]:
         constant = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
         rows += [("camera", f"fixed to the {c.on}; noise {seen}"), ("", f"constant error {constant}")]
         rows += [("", _images(c))] if c.intrinsics is not None and c.size is not None else []
+    for name, array in rig.skin.items():
+        size = f"{array.rows} x {array.columns} taxels, {1e3 * array.pitch:g} mm apart"
+        rows.append(
+            (f"skin {name}", f"{size}, on {array.frame}; readings on {rig.topics.skin.get(name, 'nothing')}")
+        )
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

@@ -106,6 +106,7 @@ class Run:
             "weight": None if self.weight is None else weight_numbers(self.weight),
             "recording_says": self.said,
             "friction": self.friction,
+            "poses_with_skin": sum(step.skin.pressed for step in self.steps),
             "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
@@ -141,6 +142,8 @@ class Run:
             for finger, part in self.rejected.items()
             if part >= OFTEN
         ]
+        if pressed := sum(step.skin.pressed for step in self.steps):
+            lines.append(f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses")
         if slips := self.slips:
             first = slips[0][0] - self.steps[0].stamp
             lines.append(

@@ -38,6 +38,12 @@ def simulate(
         ),
     ] = "manipulate",
     images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
+    skin: Annotated[
+        bool,
+        typer.Option(
+            "--skin", help="Give the palm a tactile array, and hold the can against it: a power grasp."
+        ),
+    ] = False,
     depth_camera: Annotated[
         str, typer.Option(help="How the camera measures depth: structured_light, time_of_flight or stereo.")
     ] = "structured_light",
@@ -67,7 +73,7 @@ def simulate(
         "depth_camera": depth_camera,
     }  # the scenario says which there are
     scenario = Scenario(
-        object=object, seed=seed, images=images, nuisances=nuisances(nuisance or []), **chosen
+        object=object, seed=seed, images=images, skin=skin, nuisances=nuisances(nuisance or []), **chosen
     )
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     _recordable(path)

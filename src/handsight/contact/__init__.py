@@ -11,6 +11,7 @@ from handsight.contact.contacts import Contacts
 from handsight.contact.fingertip_text import FINGERTIP_HELP, parse_fingertip
 from handsight.contact.fingertips import Ellipsoid, Fingertip, Sphere, unambiguous_cap
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
+from handsight.contact.taxels import SkinTouch, TaxelArray
 
 __all__ = [
     "COLUMNS_HELP",
@@ -23,7 +24,9 @@ __all__ = [
     "Fingertip",
     "NoContact",
     "Reason",
+    "SkinTouch",
     "Sphere",
+    "TaxelArray",
     "WrenchCalibration",
     "calibrate_wrench",
     "compensate",

@@ -13,8 +13,9 @@ from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.budget import Budget
 from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.footprint import less_certain, likely_starts
 from handsight.correction.mean import checked_answer, with_means
-from handsight.correction.outside import Outside, outside_records
+from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import Problem, TwoPhase, descents_at
 from handsight.correction.sampling import mean_by_sampling
@@ -76,13 +77,16 @@ def correct_pose(
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
+    if vision is not None and isinstance(outside, Outside) and outside.skin is not None:
+        problem = replace(problem, starts=_begun(problem, options, limit))
     estimate = solved(problem)
-    return estimate if problem.weight is None else _weighed(problem, estimate, solved)
+    estimate = estimate if problem.weight is None else _weighed(problem, estimate, solved)
+    return less_certain(estimate, outside)
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
     """The answer to a problem: from one start where that does, else from many."""
-    if options is USUAL and not samples:
+    if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
         if estimate is not None:
             return with_means(problem, estimate, answer)
@@ -116,8 +120,15 @@ def refine_pose(
     estimate = solve_single_start(problem, T_start)
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
-    estimate = with_means(problem, estimate, checked_answer(answer))
+    estimate = less_certain(with_means(problem, estimate, checked_answer(answer)), outside)
     return estimate if weight is None else replace(estimate, weight_fits=True)
+
+
+def _begun(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
+    """(K, 4, 4) poses to begin from where an array of taxels says how far faces reach."""
+    alone = replace(problem, outside=NO_OUTSIDE, weight=None)
+    by_contacts = _solved(alone, options=options, limit=limit, answer="maximum", samples=0)
+    return likely_starts(problem, by_contacts)
 
 
 def _weight(weight: WeightEvidence | None, model: ObjectModel) -> WeightEvidence | None:

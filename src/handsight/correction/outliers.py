@@ -7,7 +7,7 @@ from handsight.checks import Indices
 from handsight.correction import modes, starts
 from handsight.correction.budget import Budget
 from handsight.correction.modes import DECISIVE
-from handsight.correction.problem import Problem, Records, TwoPhase, plain
+from handsight.correction.problem import Problem, Records, TwoPhase, descents_at, plain
 from handsight.correction.solve import Candidates, gains, solve
 
 ESCALATED, CHEAPER = 2, 1.0
@@ -33,7 +33,8 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
     found = solve(problem, _starts(problem, number)[None], everyone, budget)
     if found.converged and not _suspicious(problem, found):
         return found
-    may_draw, suspicious = not problem.blind and options.starts is None, _suspicious(problem, found)
+    may_draw = not problem.blind and options.starts is None and problem.starts is None
+    suspicious = _suspicious(problem, found)
     while not budget.spent():
         without = _leave_one_out(problem, found, budget) if options.reject_outliers and suspicious else None
         if without is not None and _is_decisive(found, without):
@@ -71,7 +72,11 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
 
 
 def _starts(problem: Problem, number: int) -> Records:
-    """(number,) of all contacts."""
+    """(number,) of all contacts; or those that the problem has."""
+    if problem.starts is not None:
+        near = descents_at(problem.starts)
+        near["iterations"] = 1  # as a minimum of other evidence has them
+        return near
     if problem.vision is not None:
         return starts.from_prior(problem.vision, number)
     everyone = np.ones(len(problem.contacts), dtype=bool)

@@ -12,6 +12,7 @@ from handsight import checks
 from handsight._kernels.records import OUTSIDE
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
+from handsight.contact.taxels import SIGMA_RAISED, SkinTouch
 from handsight.correction.problem import check_number
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -58,6 +59,11 @@ class Outside:
     slacks: ArrayLike | None = None
     """One for all points or (m,): how deep inside a point may be, where a link is smaller than its shape [m]."""
 
+    skin: ArrayLike | None = None
+    """(6,) of a tactile array whose untouched taxels are among the points: how far wrong it is as a whole, one standard
+    deviation per axis of its shift [m] and turn [rad]. A face that lies on it ends where they begin, which is searched;
+    and the answer is as uncertain as the array."""
+
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
@@ -72,6 +78,48 @@ class Outside:
         if self.slacks is not None:
             slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.FARTHEST))
             object.__setattr__(self, "slacks", slacks)
+        if self.skin is not None:
+            object.__setattr__(self, "skin", checks.finite(self.skin, "outside.skin", (6,)))
+
+    @classmethod
+    def of_skin(
+        cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None
+    ) -> "Outside":
+        """What an array's untouched taxels say; beside it, `touch.contacts` are what the pressed ones do.
+
+        `T_palm_frame` (4, 4): where its link is. `by_error` (6, j): how that moves [m] and turns [rad] in the palm for
+        one standard deviation of each of j errors of its joints; None: it is fixed in the palm.
+        """
+        array, points = touch.array, touch.outside(T_palm_frame)
+        # Its height is as wrong at one side as at the other: what is soft gives way more where it is pressed more.
+        turn = 2 * array.sigma_mount / (array.pitch * min(array.shape))
+        variance = np.repeat([array.sigma_mount**2, turn**2], 3)
+        if by_error is not None:
+            variance = variance + (np.asarray(by_error) ** 2).sum(axis=1)
+        return cls(points, sigmas=SIGMA_RAISED, skin=np.sqrt(variance))
+
+    def joined(self, other: "Outside") -> "Outside":
+        """What both say; each must have sigmas of its own."""
+        parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
+
+        def filled(name: str, usual: float) -> Array:
+            """Of all points, where one number stands for all or none."""
+            given = ((getattr(each, name), points) for each, points in parts)
+            return np.concatenate(
+                [np.full(len(p), usual) if v is None else np.broadcast_to(v, len(p)) for v, p in given]
+            )
+
+        links = [np.arange(len(p)) if each.links is None else np.asarray(each.links) for each, p in parts]
+        beyond = links[0].max(initial=-1) + 1 - links[1].min(initial=0)
+        skins = [np.asarray(each.skin) for each, _ in parts if each.skin is not None]
+        return Outside(
+            np.concatenate([points for _, points in parts]),
+            [*self.planes, *other.planes],
+            sigmas=filled("sigmas", np.nan),
+            links=np.concatenate([links[0], links[1] + beyond]),
+            slacks=filled("slacks", 0.0),
+            skin=np.max(skins, axis=0) if skins else None,
+        )
 
     @classmethod
     def trusted(
@@ -79,7 +127,8 @@ class Outside:
     ) -> "Outside":
         """Points of links, (m,) for each what is said of them, that are clean already: not checked, and kept."""
         outside = object.__new__(cls)
-        given = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links, "slacks": slacks}
+        given: dict[str, Any] = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links}
+        given |= {"slacks": slacks, "skin": None}
         for name, value in given.items():
             object.__setattr__(outside, name, value)
         return outside

@@ -51,6 +51,8 @@ class Problem:
     outside: Records
     """(m,) OUTSIDE."""
     weight: WeightEvidence | None = None
+    starts: Array | None = None
+    """(K, 4, 4) to descend from on the fine field; None: from the prior, in two phases."""
 
     def __post_init__(self) -> None:
         check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")

@@ -123,6 +123,11 @@ class Hand:
         Ts_world_palm, _ = self._arm.poses(joint_positions)
         return np.asarray(Ts_world_palm[0])
 
+    def chains_to(self, links: Mapping[str, str]) -> Chains:
+        """How links move in the palm; by what they are called in an error, their bodies. Raises InvalidInput."""
+        bodies = [self._body(body, argument) for argument, body in links.items()]
+        return chains(self._model, self._palm, bodies, self._name)
+
     def surface(
         self, count: int, *, seed: int = 0, shrink: float = 0.0015, without: Collection[str] = ()
     ) -> HandSurface:

@@ -51,6 +51,8 @@ class Markers:
         touched, stamp = tracker.fingertips.contacts, tracker.stamp
         if touched is None:
             return
+        if (pressed := tracker.skin.contacts()) is not None:
+            touched = touched.joined(pressed)
         points, normals = touched.points_palm, touched.normals_palm
         yield self._marker(
             "contacts", SPHERE_LIST, stamp, size=(0.005,) * 3, color=(*ORANGE, 1.0), points=points

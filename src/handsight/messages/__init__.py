@@ -14,8 +14,9 @@ observations that are complete by then. What may be relied on:
   than 1 s must agree with the next ones, else they are bad. Three in a row that are back by more than 1 s say that the
   clock was set back, or that a recording is played in a loop: what was heard is let go, and all begins anew.
 * **Observations**: one per joint state message, at its stamp (messages of one stamp give one), with the positions of
-  all that publish joint states (at most 0.1 s old), the newest wrench of each finger (0.05 s), `T_world_palm` from
-  /tf (each transform static or 0.1 s), and the newest vision pose and images since the last one (0.2 s).
+  all that publish joint states (at most 0.1 s old), the newest wrench of each finger and readings of each tactile
+  array (0.05 s), `T_world_palm` from /tf (each transform static or 0.1 s), and the newest vision pose and images since
+  the last one (0.2 s).
 * **Counted and left out**: messages of the same topic and stamp beyond the first; messages with NaN or infinity; what
   cannot be read as its topic's type, in an unknown frame or a wrong unit; readings of a sensor that is stuck (the
   same six numbers for 0.5 s while another finger's change) or at full scale.

@@ -44,6 +44,7 @@ class ObservationAssembler:
         self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
         self._sensors: dict[str, WrenchSensor] = {}
         self._contacts: dict[str, Measurement] = {}
+        self._skin: dict[str, Measurement] = {}
         self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
         self.due: float | None = None
         """Stamp of joint states without an observation."""
@@ -67,6 +68,8 @@ class ObservationAssembler:
             self._take_wrench(measurement)
         elif role == "contact":
             self._contacts[measurement.topic.finger] = measurement
+        elif role == "skin":
+            self._skin[measurement.topic.finger] = measurement
         elif role == "tf":
             self.tree.put(measurement.value, measurement.stamp)
         elif role == "truth":
@@ -103,6 +106,7 @@ class ObservationAssembler:
             T_world_palm=T_world_palm,
             image_stamp=None if image is None else image.stamp,
             contacts=self._contacts_at(stamp),
+            skin=self._skin_at(stamp),
             **vision,
         )
         self._units.put(observation)
@@ -132,6 +136,16 @@ class ObservationAssembler:
                 found[finger] = said.value
             else:
                 self._report.without[finger] += 1
+        return found
+
+    def _skin_at(self, stamp: float) -> dict[str, Array]:
+        found = {}
+        for array in self._rig.topics.skin:
+            said = self._skin.get(array)
+            if said is not None and stamp - said.stamp <= MAX_AGE_WRENCH:
+                found[array] = said.value
+            else:
+                self._report.without_skin[array] += 1
         return found
 
     def _take_wrench(self, measurement: Measurement) -> None:

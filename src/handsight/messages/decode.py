@@ -11,7 +11,7 @@ import numpy as np
 
 from handsight.checks import FARTHEST, STRONGEST, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import camera_info, images, touch
+from handsight.messages import camera_info, images, taxels, touch
 from handsight.messages.fast import FastReaders, StampedTransform
 from handsight.messages.topics import CONTACT, TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
@@ -35,8 +35,8 @@ class Measurement:
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
-    """By role: dict of positions; (6,); ContactMeasurement or None; PoseMeasurement; (4, 4); image; CameraIntrinsics;
-    parent, child and `T_parent_child` (4, 4)."""
+    """By role: dict of positions; (6,); ContactMeasurement or None; (rows, columns); PoseMeasurement; (4, 4); image;
+    CameraIntrinsics; parent, child and `T_parent_child` (4, 4)."""
 
     @property
     def size(self) -> int:
@@ -59,6 +59,10 @@ def decode(
             return _transforms(raw, topic, fast)
         if (found := _decode_fast(raw, topic.role, fast)) is None:
             message = _deserialized(raw)
+            if topic.role == "skin":
+                value = taxels.reading(message, topic.shape)
+                topic.messages += 1
+                return [Measurement(topic, _stamp(message), raw.log_time, value)]
             named = frames if topic.role != "contact" else {**frames, "tip": topic.body}
             found = _stamp(message), READERS[topic.role](message, named)
         topic.messages += 1
@@ -151,6 +155,8 @@ def rosbags_module(name: str) -> Any:
 
 
 def _stamp(message: Any) -> float:
+    if not hasattr(message, "header"):
+        return 0.0  # timed by when it was logged
     stamp = message.header.stamp
     return float(stamp.sec + stamp.nanosec * 1e-9)
 

@@ -16,7 +16,12 @@ from handsight.vision.pixels import Color
 COMPRESSED_DEPTH = struct.Struct("<iff")
 """What `compressed_depth_image_transport` puts before the PNG: a format, and A, B of depth = A / (value - B)."""
 
-LAYOUTS = {"rgb8": ("u1", 3), "bgr8": ("u1", 3), "16UC1": ("u2", 1), "mono16": ("u2", 1), "32FC1": ("f4", 1)}
+LAYOUTS = {
+    **dict.fromkeys(("rgb8", "bgr8"), ("u1", 3)),
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
+    "32FC1": ("f4", 1),
+}
 """Type and channels of a pixel, by encoding."""
 Input = TypeVar("Input")
 Output = TypeVar("Output")
@@ -26,19 +31,19 @@ def color(message: Any) -> Color:
     """The colour image of an Image or CompressedImage; raises MessageRejected."""
     if hasattr(message, "format"):
         return _accepted(pixels.color, bytes(message.data))
-    values = _values(message, ("rgb8", "bgr8"))
-    return np.ascontiguousarray(values if message.encoding == "rgb8" else values[..., ::-1])
+    found = values(message, ("rgb8", "bgr8"))
+    return np.ascontiguousarray(found if message.encoding == "rgb8" else found[..., ::-1])
 
 
 def depth(message: Any) -> Depth:
     """The depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
     if hasattr(message, "format"):
         return _compressed_depth(bytes(message.data), str(message.format))
-    return _metres(_values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
+    return _metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
 
 
-def _values(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
-    """(h, w, channels) as the encoding says, rows padded to `step`."""
+def values(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
+    """(h, w, channels) as the encoding says, rows padded to `step`; raises MessageRejected."""
     if message.encoding not in expected:
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
     kind, channels = LAYOUTS[message.encoding]

@@ -30,6 +30,8 @@ class Report:
     """How many have `T_world_palm`."""
     without: Counter[str] = field(default_factory=Counter)
     """By finger: observations without its wrench, or without word of its contact."""
+    without_skin: Counter[str] = field(default_factory=Counter)
+    """By tactile array: observations without its readings."""
     fingers: dict[str, str] = field(default_factory=dict)
     """By finger: what is wrong with its sensor."""
     backwards: tuple[int, float, float] | None = None
@@ -60,6 +62,9 @@ class Report:
             )
         of = f"of {self.observations} observations"
         said += few([f"finger {finger}: no wrench in {count} {of}" for finger, count in self.without.items()])
+        said += few(
+            [f"skin {array}: no reading in {count} {of}" for array, count in self.without_skin.items()]
+        )
         others = sorted(name for name, kind in self.others.items() if kind == WRENCH)
         return [printable(each) for each in said] + few(
             [f"{name}: wrenches of no finger of the rig; not used" for name in others]
@@ -83,6 +88,7 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
     for what, topic in (
         *((f"finger {finger}: no wrench", topic) for finger, topic in topics.wrenches.items()),
         *((f"finger {finger}: no contacts", topic) for finger, topic in topics.contacts.items()),
+        *((f"skin {array}: no readings", topic) for array, topic in topics.skin.items()),
         ("no vision", topics.vision),
         ("no color images", topics.color),
         ("no depth images", topics.depth),

@@ -7,13 +7,16 @@ from typing import Literal, NamedTuple
 
 from handsight.rig import Rig
 
-Role = Literal["joints", "wrench", "contact", "vision", "truth", "color", "depth", "tf", "tf_static", "info"]
+Role = Literal[
+    "joints", "wrench", "contact", "skin", "vision", "truth", "color", "depth", "tf", "tf_static", "info"
+]
 
 JOINTS, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 CONTACT = "sr_robot_msgs/msg/ShadowContactStateStamped"
 TF, TF_ROS1 = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
+ARRAY = "std_msgs/msg/Float32MultiArray"
 POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, TF_ROS1)
 
 MAX_GAP = 0.1
@@ -55,9 +58,11 @@ class TopicReport:
     expected: tuple[str, ...]
     """Types that it may have."""
     finger: str = ""
-    """Of a wrench or a contact."""
+    """Of a wrench or a contact; of a tactile array, its name."""
     body: str = ""
     """Of a contact: the body of the hand that the tip moves with."""
+    shape: tuple[int, int] = (0, 0)
+    """Of a tactile array: rows and columns."""
     type: str = ""
     messages: int = 0
     used: int = 0
@@ -128,6 +133,9 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     for finger, topic in topics.contacts.items():
         body = rig.fingers[finger].frame if finger in rig.fingers else ""
         found.append(TopicReport(topic, "contact", (CONTACT,), finger, body))
+    for name, topic in topics.skin.items():
+        shape = rig.skin[name].shape if name in rig.skin else (0, 0)
+        found.append(TopicReport(topic, "skin", (ARRAY, IMAGE), name, shape=shape))
     with_tf = topics.tf is not None and rig.world_from == "tf"
     others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
         ("tf", topics.tf if with_tf else None, TRANSFORMS),

@@ -18,8 +18,9 @@ from handsight.checks import Array
 from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import written
+from handsight.messages import taxels
 from handsight.messages.decode import rosbags_module, typestore
-from handsight.messages.topics import CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
+from handsight.messages.topics import ARRAY, CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
@@ -104,6 +105,9 @@ class RecordingWriter(McapFile):
             self._write_wrench(stamp, finger, wrench)
         for finger, contact in observation.contacts.items():
             self._write_contact(stamp, finger, contact)
+        for array, reading in observation.skin.items():  # it has no stamp: it is timed by when it is logged
+            fields = taxels.fields(reading, self._rig.skin.get(array), array)
+            self.append(_topic(topics.skin.get(array), f"skin.{array}"), ARRAY, stamp, **fields)
         if observation.T_world_palm is not None:
             palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
             top = header(stamp, frames["world"])

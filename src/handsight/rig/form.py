@@ -3,15 +3,16 @@
 Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
 """
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from msgspec import field
+from msgspec import Meta, field
 
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
+from handsight.contact.taxels import TaxelArray
 from handsight.errors import HandsightError
 from handsight.rig.form_parts import (
     Angle,
@@ -151,6 +152,31 @@ class FingerForm(Form):
         )
 
 
+class SkinForm(Form):
+    LONGEST: ClassVar = {"sigma_point": LARGEST, "sigma_mount": LARGEST}
+
+    frame: Text
+    rows: int
+    columns: int
+    pitch: float
+    threshold: Positive
+    pose: LinkPoseForm | None = None
+    """Of the middle of the grid in the frame."""
+    full_scale: Positive | None = None
+    sigma_point: Positive | None = None
+    sigma_normal: Annotated[float, Meta(gt=0, le=180)] | None = field(name="sigma_normal_deg", default=None)
+    sigma_mount: Positive | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.array()
+
+    def array(self) -> TaxelArray:
+        """The part of the rig; raises InvalidInput where there is none of such a size."""
+        given = {name: value for name, value in self.given().items() if name != "pose"}
+        return TaxelArray(T_frame_grid=(self.pose or LinkPoseForm()).matrix(), **given)
+
+
 class VisionNoiseForm(Form):
     LONGEST: ClassVar = {"sigma_position": LARGEST_HELD}
 
@@ -229,6 +255,7 @@ class TopicsForm(Form):
     wrenches: dict[str, Text] | None = None
     contacts: dict[str, Text] | None = None
     """Of tips that sense contacts themselves."""
+    skin: dict[str, Text] | None = None
     vision: Text | None = None
     tf: Text | None = None
     color: Text | None = None
@@ -247,6 +274,7 @@ class RigForm(Form):
     frames: FramesForm | None = None
     topics: TopicsForm | None = None
     objects: dict[str, ObjectForm] | None = None
+    skin: dict[str, SkinForm] | None = None
 
     def __post_init__(self) -> None:
         if not self.fingers:

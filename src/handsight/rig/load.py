@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from handsight import checks
-from handsight.errors import HandsightError, MissingExtra
+from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
 from handsight.rig.form import VERSION, FramesForm, RigForm, WorldForm
@@ -24,6 +24,11 @@ def load(path: Path) -> Rig:
         return _rig(form, file)
     except Shared as error:
         raise file.wrong(error.field, error.said) from None
+    except InvalidInput as error:
+        for name in form.skin or ():  # the rig alone knows whether the hand has its link
+            if str(error).startswith(place := f"skin[{name!r}].frame: "):
+                raise file.wrong(("skin", name, "frame"), str(error).removeprefix(place)) from None
+        raise
 
 
 def _rig(form: RigForm, file: YamlFile) -> Rig:
@@ -38,6 +43,7 @@ def _rig(form: RigForm, file: YamlFile) -> Rig:
         frames=(form.frames or FramesForm()).given(),
         topics=_topics(form, file),
         objects={name: said.entry(file.path.parent) for name, said in (form.objects or {}).items()},
+        skin={name: said.array() for name, said in (form.skin or {}).items()},
         **form.hand.sigmas(),
     )
 
@@ -65,10 +71,12 @@ def _hand(form: RigForm, file: YamlFile) -> Hand:
 
 def _topics(form: RigForm, file: YamlFile) -> Topics:
     said = {} if form.topics is None else form.topics.given()
-    for kind in ("wrenches", "contacts"):
+    arrays = form.skin or {}
+    for kind, what in (("wrenches", "finger"), ("contacts", "finger"), ("skin", "array of the skin")):
+        known = arrays if kind == "skin" else form.fingers
         for name in said.get(kind, ()):
-            if name not in form.fingers:
-                unknown = f"unknown finger{checks.among(name, form.fingers)}"
-                raise file.wrong(("topics", kind, name), unknown)
+            if name not in known:
+                raise file.wrong(("topics", kind, name), f"unknown {what}{checks.among(name, known)}")
     felt = [name for name in form.fingers if name not in said.get("contacts", ())]
-    return Topics(**({"wrenches": {name: f"/{name}/wrench" for name in felt}} | said))
+    usual = {"wrenches": {name: f"/{name}/wrench" for name in felt}}
+    return Topics(**(usual | {"skin": {name: f"/{name}/taxels" for name in arrays}} | said))

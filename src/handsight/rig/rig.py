@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from handsight import checks, se3
 from handsight.checks import Array
-from handsight.contact import Fingertip, WrenchCalibration
+from handsight.contact import Fingertip, TaxelArray, WrenchCalibration
 from handsight.errors import InvalidInput
 from handsight.explain import Path as FieldPath
 from handsight.explain import named
@@ -136,6 +136,7 @@ class Topics:
     """By finger."""
     contacts: Mapping[str, str] = field(default_factory=dict)
     """By finger, of tips that sense contacts themselves: ShadowContactStateStamped."""
+    skin: Mapping[str, str] = field(default_factory=dict)  # by tactile array: Float32MultiArray or Image
     vision: str | None = "/vision/object"
     """PoseStamped or PoseWithCovarianceStamped."""
     tf: str | None = "/tf"
@@ -216,6 +217,8 @@ class Rig:
     topics: Topics = field(default_factory=Topics)
     objects: Mapping[str, ObjectEntry] = field(default_factory=dict)
     """By name."""
+    skin: Mapping[str, TaxelArray] = field(default_factory=dict)
+    """Tactile arrays on links, by name."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for a hand without a tip for each finger, and for two fingers or topics that are one."""
@@ -226,6 +229,8 @@ class Rig:
                     f"expected the body of the hand's tip {body!r}" if body else "expected a tip of the hand"
                 )
                 raise InvalidInput(f"fingers[{name!r}].frame: {expected}, got {finger.frame!r}")
+        for name, array in self.skin.items():
+            self.hand.chains_to({f"skin[{name!r}].frame": array.frame})
         checks.load(self.gravity, "gravity", (3,))
         _check_sigmas(self, "sigma_joint_offset", "sigma_joint")
         if found := shared(self):
@@ -263,7 +268,8 @@ def shared(rig: Rig) -> tuple[FieldPath, str] | None:
         if isinstance(getattr(rig.topics, item.name), str)
     }
     topics |= {("topics", "wrenches", name): topic for name, topic in rig.topics.wrenches.items()}
-    topics |= {("topics", "contacts", name): topic for name, topic in rig.topics.contacts.items()}
+    for kind in ("contacts", "skin"):
+        topics |= {("topics", kind, name): topic for name, topic in getattr(rig.topics, kind).items()}
     for kind, values in (("body", frames), ("topic", topics)):
         owners = dict[str, FieldPath]()
         for path, value in values.items():

@@ -11,6 +11,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
+from handsight.contact.taxels import TaxelArray
 from handsight.files import written
 from handsight.hand.paths import PACKAGE
 from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
@@ -38,7 +39,7 @@ hand:
   joint_offset_deg: {_said(np.rad2deg(rig.sigma_joint_offset))}   # constant error of each joint angle
   joint_noise_deg: {_said(np.rad2deg(rig.sigma_joint))}
 fingers:
-{_fingers(rig.fingers)}{_camera(rig.camera)}{_table(rig.table)}world:
+{_fingers(rig.fingers)}{_skin(rig.skin)}{_camera(rig.camera)}{_table(rig.table)}world:
   palm_from: {rig.world_from or "nowhere"}   # tf, joints (the hand's file has the arm in it), nowhere
   gravity: {_said(rig.gravity)}
 frames:   # what messages call them in frame_id
@@ -85,6 +86,24 @@ def _tip(tip: Fingertip) -> str:
     return _said(shape | {name: getattr(tip, name) for name in ("min_force", "cap", "max_friction")})
 
 
+def _skin(skin: Mapping[str, TaxelArray]) -> str:
+    return _section("skin", {_said(name): _array(array) for name, array in skin.items()})
+
+
+def _array(array: TaxelArray) -> dict[str, Any]:
+    given = {name: getattr(array, name) for name in ("pitch", "threshold", "full_scale", "sigma_point")}
+    T = array.T_frame_grid
+    return {
+        "frame": array.frame,
+        "pose": {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])},
+        "rows": array.rows,
+        "columns": array.columns,
+        **given,
+        "sigma_normal_deg": np.rad2deg(array.sigma_normal),
+        "sigma_mount": array.sigma_mount,
+    }
+
+
 def _camera(camera: Camera | None) -> str:
     if camera is None:
         return ""
@@ -122,7 +141,7 @@ table:   # objects stand on it until they are lifted
 def _topics(topics: Topics) -> str:
     keys = ("joint_states", "vision", "tf", "color", "depth", "camera_info", "truth")
     named = _section("topics", {key: getattr(topics, key) for key in keys})
-    for kind in ("wrenches", "contacts"):
+    for kind in ("wrenches", "contacts", "skin"):
         by_finger = {_said(name): topic for name, topic in getattr(topics, kind).items()}
         named += indent(_section(kind, by_finger), "  ")
     return named
@@ -171,6 +190,8 @@ def _said(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Iterable):
         return "[" + ", ".join(map(_said, value)) + "]"
+    if isinstance(value, int):
+        return str(value)
     number = f"{float(value):.12g}" if value else "0.0"
     # YAML wants a dot before an exponent.
     return number.replace("e", ".0e") if "." not in number else number

@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight.errors import InvalidObject
 from handsight.simulation.holds import Hold, body_of, holds
-from handsight.simulation.motion import FREE, LEGS, MOVES, OWN, SETTLED, Grasp
+from handsight.simulation.motion import FREE, LEGS, MOVES, OWN, POWER, SETTLED, Grasp
 from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import STEPS_PER_SECOND, Scenario
 from handsight.simulation.scene import convex_hull, scene
@@ -58,8 +58,9 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     `progress` is told the share of the search that is spent, 0 to 1. Raises MissingExtra, InvalidFile, or InvalidObject
     for an object on which the hand finds no hold.
     """
-    if scenario.object in OWN:
-        return Found(OWN[scenario.object], True, 0, "its own grasp", "")
+    own = POWER if scenario.skin else OWN
+    if scenario.object in own:
+        return Found(own[scenario.object], True, 0, "its own grasp", "")
     tried = replace(scenario, motion="manipulate", images=False)
     built, promising = scene(scenario.object), holds(body_of(convex_hull(scenario.object)[0]))
     failures: Counter[str] = Counter()
@@ -86,9 +87,9 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
 
 
 @lru_cache(maxsize=16)
-def grasp_for(name: str, seed: int) -> Grasp:
+def grasp_for(name: str, seed: int, *, skin: bool = False) -> Grasp:
     """The grasp that is found for an object and a seed, remembered; raises as `find_grasp`."""
-    return find_grasp(Scenario(object=name, seed=seed)).grasp
+    return find_grasp(Scenario(object=name, seed=seed, skin=skin)).grasp
 
 
 def _in_turn(found: list[Hold]) -> Iterator[Hold]:

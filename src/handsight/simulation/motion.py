@@ -85,6 +85,20 @@ BOX = Grasp(
 )
 OWN = {"can": CAN, "box": BOX}
 """By object; how a mesh is grasped is searched."""
+POWER_CAN = Grasp(
+    height=CAN_SIZE[1] / 2,
+    T_palm_middle=se3.compose(_UPRIGHT, np.array([-0.041, -0.0481, 0.061])),
+    opening=_joints(TH={4: -0.96, 3: 0.53, 2: 0.0, 1: 0.0, 0: 0.0}),
+    closed=_joints(
+        FF={2: 1.12, 1: 1.08},
+        MF={2: 1.57, 1: 0.95},
+        RF={2: 1.20, 1: 0.86},
+        LF={2: 0.62, 1: 1.57},
+        TH={4: -0.02, 3: 0.53, 2: -0.09, 1: -0.44, 0: -1.02},
+    ),
+)
+POWER = {"can": POWER_CAN}
+"""The same where fingers press the object on the palm, its upper end before the middle of that."""
 
 
 def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:

@@ -28,6 +28,7 @@ from handsight.simulation.scene import (
     hand_file,
     tip_shape,
 )
+from handsight.simulation.skin import PALM_SKIN
 
 SCANNED, SCAN_SEED = 4000, 7
 """Points of a scanned object's cloud."""
@@ -69,7 +70,9 @@ def rig_of(scenario: Scenario) -> Rig:
             depth="/camera/depth" if scenario.images else None,
             camera_info="/camera/camera_info" if scenario.images else None,
             truth="/truth/object",
+            skin={"palm": "/palm/taxels"} if scenario.skin else {},
         ),
+        skin={"palm": PALM_SKIN} if scenario.skin else {},
         objects={
             "can": ObjectEntry(cylinder=CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
             "box": ObjectEntry(box=BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),

@@ -92,6 +92,12 @@ class Nuisances:
     """Noise, quantisation, dropout and lost edges of a Kinect's depth, in multiples of what is usual."""
     object_scale: float = 1.0
     """Size of the object the robot believes in, in parts of the true one."""
+    skin_noise: float = 0.1
+    """Of a taxel's reading, in parts of what it feels: sigma."""
+    skin_offset: float = 0.02
+    """Constant, of each taxel: what it reads untouched, sigma [N]."""
+    skin_uneven: float = 5e-5
+    """Constant, of each taxel: how far it is off the flat array, sigma [m]."""
     object_dent: float = 0.0
     """Depth of a dent that only the robot's model has [m]."""
     object_scan: float = 0.0
@@ -141,6 +147,8 @@ class Scenario:
     """Observations per second; 500 must be a multiple of it."""
     images: bool = False
     """Whether the camera's images come too, 30 a second."""
+    skin: bool = False
+    """Whether the palm has a tactile array; the can is then held against it, in a power grasp, its upper end on it."""
     depth_camera: DepthCamera = "structured_light"
     """How the camera measures depth, and so what is wrong with it."""
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
@@ -162,8 +170,13 @@ class Scenario:
             raise InvalidInput(f"depth_camera: expected one of {kinds}, got {self.depth_camera!r:.80}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
-        if not isinstance(self.images, bool):
-            raise InvalidInput(f"images: expected true or false, got {self.images!r:.60}")
+        for name in ("images", "skin"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise InvalidInput(f"{name}: expected true or false, got {value!r:.60}")
+        if self.skin and self.object == "box":
+            raise InvalidInput(
+                "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
+            )
         rate = checks.positive(self.rate, "rate")
         steps = STEPS_PER_SECOND / rate
         if rate < SLOWEST or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:

@@ -16,6 +16,7 @@ from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
+from handsight.simulation.skin import PALM_GEOM, PalmSkin
 from handsight.simulation.world import World
 from handsight.vision.depth_noise import PRESETS
 
@@ -46,6 +47,7 @@ class Sensors:
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
+        self._skin = PalmSkin(scenario) if scenario.skin else None
         self._samples = 0
         self._angles = list(world.scene.joints.values())
         self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
@@ -73,6 +75,7 @@ class Sensors:
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
         wrong = self._bias + self._drift * self.world.time
         wrong = wrong + _drawn(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
+        T_palm_object = self.world.T_palm_object()
         return Observation(
             stamp=self.world.time,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
@@ -81,6 +84,9 @@ class Sensors:
             T_world_palm=self.T_world_scene @ self.world.pose(PALM),
             color=color,
             depth=depth,
+            skin={}
+            if self._skin is None
+            else self._skin.readings(T_palm_object, self.world.pressed(PALM_GEOM)),
         )
 
     def _due(self, per_second: float) -> bool:
@@ -134,7 +140,7 @@ def simulate(
     InvalidFile or InvalidObject for a mesh that cannot be used, or where the simulator, not the hand, throws it away.
     `grasp`: else the object's own, or for a mesh the one that `find_grasp` finds for this seed.
     """
-    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed)))
+    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
     sensors = Sensors(scenario, world)
     every, steps = round(STEPS_PER_SECOND / scenario.rate), round(world.duration * STEPS_PER_SECOND)
     with closing(sensors):

@@ -143,6 +143,16 @@ class World:
                 found.append((names[1 - names.index("object")], force, -float(contact.dist)))
         return found
 
+    def pressed(self, geom: str) -> float:
+        """How hard the object presses on one of the hand's geoms, straight at it [N]."""
+        total, wrench = 0.0, np.zeros(6)
+        pair = {self.scene.model.geom(name).id for name in (geom, "object")}
+        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
+            if set(contact.geom.tolist()) == pair and contact.exclude == 0:
+                self._mujoco.mj_contactForce(self.scene.model, self.data, i, wrench)
+                total += float(wrench[0])
+        return total
+
     def thrown(self) -> bool:
         """Whether the object flies as nothing that falls does: the simulator's fault."""
         velocity = self.data.joint("object").qvel[:3]

@@ -10,6 +10,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.objects import ObjectModel
+from handsight.tracking.skin import NOTHING, SkinContacts
 
 MOST_WALKED = 100.0
 """Variance [m², rad²] beyond which a walk says no more: nothing is known of where the object is."""
@@ -30,6 +31,7 @@ class Correction:
     stamp: float
     variance: float
     """Of the position of the object's middle, its largest [m²]."""
+    skin: SkinContacts = NOTHING
 
 
 def walked(process_noise: Array, seconds: float) -> Array:

@@ -13,6 +13,7 @@ from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.tracking.fingertips import FingertipContacts
+from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.tracker import MAX_JUMP, State, Tracker
 
 
@@ -36,6 +37,8 @@ class Step:
     """Standard deviation of the position, its largest [m]."""
     slip: Slip = field(default_factory=Slip)
     """Whether the object slips, and how near to that it is."""
+    skin: SkinContacts = NOTHING
+    """What tactile arrays feel."""
 
     @property
     def fingers(self) -> tuple[str, ...]:
@@ -129,6 +132,7 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         fingertips=tracker.fingertips,
         sigma=tracker.sigma,
         slip=tracker.slip,
+        skin=tracker.skin,
     )
 
 

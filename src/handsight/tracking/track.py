@@ -23,6 +23,7 @@ from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import Correction, propagated, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
+from handsight.tracking.skin import NOTHING, SkinSensors
 from handsight.tracking.slipping import Slipping
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.weight_update import WeightUpdate
@@ -82,7 +83,9 @@ class Track:
         self.vision, self._slipping = VisionUpdate(self.rig, self.model), Slipping(self.rig)
         self._images = ImageVision(self.rig, self.model, on=self.settings.images)
         self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
-        self._weight = WeightUpdate(self.rig, self.model)
+        self._weight, self._skin = WeightUpdate(self.rig, self.model), SkinSensors(self.rig)
+        self.skin = NOTHING
+        """What the tactile arrays feel."""
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
         self._propagated_to = self._measured_at = self._fits_at = -math.inf
@@ -105,8 +108,12 @@ class Track:
             )
             observation = replace(observation, T_world_palm=T)
         self.fingertips = self._sensors.contacts(observation, self._offsets)
+        self.skin = self._skin.felt(observation, touched=self.fingertips.contacts is not None)
         self._predict(observation.T_world_palm, stamp)
-        self._weight.update(observation, self.fingertips, self._offsets, grasped=self._grasp.grasped)
+        if self.skin.pressed:
+            self._weight.weigher.forget("the skin of the hand bears a part of it")
+        else:
+            self._weight.update(observation, self.fingertips, self._offsets, grasped=self._grasp.grasped)
         before, touched = self.smoother, self.fingertips.contacts
         self.smoother = self._seen(observation, before)
         vision = self.smoother is not before
@@ -210,7 +217,8 @@ class Track:
         age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
-        if vision or regrasped or self._weight.news or self._slipping.asks(last.stamp):
+        news = self._weight.news or self.skin.news(last.skin) or self._slipping.asks(last.stamp)
+        if vision or regrasped or news:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
@@ -225,11 +233,16 @@ class Track:
         fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
         contacts, remembered = self._memory.added(fingers, touched, now)
         joints = observation.joint_positions
-        outside = self._hand.at(joints and self._offsets.corrected(joints), self._margins)
+        outside, skin = self._hand.at(joints and self._offsets.corrected(joints), self._margins), self.skin
+        pressed = skin.contacts()
+        contacts = contacts if pressed is None else contacts.joined(pressed)
         samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        given: dict[str, Any] = {"outside": outside, "answer": answer, "weight": self._weight.evidence()}
+        everything, weight = skin.beside(outside), self._weight.evidence()
+        given: dict[str, Any] = {"outside": everything, "answer": answer, "weight": weight}
         correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
-        near = None if vision or last is None or fingers != last.fingers else last.estimate
+        # What vision says anew is little beside an array that is pressed, whose search takes long.
+        seen = vision and pressed is None
+        near = None if seen or last is None or fingers != last.fingers else last.estimate
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
@@ -238,19 +251,21 @@ class Track:
         if estimate is None:
             estimate = correct(vision=prior)
         if outside is not None:
-            estimate = self._reconciled(estimate, outside, lambda hand: correct(vision=prior, outside=hand))
+            estimate = self._reconciled(
+                estimate, outside, lambda hand: correct(vision=prior, outside=skin.beside(hand))
+            )
         if not estimate.consistent and now - self._recovered_at >= RECOVERY_EVERY:
             self._recovered_at = now
             estimate, smoother = self._recovered(estimate, smoother, correct)
             self.smoother, prior = smoother, smoother.without_touch
-        felt = None if remembered else self.fingertips
+        felt = None if remembered or pressed is not None else self.fingertips
         estimate = self._weight.shared(estimate, felt, prior, self._offsets)
         for i in estimate.outliers:
-            if i >= len(touched):
+            if len(touched) <= i < len(touched) + len(remembered):
                 self._memory.forget(remembered[i - len(touched)])
         variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
         self._correction = Correction(
-            estimate, touched, self.fingertips.by_error, prior, fingers, now, variance
+            estimate, touched, self.fingertips.by_error, prior, fingers, now, variance, skin
         )
         self.estimate, self._propagated_to = estimate, now
         self.corrections += 1

@@ -193,7 +193,7 @@ class Tracker(Track):
         eye = self._images.eye
         seeing = () if eye is None else (eye, eye.tracker)
         slips = self._slipping, self._slipping.detector, self._slipping.detector.friction
-        weighs = self._weight, self._weight.weigher
+        weighs = self._weight, self._weight.weigher, self._skin
         parts = self, self.vision, self._grasp, self._memory, self._images, *slips, *weighs, *seeing
         return tuple((part, vars(part).copy()) for part in parts)
 

@@ -15,6 +15,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import FingertipContacts, State, Tracker
 from handsight.tracking.replay import Step
+from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.viewer.picture import Picture
 
 VISION_FOR = 1.0
@@ -56,6 +57,8 @@ class Moment:
     """The last image; None where there was none."""
     slip: Slip = field(default_factory=Slip)
     """Whether the object slips, and how near to that it is."""
+    skin: SkinContacts = NOTHING
+    """What tactile arrays feel."""
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
@@ -85,6 +88,7 @@ class Moment:
             wrenches={} if taken is None else taken.wrenches,
             vision=None if seen is None else Measured(known.stamp, seen),
             slip=known.slip,
+            skin=known.skin,
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":

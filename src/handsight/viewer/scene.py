@@ -114,7 +114,9 @@ class Scene:
         if felt.contacts is not None:
             points, normals = felt.contacts.points_palm, felt.contacts.normals_palm
         wrong = np.array([name in moment.outliers for name in felt.fingers], dtype=bool)
-        self._set(self.contacts, points[~wrong], wanted)
+        pressed = moment.skin.contacts()
+        on_skin = np.zeros((0, 3)) if pressed is None else pressed.points_palm
+        self._set(self.contacts, np.concatenate([points[~wrong], on_skin]), wanted)
         self._set(self.rejected, points[wrong], wanted)
         self._set(self.normals, np.stack([points, points + NORMAL * normals], axis=1), wanted)
         arrows = [

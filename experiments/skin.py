@@ -1,0 +1,165 @@
+"""A palm's tactile array: what its pressed and its untouched taxels say beside three fingertips. All synthetic.
+
+First static scenes: a box (60 x 90 x 140 mm) that lies flat, one long edge on the array, and a can that lies on its
+side, one end on the array or both beyond it. Array 60 x 80 mm of 4 mm, of foam, 10 % noise, each taxel off by 0.1 mm,
+all by 0.5 mm; fingertips on the far side, 1.2 mm and 2° per axis; vision 30 mm, 6° per axis. Then the simulated hand
+(MuJoCo), which presses the can on its palm, upper end on the array; the tracker knows of no table.
+
+  slide    error across the edge on the array (along the can's axis)
+  open     error along the array the other way
+  turn     modulo symmetry
+  in 95 %  share of the answer's 95 % regions that hold the truth
+"""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import handsight as hs
+from handsight import se3
+from handsight.correction import Outside
+from handsight.simulation import Scenario, model_of, rig_of, simulate
+from handsight.simulation.skin import RUBBER
+from shared import figures, report, scenes, skin_scenes
+from shared.report import Array, Row, Rows
+
+WITH = ("tips", "+ pressed", "+ untouched")
+HELD_OUT = 14
+"""A key of the scenes that no constant was chosen on."""
+COLOURS = dict(zip(WITH, (figures.INITIAL, figures.RESULT, figures.TRUTH), strict=True))
+SCENES: dict[str, Any] = {
+    "box, an edge on it": skin_scenes.box_on_skin,
+    "the same, hard skin": lambda rng, array: skin_scenes.box_on_skin(rng, array, springs=RUBBER),
+    "can, an end on it": skin_scenes.can_on_skin,
+    "can, both ends off": lambda rng, array: skin_scenes.can_on_skin(rng, array, end=False),
+}
+HAND = "hand presses the can"
+
+
+def main() -> None:
+    """Runs the experiment."""
+    options = report.options(__doc__, trials=100, quick_trials=8)
+    array, rows = skin_scenes.palm_array(), []
+    for k in report.progress(range(options.trials), "on the array"):
+        for n, (name, draw) in enumerate(SCENES.items()):
+            scene = draw(options.rng(HELD_OUT, n, k), array)
+            rows += [{"trial": k, "scene": name, **row} for row in answers(scene, scene.touch(array))]
+    for k in report.progress(range(max(2, options.trials // 5)), "in the hand"):
+        rows += [{"trial": k, "scene": HAND, **row} for row in held(options.first_seed + 200 + k)]
+    print_table(rows)
+    report.write_csv(options.output / "skin.csv", rows)
+    draw_figure(rows, options.rng(HELD_OUT, 0, 0), options.output / "skin.png")
+
+
+def answers(scene: skin_scenes.SkinScene, touch: Any) -> Rows:
+    """The errors of a static scene by the tips, with pressed taxels, and with all."""
+    pressed, rows = touch.contacts(np.eye(4)), []
+    for name in WITH:
+        contacts = scene.tips if name == "tips" else scene.tips.joined(pressed)
+        everything = Outside.of_skin(touch, np.eye(4))
+        # Without the untouched ones the array's height is as uncertain.
+        outside = {"tips": None, "+ pressed": Outside(skin=everything.skin)}.get(name, everything)
+        correct = partial(hs.correct_pose, scene.model, contacts, vision=scene.vision, outside=outside)
+        estimate, seconds = report.timed(correct)
+        row = errors(scene.model, estimate, scene.T_palm_object, scene.across, np.array([0.0, 0, 1]))
+        rows.append({"with": name, **row, "ms": 1e3 * seconds})
+    return rows
+
+
+def errors(model: hs.ObjectModel, estimate: hs.PoseEstimate, T_true: Array, across: Array, up: Array) -> Row:
+    """Slide, open [mm], turn [deg], and whether the 95 % region holds the truth."""
+    T = estimate.T_palm_object
+    delta = se3.difference(T, scenes.nearest_truth(model, T_true, T))
+    region = scenes.region(model, estimate, T_true)
+    return {
+        "slide": 1e3 * abs(delta[:3] @ across),
+        "open": 1e3 * abs(delta[:3] @ np.cross(up, across)),
+        "turn": np.rad2deg(np.linalg.norm(delta[3:])),
+        "in 95%": region["in 95%"],
+        "nees": region["squared"] / region["freedom"],
+    }
+
+
+def held(seed: int) -> Rows:
+    """The errors at the end of a simulated power grasp, without the array and with it."""
+    scenario = Scenario(object="can", seed=seed, motion="grasp", rate=50, skin=True)
+    samples, model = list(simulate(scenario)), model_of(scenario)
+    if samples[-1].dropped:
+        return []
+    rig, truth, rows = replace(rig_of(scenario), table=None), samples[-1].T_palm_object, []
+    for name in ("tips", "+ untouched"):
+        tracker = hs.Tracker(rig, model)
+        for sample in samples:
+            seen = sample.observation
+            tracker.update(seen if name != "tips" else replace(seen, skin={}))
+        if tracker.estimate is not None:
+            row = errors(model, tracker.estimate, truth, truth[:3, 2], np.array([0.0, -1, 0]))
+            rows.append({"with": name, **row})
+    return rows
+
+
+def print_table(rows: Rows) -> None:
+    """Mean errors, by scene and by what was asked."""
+    table = []
+    for scene in (*SCENES, HAND):
+        for name in WITH:
+            mine = report.chosen(rows, scene=scene, **{"with": name})
+            if not mine:
+                continue
+            slide = report.values(mine, "slide")
+            cells = [report.plus_minus(report.values(mine, key), 1) for key in ("open", "turn")]
+            inside = f"{100 * np.mean([row['in 95%'] for row in mine]):.0f} %"
+            nees = f"{report.values(mine, 'nees').mean():.2f}"
+            ms = f"{np.median(report.values(mine, 'ms')):.1f}" if "ms" in mine[0] else ""
+            p90 = f"{np.quantile(slide, 0.9):.1f}"
+            table.append([scene, name, len(mine), report.plus_minus(slide, 1), p90, *cells, inside, nees, ms])
+    report.print_table(
+        "Mean absolute error (synthetic)",
+        ["scene", "with", "n", "slide mm", "p90", "open mm", "turn °", "in 95 %", "NEES", "ms"],
+        table,
+        "± one standard error. NEES per degree of freedom.",
+    )
+
+
+def draw_figure(rows: Rows, rng: np.random.Generator, path: Path) -> None:
+    """What the array reads of a box, and how far each answer is off along the slide."""
+    figure, axes = figures.pyplot().subplots(
+        1, 3, figsize=(10, 3.4), layout="constrained", width_ratios=(1, 1.3, 1.3)
+    )
+    draw_reading(axes[0], rng)
+    for ax, scene in zip(axes[1:], ("box, an edge on it", "can, an end on it"), strict=True):
+        for name in WITH:
+            values, share = figures.shares(report.values(rows, "slide", scene=scene, **{"with": name}))
+            ax.step(values, share, where="post", color=COLOURS[name], linewidth=1.8, label=name)
+        ax.axvline(2, color="0.8", linewidth=1, zorder=0)
+        ax.set(xlim=(0, 40), ylim=(0, 1), xlabel="slide error [mm]", title=scene)
+    axes[1].set(ylabel="share of scenes")
+    axes[2].legend(loc="lower right")
+    figures.save(figure, path)
+
+
+def draw_reading(axes: Any, rng: np.random.Generator) -> None:
+    """One box on the array: readings, which taxels say what, and the face's outline."""
+    array = skin_scenes.palm_array()
+    scene = skin_scenes.box_on_skin(rng, array)
+    touch, half = scene.touch(array), np.array(scenes.BOX) / 2
+    extent = 1e3 * array.pitch * np.array([-array.columns, array.columns, -array.rows, array.rows]) / 2
+    axes.imshow(
+        scene.readings, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=scene.readings.max()
+    )
+    for mask, mark, colour in ((touch.pressed, "s", figures.RESULT), (touch.untouched, ".", "#3070c0")):
+        x, y, _ = 1e3 * array.places_grid[mask].T
+        axes.plot(x, y, mark, color=colour, markersize=2.5, linestyle="none")
+    face = np.array(
+        [[-half[0], sy * half[1], sz * half[2]] for sy, sz in ((1, 1), (1, -1), (-1, -1), (-1, 1), (1, 1))]
+    )
+    x, y, _ = 1e3 * se3.apply(scene.T_palm_object, face).T
+    axes.plot(x, y, color=figures.TRUTH, linewidth=1.5)
+    axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="mm", title="a box: pressed, untouched")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""Where to begin with an array of taxels: along what contacts leave open, where the object covers what it should.
+
+Under a face a point that should be outside says that the face is too deep, not which way it ends: the evidence has no
+slope there, and a descent stays where vision was. So poses are drawn from what contacts alone leave open, and begun
+from where all evidence together is likeliest.
+"""
+
+import numpy as np
+
+from handsight import se3
+from handsight._kernels.propagated import inflate
+from handsight.checks import Array
+from handsight.correction.estimate import PoseEstimate
+from handsight.correction.outside import Outside
+from handsight.correction.problem import Problem
+from handsight.correction.solve import cost
+
+DRAWS, ROUNDS, KEPT = 384, 3, 12
+"""Poses of a round, rounds, and the likeliest of each that the next are drawn around; these are begun from at last."""
+NARROWER = 0.3
+"""How much closer each round draws."""
+SEED = 5
+
+
+def less_certain(estimate: PoseEstimate, outside: object) -> PoseEstimate:
+    """The estimate as uncertain as the array is that its evidence was relative to, if there was one."""
+    if not isinstance(outside, Outside) or outside.skin is None:
+        return estimate
+    variance = np.asarray(outside.skin) ** 2
+    information = np.array(estimate.information)
+    inflate(information, variance)
+    covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
+    return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
+
+
+def likely_starts(problem: Problem, estimate: PoseEstimate) -> Array:
+    """(K, 4, 4) poses that the whole problem is likeliest at, drawn around an estimate of its contacts alone."""
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    rng = np.random.default_rng(SEED)
+    values, vectors = np.linalg.eigh(estimate.bounded_covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    best = estimate.T_palm_object_maximum[None]
+    for k in range(ROUNDS):
+        around = best[np.arange(DRAWS) % len(best)]
+        drawn = se3.moved(around, NARROWER**k * rng.normal(size=(DRAWS, 6)) @ root.T)
+        poses = np.concatenate([best, drawn])
+        best = poses[np.argsort(cost(problem, poses, used), kind="stable")[:KEPT]]
+    return best

@@ -1,0 +1,154 @@
+"""A simulated tactile array: an elastic skin on the palm, and what its taxels read of a body that presses on it.
+
+The skin is a bed of springs (an elastic foundation; Johnson 1985, chapter 4.3): what presses with a force sinks in
+until the springs under it hold that. A physics engine's contact points would not do, for it has them at the corners of
+a face alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact.taxels import TaxelArray
+from handsight.simulation.scenario import Scenario
+from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
+
+FOAM, RUBBER = 1e7, 6e7
+"""Springs of a skin [N/m per m²]: 5 mm of foam; 1.5 mm of soft rubber, as on the simulated palm: that is hard to the
+physics engine, and a skin into which things sank would contradict where they are."""
+FINER = 3
+"""Springs of a taxel, each way."""
+PALM_GEOM = "robot0:C_palm0"
+"""What the array lies on."""
+FLOOR = 0.002
+"""Noise of a taxel that feels nothing: sigma [N]."""
+SIDES = 128
+"""Of the polygon that stands for a circle: within 0.01 mm of a can's."""
+PALM_SKIN = TaxelArray(
+    frame=PALM,
+    # The collision box of the palm has its face there, towards -y.
+    T_frame_grid=se3.compose(
+        np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.011, -0.0111, 0.045])
+    ),
+    rows=20,
+    columns=15,
+    pitch=0.004,
+    threshold=0.015,
+    full_scale=5.0,
+)
+"""60 x 80 mm on the simulated hand's palm: x to the thumb's side, y towards the fingers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A convex body as the planes around it."""
+
+    normals: Array
+    """(k, 3) outward."""
+    offsets: Array
+    """(k,) of the planes along them [m]."""
+
+    @classmethod
+    def box(cls, size: Array) -> "Solid":
+        """About the origin."""
+        return cls(np.vstack([np.eye(3), -np.eye(3)]), np.tile(np.asarray(size) / 2, 2))
+
+    @classmethod
+    def cylinder(cls, radius: float, height: float) -> "Solid":
+        """About the origin and z."""
+        turn = 2 * np.pi * np.arange(SIDES) / SIDES
+        round_ = np.stack([np.cos(turn), np.sin(turn), np.zeros(SIDES)], axis=1)
+        ends = np.array([[0.0, 0, 1], [0, 0, -1]])
+        return cls(np.vstack([round_, ends]), np.repeat([radius, height / 2], [SIDES, 2]))
+
+    @classmethod
+    def hull(cls, vertices: Array, faces: Array) -> "Solid":
+        """Of a convex mesh."""
+        corners = vertices[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        corners, normals = corners[length[:, 0] > 0], (normals / np.maximum(length, 1e-300))[length[:, 0] > 0]
+        inward = np.einsum("ki,ki->k", normals, corners[:, 0] - vertices.mean(axis=0)) < 0
+        normals[inward] *= -1
+        return cls(normals, np.einsum("ki,ki->k", normals, corners[:, 0]))
+
+    def ahead(self, points: Array, direction: Array) -> Array:
+        """(n,) how far ahead of points (n, 3) the body begins along a unit direction [m]; infinite where it is not.
+
+        Negative where it begins behind.
+        """
+        rate, left = self.normals @ direction, self.offsets - points @ self.normals.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = left / rate
+        begin = np.where(rate < -1e-12, at, -np.inf).max(axis=1)
+        end = np.where(rate > 1e-12, at, np.inf).min(axis=1)
+        misses = (np.where(np.abs(rate) <= 1e-12, left, 0.0) < 0).any(axis=1) | (end < begin)
+        return np.asarray(np.where(misses, np.inf, begin))
+
+
+def sunk(gaps: Array, force: float, stiffness: float) -> Array:
+    """(n,) forces [N] of springs that a body is pressed into until together they hold `force`.
+
+    `gaps` (n,): how far ahead of each the body is [m], infinite: nowhere; `stiffness` of a spring [N/m].
+    """
+    near = np.sort(gaps[np.isfinite(gaps)])
+    if force <= 0 or not len(near):
+        return np.zeros(len(gaps))
+    # With the nearest k springs at work the depth is what holds the force; the right k reaches no further spring.
+    depth = (force / stiffness + np.cumsum(near)) / np.arange(1, len(near) + 1)
+    k = int(np.argmax(np.append(depth[:-1] <= near[1:], True)))
+    return np.asarray(stiffness * np.maximum(depth[k] - gaps, 0.0))
+
+
+def felt(
+    array: TaxelArray,
+    solid: Solid,
+    T_grid_object: Array,
+    force: float,
+    uneven: Array | float = 0.0,
+    springs: float = RUBBER,
+) -> Array:
+    """(rows, columns) what each taxel feels of a solid at a pose that presses on the skin with a force [N].
+
+    `uneven` (rows, columns): how far each taxel is below the flat grid [m]. `springs` [N/m per m²].
+    """
+    fine = array.pitch / FINER
+    steps = fine * (np.arange(FINER) - (FINER - 1) / 2)
+    places = array.places_grid[:, :, None, None] + np.stack(
+        [*np.meshgrid(steps, steps), np.zeros((FINER, FINER))], 2
+    )
+    R = T_grid_object[:3, :3]
+    gaps = solid.ahead((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
+    gaps = (gaps.reshape(*array.shape, -1) + np.broadcast_to(uneven, array.shape)[:, :, None]).ravel()
+    forces = sunk(gaps, force, springs * fine**2)
+    return np.asarray(forces.reshape(*array.shape, -1).sum(axis=2))
+
+
+class PalmSkin:
+    """The array on the simulated palm; errors that are constant are drawn at the start, noise at every reading."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Draws by the scenario's seed."""
+        n, seed, shape = scenario.nuisances, int(scenario.seed), PALM_SKIN.shape
+        constant = np.random.default_rng((seed, 11))
+        self._uneven = n.skin_uneven * constant.normal(size=shape)
+        self._offset = n.skin_offset * constant.normal(size=shape)
+        self._share, self._noise = n.skin_noise, np.random.default_rng((seed, 12))
+        self._solid = solid_of(scenario.object)
+
+    def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
+        """(rows, columns) of the array, by its name [N]; `force`: how hard the object presses on the palm [N]."""
+        T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
+        true = felt(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
+        share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
+        read = true * (1 + self._share * share) + (FLOOR * floor if self._share else 0.0) + self._offset
+        return {"palm": np.minimum(read, PALM_SKIN.full_scale or np.inf)}
+
+
+def solid_of(name: str) -> Solid:
+    """Of a scenario's object, in its frame."""
+    if name == "can":
+        return Solid.cylinder(*CAN_SIZE)
+    return Solid.box(np.array(BOX_SIZE)) if name == "box" else Solid.hull(*convex_hull(name))

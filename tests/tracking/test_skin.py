@@ -1,0 +1,108 @@
+"""A tracker with a tactile array: its taxels join the fingertips' contacts, each above what it read untouched."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight.errors import InvalidInput
+from handsight.recording import RecordingWriter, open_recording
+from handsight.simulation import Scenario, model_of, rig_of
+from handsight.tracking.skin import SkinSensors
+
+SCENARIO = Scenario(object="can", seed=1, motion="grasp", rate=50, skin=True)
+RIG = rig_of(SCENARIO)
+
+
+@pytest.fixture(scope="module")
+def grasp(simulated):
+    return simulated(SCENARIO)
+
+
+def followed(samples, rig=RIG):
+    tracker = hs.Tracker(rig, model_of(SCENARIO))
+    for sample in samples:
+        tracker.update(sample.observation)
+    return tracker
+
+
+def test_the_skin_takes_the_tracker_nearer(grasp):
+    """Not known where the table is, contacts on the can's side leave open where it is along its axis."""
+    rig, axis = replace(RIG, table=None), grasp[-1].T_palm_object[:3, 2]
+    without = [replace(sample, observation=replace(sample.observation, skin={})) for sample in grasp]
+    errors = []
+    for samples in (without, grasp):
+        tracker = followed(samples, rig)
+        shift = tracker.estimate.T_palm_object[:3, 3] - grasp[-1].T_palm_object[:3, 3]
+        errors.append(abs(shift @ axis))
+        assert tracker.estimate.consistent
+    assert errors[1] < 3e-3
+    assert errors[1] < errors[0] / 3
+    assert tracker.skin.pressed
+
+
+def test_a_recording_brings_the_readings_back(grasp, tmp_path):
+    with RecordingWriter(tmp_path / "skin.mcap", RIG) as writer:
+        for sample in grasp:
+            writer.write(replace(sample.observation, stamp=1000 + sample.observation.stamp))
+    recording = open_recording(tmp_path / "skin.mcap", RIG)
+    heard = list(recording.observations())
+    assert len(heard) == len(grasp)
+    assert recording.report.topics["/palm/taxels"].used == len(grasp)
+    for observation, sample in zip(heard, grasp, strict=True):
+        np.testing.assert_allclose(observation.skin["palm"], sample.observation.skin["palm"], atol=1e-6)
+
+
+def test_offsets_and_dead_taxels_are_learnt_before_the_first_touch():
+    array, rng = RIG.skin["palm"], np.random.default_rng(0)
+    sensors, offset = SkinSensors(RIG), rng.normal(size=array.shape)
+    observation = hs.Observation(0.0)
+
+    def felt(reading, *, touched):
+        seen = replace(observation, skin={"palm": reading})
+        return sensors.felt(seen, touched=touched).touches["palm"][0]
+
+    for _ in range(10):
+        reading = offset + 0.001 * rng.normal(size=array.shape)
+        reading[3, 3], reading[4, 4] = 0.0, array.full_scale  # one never changes, one is stuck
+        felt(reading, touched=False)
+    pressed = offset.copy()
+    pressed[8:12, 5:9] += 0.1
+    pressed[3, 3], pressed[4, 4] = 0.0, array.full_scale
+    touch = felt(pressed, touched=True)
+    assert touch.pressed.sum() == 16
+    assert touch.pressed[8:12, 5:9].all()
+    assert not touch.untouched[[3, 4], [3, 4]].any()
+    assert touch.untouched.sum() == touch.untouched.size - 18
+
+
+def test_an_array_on_a_finger_moves_with_it_and_is_as_uncertain_as_its_joints():
+    array = replace(RIG.skin["palm"], frame="robot0:ffmiddle")
+    sensors = SkinSensors(replace(RIG, skin={"palm": array}))
+    reading = np.zeros(array.shape)
+    reading[5:8, 5:8] = 1.0
+    joints = dict.fromkeys(RIG.hand.joint_names, 0.3)
+    observation = hs.Observation(0.0, joints, skin={"palm": reading})
+    felt = sensors.felt(observation, touched=True)
+    T = RIG.hand.link_poses(joints)["robot0:ffmiddle"]
+    expected = array.touch(reading).contacts(T)
+    np.testing.assert_allclose(felt.contacts().points_palm, expected.points_palm, atol=1e-12)
+    assert (felt.beside(None).skin > SkinSensors(RIG).felt(observation, touched=True).beside(None).skin).any()
+    assert not sensors.felt(replace(observation, joint_positions=None), touched=True).touches
+
+
+def test_readings_of_another_shape_are_refused_and_change_nothing(grasp):
+    tracker = followed(grasp[:60])
+    known = tracker.skin
+    wrong = replace(grasp[60].observation, skin={"palm": np.zeros((3, 3))})
+    with pytest.raises(InvalidInput, match=r"observation\.skin\['palm'\]: expected 20 rows of 15 numbers"):
+        tracker.update(wrong)
+    assert tracker.skin is known
+    assert tracker.refused == 1
+
+
+def test_what_lies_on_the_skin_is_not_weighed(grasp):
+    tracker = followed(grasp)
+    assert tracker.weight is None
+    assert "skin" in tracker._weight.weigher.reason
