@@ -8,6 +8,7 @@ from handsight.cli.run import Run
 from handsight.cli.track import grip
 from handsight.dynamics import Slip
 from handsight.tracking.replay import Tally
+from handsight.tracking.skin import NOTHING
 from handsight.viewer.curves import slips_of
 
 
@@ -17,7 +18,8 @@ def steps():
     said += [Slip(True, {"ff": 0.97}, 0.8, 1000.3)] * 4
     said += [Slip(False, {"ff": 0.5}, 0.8, 1000.3, 1000.7)] * 2
     said += [Slip(True, {"ff": 1.0}, 0.8, 1000.9, 1000.7), Slip(False, {"ff": 0.4}, 0.81, 1000.9, 1001.0)]
-    return [SimpleNamespace(stamp=1000 + k / 10, slip=slip) for k, slip in enumerate(said)]
+    nothing = {"fingers": (), "rejected": (), "skin": NOTHING}
+    return [SimpleNamespace(stamp=1000 + k / 10, slip=slip, **nothing) for k, slip in enumerate(said)]
 
 
 def test_slips_are_counted_and_said():

@@ -80,9 +80,7 @@ class Run:
     def rejected(self) -> dict[str, float]:
         """By finger: in what part of the answers while it touched its contact was taken for wrong."""
         touching = Counter(finger for step in self.steps for finger in step.fingers)
-        wrong = Counter(
-            finger for step in self.steps for finger in step.fingertips.rejected_by(step.estimate)
-        )
+        wrong = Counter(finger for step in self.steps for finger in step.rejected)
         return {finger: wrong[finger] / count for finger, count in touching.items()}
 
     def summary(self) -> dict[str, Any]:
@@ -133,23 +131,7 @@ class Run:
         if spent:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += refusals(tally)
-        for finger, why in self.untouched.items():
-            reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
-            lines.append(f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})")
-        lines += [
-            f"finger {finger}: taken for wrong in {100 * part:.0f} % of the poses while it touched: "
-            "its reading, bias, sensor.pose or surface?"
-            for finger, part in self.rejected.items()
-            if part >= OFTEN
-        ]
-        if pressed := sum(step.skin.pressed for step in self.steps):
-            lines.append(f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses")
-        if slips := self.slips:
-            first = slips[0][0] - self.steps[0].stamp
-            lines.append(
-                f"the object slipped {len(slips)} times, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
-                f"{first:.2f} s; friction {self.friction:.2f}"
-            )
+        lines += self._touch()
         if self.images:
             lines.append(images_said(self.images))
         if self.margins:
@@ -164,6 +146,26 @@ class Run:
                 f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
             )
         return lines
+
+    def _touch(self) -> Iterator[str]:
+        """What fingers and skin have to say."""
+        for finger, why in self.untouched.items():
+            reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
+            yield f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})"
+        for finger, part in self.rejected.items():
+            if part >= OFTEN:
+                yield (
+                    f"finger {finger}: taken for wrong in {100 * part:.0f} % of the poses while it touched: "
+                    "its reading, bias, sensor.pose or surface?"
+                )
+        if pressed := sum(step.skin.pressed for step in self.steps):
+            yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
+        if slips := self.slips:
+            first = slips[0][0] - self.steps[0].stamp
+            yield (
+                f"the object slipped {len(slips)} times, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
+                f"{first:.2f} s; friction {self.friction:.2f}"
+            )
 
 
 def weight_said(weight: "ObjectWeight | None", why: str = "") -> str:

@@ -45,6 +45,11 @@ class Step:
         """Those that touch."""
         return self.fingertips.fingers
 
+    @property
+    def rejected(self) -> tuple[str, ...]:
+        """Those of them whose contacts the answer takes for wrong."""
+        return self.fingertips.rejected_by(self.estimate)
+
 
 @dataclass(slots=True)
 class Tally:

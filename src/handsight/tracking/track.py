@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +26,9 @@ from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import NOTHING, SkinSensors
 from handsight.tracking.slipping import Slipping
 from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.trust import CONTRADICTED, SEEN_ALONE, SLIPS, State, Trust
 from handsight.tracking.weight_update import WeightUpdate
 
-State = Literal["tracking", "uncertain", "lost"]
 Correct = Callable[..., PoseEstimate]
 NO_POSE = "no pose yet: neither a start nor vision"
 WIDER = 9.0
@@ -41,8 +41,6 @@ ENOUGH_CONTACTS = 3
 """Of fewer the pose takes up all that they say: nothing is left to tell the joints' offsets from."""
 RENEW_AFTER = 0.02
 """How old the growth of a propagated covariance may be [s]: a micrometre or so."""
-LOST_WITHOUT_FIT = 2.0
-"""So long contacts may contradict every pose before the object counts as lost [s]."""
 
 
 class Track:
@@ -88,14 +86,13 @@ class Track:
         """What the tactile arrays feel."""
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
-        self._propagated_to = self._measured_at = self._fits_at = -math.inf
-        self._recovered_at = self._hand_checked_at = -math.inf
+        self._trust = Trust(self.settings)
+        self._propagated_to = self._recovered_at = self._hand_checked_at = -math.inf
         self.smoother = self._started()
 
     def _started(self) -> PoseBiasSmoother | None:
         """What is known at first."""
-        start = self._start
-        if start is None:
+        if (start := self._start) is None:
             return None
         return self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
 
@@ -121,7 +118,7 @@ class Track:
             # The palm has gone so far that it is in no hand.
             self.smoother, self._correction, self.estimate = self._started(), None, None
         if vision or touched is not None:
-            self._measured_at = stamp
+            self._trust = self._trust.measured(stamp)
         if self.smoother is None:
             self.state, self.reason = "lost", NO_POSE
             return None
@@ -134,7 +131,8 @@ class Track:
         elif stamp - self._propagated_to > RENEW_AFTER:
             self.estimate = propagated(last.estimate, walked(self._process_noise, stamp - last.stamp))
             self._propagated_to = stamp
-        self.state, self.reason = self._judged(self.estimate)
+        self._trust = self._trust.answered(stamp, consistent=self.estimate.consistent)
+        self.state, self.reason = self._trust.judged(stamp, self.sigma, self._doubt(self.estimate))
         return self.estimate
 
     @property
@@ -186,8 +184,8 @@ class Track:
         change = self._grasp.update(fingers, stamp)
         if change == "grasped":
             self._memory.only(fingers)
-        if self.smoother is not None:
-            smoother = self.smoother if change is None else self._regrasped(self.smoother, change)
+        if (smoother := self.smoother) is not None:
+            smoother = smoother if change is None else self._regrasped(smoother, change)
             self.smoother = self._slipping.update(stamp, self.fingertips, smoother)
         if self._slipping.now.slipping:
             self._memory.only(fingers)
@@ -232,13 +230,13 @@ class Track:
         """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
         fingers, now, last = self.fingertips.fingers, self.stamp, self._correction
         contacts, remembered = self._memory.added(fingers, touched, now)
-        joints = observation.joint_positions
-        outside, skin = self._hand.at(joints and self._offsets.corrected(joints), self._margins), self.skin
+        joints, skin = observation.joint_positions, self.skin
+        outside = self._hand.at(joints and self._offsets.corrected(joints), self._margins)
         pressed = skin.contacts()
         contacts = contacts if pressed is None else contacts.joined(pressed)
-        samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        everything, weight = skin.beside(outside), self._weight.evidence()
-        given: dict[str, Any] = {"outside": everything, "answer": answer, "weight": weight}
+        samples, prior = self.settings.samples, smoother.without_touch
+        given: dict[str, Any] = {"outside": skin.beside(outside), "weight": self._weight.evidence()}
+        given["answer"] = self.settings.answer
         correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
         # What vision says anew is little beside an array that is pressed, whose search takes long.
         seen = vision and pressed is None
@@ -246,8 +244,7 @@ class Track:
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
-            T_near = near.T_palm_object_maximum
-            estimate = refine_pose(self.model, contacts, prior, T_near, **given)
+            estimate = refine_pose(self.model, contacts, prior, near.T_palm_object_maximum, **given)
         if estimate is None:
             estimate = correct(vision=prior)
         if outside is not None:
@@ -277,8 +274,7 @@ class Track:
         now = smoother.now
         wider = smoother.restarted(now.inflated((WIDER - 1) * now.covariance.diagonal()[:6]))
         # Touch may have said where something else is, such as the edge of the table.
-        lost = self.stamp - self._fits_at > LOST_WITHOUT_FIT
-        for other in (wider, self.vision.afresh() if lost else None):
+        for other in (wider, self.vision.afresh() if self._trust.unfitted(self.stamp) else None):
             found = estimate if other is None else correct(vision=other.without_touch)
             if other is not None and found.consistent:
                 return found, other
@@ -294,24 +290,11 @@ class Track:
         self._margins = self._margins.noted(inside, self.stamp)
         return estimate
 
-    def _judged(self, estimate: PoseEstimate) -> tuple[State, str]:
-        """How far the estimate is to be trusted, and why no further."""
-        now = self.stamp
-        if estimate.consistent or self._fits_at == -math.inf:
-            self._fits_at = now
-        if self._measured_at == -math.inf:
-            return "lost", "nothing was touched or seen yet"
-        if now - self._measured_at > self.settings.lost_after:
-            return "lost", f"nothing touched and nothing seen for {now - self._measured_at:.1f} s"
-        if now - self._fits_at > LOST_WITHOUT_FIT:
-            return "lost", f"the contacts have fitted no pose for {now - self._fits_at:.1f} s"
+    def _doubt(self, estimate: PoseEstimate) -> str:
+        """What speaks against an answer; empty: nothing."""
         if self._slipping.now.slipping:
-            return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
+            return SLIPS
         if not estimate.consistent:
-            return "uncertain", "the contacts do not fit the object where it is believed to be"
-        if self._correction is None and not self.vision.seen_camera.believed:
-            return "uncertain", "nothing is touched: the pose is vision's"
-        sigma = self.sigma
-        if sigma > self.settings.uncertain_position:
-            return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
-        return "tracking", ""
+            return CONTRADICTED
+        by_vision = self._correction is None and not self.vision.seen_camera.believed
+        return SEEN_ALONE if by_vision else ""

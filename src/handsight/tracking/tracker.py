@@ -14,7 +14,8 @@ from handsight.observation import Observation, checked
 from handsight.rig import Rig
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
-from handsight.tracking.track import State, Track
+from handsight.tracking.track import Track
+from handsight.tracking.trust import State
 from handsight.tracking.weight_update import ObjectWeight
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
