@@ -11,6 +11,8 @@ from handsight.errors import InvalidInput
 
 DISTANCE_BIN, NORMAL_BIN = 0.004, float(np.deg2rad(12.0))
 """Outcomes that differ by less are not told apart [m], [rad]."""
+APART = 1000
+"""More steps than there are of a normal."""
 CANDIDATES, LOOKED_AT = 256, 512
 """Sweeps that are compared, and poses on which they are."""
 MARGIN = 0.03
@@ -81,17 +83,18 @@ def _looked_at(belief: Belief) -> Array:
 
 
 def _outcomes(distances: Array, normals: Array) -> Indices:
-    """(n, 3) whole numbers that say which outcome each is, of distances (n,) and normals (n, 3)."""
+    """(n,) whole numbers that say which outcome each is, of distances (n,) and normals (n, 3)."""
     azimuth, elevation = np.arctan2(normals[:, 1], normals[:, 0]), np.arcsin(np.clip(normals[:, 2], -1, 1))
     met = np.isfinite(distances)
-    bins = np.column_stack(
+    bins = np.stack(
         [np.where(met, distances, 0.0) / DISTANCE_BIN, azimuth / NORMAL_BIN, elevation / NORMAL_BIN]
     )
-    return np.where(met[:, None], np.floor(bins), -1e6).astype(np.int64)
+    far, around, up = np.floor(bins).astype(np.int64)
+    return np.where(met, (far * APART + around) * APART + up, -APART * APART)
 
 
 def _entropy(outcomes: Indices) -> float:
-    """Of equally likely outcomes (n, k) [nat]."""
-    _, counts = np.unique(outcomes, axis=0, return_counts=True)
+    """Of equally likely outcomes (n,) [nat]."""
+    _, counts = np.unique(outcomes, return_counts=True)
     share = counts / counts.sum()
     return float(-(share * np.log(share)).sum())

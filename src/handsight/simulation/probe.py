@@ -52,7 +52,7 @@ ABOVE = 0.5
 """Of the palm at first over the object's middle [m]."""
 
 
-def _nobody(_: Sample) -> None:
+def nobody(_: Sample) -> None:
     """Looks at no sample."""
 
 
@@ -108,7 +108,7 @@ class Probe(World):
         lowest = max(LOWEST, self.top - REACH)
         return lowest, max(lowest, self.top - HIGHEST)
 
-    def feel_table(self, places: ArrayLike, see: Callable[[Sample], None] = _nobody) -> float:
+    def feel_table(self, places: ArrayLike, see: Callable[[Sample], None] = nobody) -> float:
         """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m]."""
         found = []
         for x, y in np.atleast_2d(places):
@@ -129,7 +129,7 @@ class Probe(World):
         T = self._tip(observation)
         return float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
 
-    def touch(self, sweep: Sweep, see: Callable[[Sample], None] = _nobody) -> Touch:
+    def touch(self, sweep: Sweep, see: Callable[[Sample], None] = nobody) -> Touch:
         """What comes of a sweep: the hand goes to its start over the table, along it until it feels something, and up.
 
         `see` is given every sample of it.
@@ -172,13 +172,16 @@ class Probe(World):
         mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
         return self._felt(replace(last[-1], wrenches={FINGER: mean}))
 
-    def _along(self, Ts_world_palm: Array) -> Iterator[Sample]:
-        """Samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next."""
+    def _along(self, Ts_world_palm: Array, *, looked: bool = True) -> Iterator[Sample]:
+        """Samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.
+
+        None where they are not `looked` at: they take longer than all the rest.
+        """
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
             self._arm, self._T_world_palm = arm[i : i + 1], T
             self.step()
-            if self.steps % self._every == 0:
+            if looked and self.steps % self._every == 0:
                 self.refresh()
                 sample = self._sensors.sample()
                 yield replace(sample, observation=replace(sample.observation, vision=None))
@@ -199,7 +202,7 @@ class Probe(World):
         seconds = np.linalg.norm(way[:3]) / TRAVEL + np.linalg.norm(way[3:]) / TURNING
         s = np.linspace(0, 1, max(round(seconds * STEPS_PER_SECOND), 1) + 1)[1:, None]
         smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
-        for sample in self._along(se3.moved(T_begin, smooth * way)):
+        for sample in self._along(se3.moved(T_begin, smooth * way), looked=see is not nobody):
             see(sample)
 
     def _turned(self, direction_world: Array) -> Array:
