@@ -11,6 +11,7 @@ from handsight.blind.proposals import places_about
 from handsight.blind.scores import contact_scores, free_score
 from handsight.blind.touch import Touch
 from handsight.checks import Array
+from handsight.contact import Contacts
 from handsight.correction import PosePrior
 from handsight.correction.modes import apart, distinct
 from handsight.errors import InvalidInput
@@ -25,6 +26,8 @@ MOVES = 8
 """Metropolis steps of every particle: each its own size, up to `STEP` of places [m, m, rad]."""
 STEP = np.array([0.004, 0.004, np.deg2rad(4.0)])
 MOST_MODES = 8
+TRIED, FEWEST = 2048, 8
+"""Places about a contact that are tried, and how many must be in the area, for it to be of the object."""
 SURE, SURE_POSITION, SURE_ROTATION = 0.95, 0.006, float(np.deg2rad(4.0))
 """Share of all poses, and standard deviations of a mode [m], [rad], from which on it is grasped."""
 ROUNDING = float(np.deg2rad(0.1))
@@ -80,9 +83,15 @@ class Belief:
         )
 
     def after(self, touch: Touch) -> "Belief":
-        """What is believed after one more touch; raises InvalidInput."""
+        """What is believed after one more touch; raises InvalidInput.
+
+        A contact where the object can be nowhere in its area is of something else, and left out.
+        """
         if not isinstance(touch, Touch):
             raise InvalidInput(f"touch: expected a Touch, got {type(touch).__name__}")
+        contact = touch.contact_world
+        if contact is not None and not self._explains(contact, touch.radius):
+            touch = replace(touch, contact_world=None)
         return replace(self, touches=(*self.touches, touch))
 
     @cached_property
@@ -109,6 +118,12 @@ class Belief:
         """
         return self.modes[0].prior
 
+    def _explains(self, contact: Contacts, radius: float) -> bool:
+        """Whether the object, somewhere in its area, would be touched there."""
+        rng = np.random.default_rng(self.seed)
+        places = places_about(self.model, self.area, contact, radius, TRIED, rng)
+        return bool(self.area.holds(places).sum() >= FEWEST)
+
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Places (m, 4), and the logarithm (m,) of how much more often each should have been drawn.
 
@@ -127,8 +142,6 @@ class Belief:
         by_contact = contact_scores(self.model, self.touches, self.area.table, Ts)
         score = by_contact.sum(axis=1) - np.logaddexp.reduce(by_contact, axis=1)
         score[~self.area.holds(places)] = -np.inf
-        if not np.isfinite(score).any():
-            raise InvalidInput("touch.contact_world: expected a contact in reach of the object in its area")
         hopeful = score > score.max() - HOPELESS
         places, score = places[hopeful], score[hopeful]
         return places, score + free_score(self.model, self.touches, Ts[hopeful])

@@ -95,9 +95,11 @@ def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> 
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_palm_object @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off
-    # The scene has the object upright at its origin, however palm and robot stand to it.
-    R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
-    R_scene_palm = R_scene_object @ T_palm_middle[:3, :3].T
+    # The scene has the object upright at its origin, and the hand from the side on which its table ends.
+    R_scene_palm = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3] @ T_palm_middle[:3, :3].T
+    away = grasp.R_world_palm @ R_scene_palm.T
+    turn = np.arctan2(away[1, 0] - away[0, 1], away[0, 0] + away[1, 1])
+    R_scene_palm = se3.rotation_exp(np.array([0.0, 0.0, turn])) @ R_scene_palm
     world = World(scenario, replace(grasp, T_palm_middle=T_palm_middle, R_world_palm=R_scene_palm))
     sensors = Sensors(scenario, world)
     sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
