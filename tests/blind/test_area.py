@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from blind.shared_touches import area, box, can
+from blind_touches import area, box, can
 from handsight import se3
 from handsight.blind import Area, resting
 from handsight.errors import InvalidInput

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from blind.shared_touches import RADIUS, area, box, can, level, touched
+from blind_touches import RADIUS, area, box, can, level, touched
 from handsight import se3
 from handsight.blind import Belief, Touch, best_sweep, candidates, expected_information
 from handsight.blind.belief import KEPT

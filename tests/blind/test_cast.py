@@ -6,7 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blind.shared_touches import RADIUS, area, box, can, level
+from blind_touches import RADIUS, area, box, can, level
 from handsight.blind import Sweep, Touch, cast
 from handsight.errors import InvalidInput
 
