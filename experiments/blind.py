@@ -250,7 +250,7 @@ def draw_figure(rows: Rows, path: Path) -> None:
         for policy, color in zip(POLICIES, colors, strict=True):
             mine = shares(report.chosen(rows, object=name, policy=policy))
             axis.plot(range(1, len(mine) + 1), mine, "o-", color=color, label=policy)
-        axis.set(title=name, xlabel="touches", ylim=(0, 1.03))
+        axis.set(title=name, xlabel="touches", ylim=(-0.03, 1.03), xticks=range(1, len(mine) + 1))
     axes[0].set(ylabel="located, share")
     axes[1].legend(loc="lower right")
     figures.save(figure, path)
