@@ -91,7 +91,7 @@ def test_a_blind_recording_is_tracked_without_a_camera(tmp_path, monkeypatch, ca
     assert called(monkeypatch, tmp_path, "track", "can.mcap", "-o", "out") == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["poses"] > 150
-    assert summary["errors_mm_deg"]["tracked"]["base_at_end"] < 5
+    assert summary["errors_mm_deg"]["tracked"]["base_last"] < 5
     assert called(monkeypatch, tmp_path, *arguments, "--images") == 2
     assert "--images: expected none with --blind" in capsys.readouterr().err
 
