@@ -53,6 +53,13 @@ def simulate(
             metavar="NAME=VALUE", help="Another size of a nuisance, in SI units; `none` switches all off."
         ),
     ] = None,
+    blind: Annotated[
+        bool,
+        typer.Option(
+            "--blind",
+            help="No camera: a finger first searches the object on the table, and it is grasped there.",
+        ),
+    ] = False,
     grasp: Annotated[
         Path | None,
         typer.Option(help="A grasp found before, OUTPUT.grasp.json of a recording; default: search one."),
@@ -63,7 +70,8 @@ def simulate(
     Beside the recording goes its rig, OUTPUT.rig.yaml, and for a mesh its grasp, OUTPUT.grasp.json: grasps are tried
     in the simulator until one holds. All of it is synthetic (MuJoCo); what spoils the readings, and by how much, is a
     setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`, and so is how hard it is pulled where it is:
-    `--motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05`.
+    `--motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05`. With `--blind` what the
+    search has found is in the recording as one pose in the world, from which `handsight track` goes on.
     """
     from handsight.simulation import Scenario, read_grasp
 
@@ -75,10 +83,12 @@ def simulate(
     scenario = Scenario(
         object=object, seed=seed, images=images, skin=skin, nuisances=nuisances(nuisance or []), **chosen
     )
+    if blind and images:
+        raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     _recordable(path)
     chosen_grasp = read_grasp(grasp) if grasp else _found(scenario, path)
-    samples, dropped = record(scenario, path, chosen_grasp)
+    samples, dropped = record(scenario, path, chosen_grasp, blind=blind)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {own_rig(path).name}")
     if dropped:
@@ -113,25 +123,27 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
     return chosen
 
 
-def record(scenario: "Scenario", path: Path, grasp: "Grasp | None" = None) -> tuple[int, bool]:
+def record(
+    scenario: "Scenario", path: Path, grasp: "Grasp | None" = None, *, blind: bool = False
+) -> tuple[int, bool]:
     """How many observations were simulated into `path`, and whether the hand dropped the object in the end.
 
-    `grasp`: else the object's own, or one that is searched. The rig is written beside it. Ctrl-C, or an error, leaves
-    what was simulated by then.
+    `grasp`: else the object's own, or one that is searched. `blind`: a finger searches the object first. The rig is
+    written beside it. Ctrl-C, or an error, leaves what was simulated by then.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
-    from handsight.simulation import rig_of, simulate
+    from handsight.simulation import blind_rig, rig_of, simulate, simulate_blind
     from handsight.simulation.pull import pulls
 
     _recordable(path)
-    rig = rig_of(scenario)
+    rig = blind_rig(scenario) if blind else rig_of(scenario)
     # The one object there is need not be named to `track`.
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
         write_rig(rig, own_rig(path))
-        for sample in simulate(scenario, advance, grasp):
+        for sample in simulate_blind(scenario, grasp) if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)

@@ -1,5 +1,6 @@
 """Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
 
+from handsight.simulation.blind import blind_rig, simulate_blind
 from handsight.simulation.camera import looking
 from handsight.simulation.grasp_file import read_grasp, write_grasp
 from handsight.simulation.grasp_search import Found, find_grasp
@@ -16,6 +17,7 @@ __all__ = [
     "Sample",
     "Scenario",
     "TipContact",
+    "blind_rig",
     "find_grasp",
     "looking",
     "model_of",
@@ -23,5 +25,6 @@ __all__ = [
     "render",
     "rig_of",
     "simulate",
+    "simulate_blind",
     "write_grasp",
 ]

@@ -17,7 +17,7 @@ from handsight.rig.rig import DepthCamera
 
 Profile = Literal["ramp", "steps", "sine"]
 Motion = Literal["grasp", "manipulate", "weigh", Profile]
-Phase = Literal["close", "hold", "move", "pull"]
+Phase = Literal["touch", "close", "hold", "move", "pull"]
 PATCH = 0.005
 """Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
 STEPS_PER_SECOND = 500
@@ -218,8 +218,8 @@ class Sample:
     contacts_truth: tuple[TipContact, ...]
     """Of all fingertips, with whatever they touch."""
     phase: Phase
-    """`close`: the fingers close and the object is held in place; `hold`: it is free and the palm is still; `move`;
-    `pull`: the palm is still and the object is pulled."""
+    """`touch`: a finger searches the object, which stands free; `close`: the fingers close and the object is held in
+    place; `hold`: it is free and the palm is still; `move`; `pull`: the palm is still and the object is pulled."""
     dropped: bool
     """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
     configuration: Array

@@ -89,6 +89,19 @@ class Sensors:
             else self._skin.readings(T_palm_object, self.world.pressed(PALM_GEOM)),
         )
 
+    def sample(self) -> Sample:
+        """What is measured now, and what is true; the world must have been refreshed."""
+        world = self.world
+        return Sample(
+            observation=self.observe(),
+            T_palm_object=world.T_palm_object(),
+            T_world_object=self.T_world_scene @ world.pose("object"),
+            contacts_truth=world.tip_contacts(),
+            phase=world.phase,
+            dropped=world.dropped(),
+            configuration=world.data.qpos.copy(),
+        )
+
     def _due(self, per_second: float) -> bool:
         """Whether something that comes so often comes with this sample."""
         so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
@@ -153,14 +166,6 @@ def simulate(
                     raise InvalidObject(
                         f"object: the simulator threw it away after {world.time:.1f} s, not the hand"
                     )
-                yield Sample(
-                    observation=sensors.observe(),
-                    T_palm_object=world.T_palm_object(),
-                    T_world_object=sensors.T_world_scene @ world.pose("object"),
-                    contacts_truth=world.tip_contacts(),
-                    phase=world.phase,
-                    dropped=world.dropped(),
-                    configuration=world.data.qpos.copy(),
-                )
+                yield sensors.sample()
                 if progress is not None:
                     progress(step / steps)

@@ -63,8 +63,8 @@ class World:
         self.duration = SETTLED + float(legs[:, 0].sum())
         times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
         Ts_world_palm = palm_poses(legs, times - SETTLED, T_world_palm, middle)
-        self._arm = _rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
-        self._begin = _rows((T_world_middle @ T_middle_object)[None])[0]
+        self._arm = rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
+        self._begin = rows((T_world_middle @ T_middle_object)[None])[0]
         self.steps = 0
         self._closed = 0.0
         self._T_palm_object_freed: Array | None = None
@@ -243,7 +243,7 @@ class World:
             self._servo(joint).ctrl[:] = begin + self._closed * (angle - begin)
 
 
-def _rows(Ts: Array) -> Array:
+def rows(Ts: Array) -> Array:
     """(n, 7) positions and quaternions, w first as MuJoCo has them, of (n, 4, 4)."""
     xyzw = se3.quaternion_from_rotation(Ts[:, :3, :3])
     return np.hstack([Ts[:, :3, 3], xyzw[:, 3:], xyzw[:, :3]])

@@ -1,0 +1,249 @@
+"""A simulated hand that touches what stands on the table: one finger stretched, its tip swept along lines."""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import se3
+from handsight.blind import Sweep, Touch
+from handsight.checks import Array
+from handsight.contact import Contacts
+from handsight.errors import InvalidInput
+from handsight.observation import Observation
+from handsight.simulation.motion import Grasp
+from handsight.simulation.robot import rig_of
+from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Sample, Scenario
+from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
+from handsight.simulation.simulate import Sensors
+from handsight.simulation.world import World, rows
+from handsight.tracking import FingertipSensors
+
+FINGER = "ff"
+POSTURE = {
+    **{f"robot0:{finger}J{joint}": 1.5 for finger in ("MF", "RF", "LF") for joint in (2, 1)},
+    "robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5,
+}  # fmt: skip
+"""A fist but for one finger [rad]."""
+REACH = 0.03
+"""How far the tip's middle is below the finger's first link, which is wider than the tip [m]: an object may be that
+much higher, else that link pushes it where the tip passes."""
+RADIUS, SIGMA = 0.009, 0.0025
+"""Of the tip's sides, and of where it is, per axis [m]: a degree at each joint of the finger."""
+LEAN = float(np.deg2rad(12.0))
+"""Of the finger from the vertical, its tip ahead, so that nothing else of it meets a wall first [rad]."""
+SPEED, TRAVEL, TURNING = 0.06, 0.4, 3.0
+"""Of the tip in a sweep, and elsewhere [m/s]; of the hand as it turns [rad/s]."""
+PRESSED = 0.15
+"""At what force a sweep ends [N]."""
+STILL, READ = 0.15, 10
+"""How long the hand rests at a contact [s], and of how many readings its wrench is the mean."""
+BACK, CLEAR = 0.015, 0.05
+"""How far the tip goes back from a contact, and how high above the object it passes over the table [m]."""
+EVERY = 0.005
+"""Between places where the tip met nothing [m]."""
+LOWEST, HIGHEST = 0.022, 0.012
+"""Of the tip's middle above the table [m], which is known to some millimetres and a degree; below the object's top."""
+TABLE_FROM = 0.05
+"""Above where the table is thought to be the tip begins to feel for it [m]."""
+ABOVE = 0.5
+"""Of the palm at first over the object's middle [m]."""
+
+
+def nobody(_: Sample) -> None:
+    """Looks at no sample."""
+
+
+class Probe(World):
+    """The hand above the table, one finger stretched; the object stands free at the scene's origin."""
+
+    def __init__(self, scenario: Scenario, R_scene_object: Array, T_world_table: Array) -> None:
+        """`R_scene_object` (3, 3): how the object stands. `T_world_table` (4, 4): where the robot has that origin.
+
+        Raises as `World` does.
+        """
+        rig = rig_of(scenario)
+        self._tips, self._finger = FingertipSensors(rig), rig.fingers[FINGER]
+        self._place = list(rig.hand.tips).index(FINGER)
+        self._T_palm_finger = self._finger_in_palm(dict.fromkeys(rig.hand.moving, 0.0))
+        R_world_palm = self._turned(np.array([1.0, 0.0, 0.0]))
+        low, high = np.array(scene(scenario.object).bounds_object)
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) @ R_scene_object.T
+        super().__init__(
+            replace(scenario, motion="grasp", images=False),
+            Grasp(
+                T_palm_middle=se3.compose(
+                    R_world_palm.T @ R_scene_object, R_world_palm.T @ [0.0, 0.0, -ABOVE]
+                ),
+                opening=POSTURE,
+                closed={},
+                height=float(np.ptp(corners[:, 2])) / 2,
+                R_world_palm=R_world_palm,
+            ),
+        )
+        self._hold_object(self._begin)
+        self.refresh()
+        self._sensors = Sensors(scenario, self)
+        self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
+        self.top = float(np.ptp(corners[:, 2]))
+        """Height of the object above the table [m]."""
+        self._every = round(STEPS_PER_SECOND / scenario.rate)
+        self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
+
+    @property
+    def phase(self) -> Phase:
+        """Always the search."""
+        return "touch"
+
+    @property
+    def T_world_object(self) -> Array:
+        """(4, 4) true, where the robot has the world."""
+        return np.asarray(self._sensors.T_world_scene @ self.pose("object"))
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Of the tip's middle above the table [m], at which the rest of the hand passes over the object."""
+        lowest = max(LOWEST, self.top - REACH)
+        return lowest, max(lowest, self.top - HIGHEST)
+
+    def feel_table(self, places: ArrayLike, see: Callable[[Sample], None] = nobody) -> float:
+        """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m]."""
+        found = []
+        for x, y in np.atleast_2d(places):
+            R = self._turned(np.array([1.0, 0.0, 0.0]))
+            begin = self._palm(R, np.array([x, y, TABLE_FROM]))
+            self._travel(begin, see)
+            ways = np.arange(0.0, 2 * TABLE_FROM, SPEED / STEPS_PER_SECOND)[:, None] * [0.0, 0.0, -1.0]
+            for sample in self._along(_shifted(begin, ways)):
+                see(sample)
+                felt = self._tips.contacts(sample.observation)
+                if FINGER in felt.fingers or felt.reasons[FINGER] == "on the table":
+                    found.append(self._lowest_point(sample.observation))
+                    break
+        return float(np.mean(found))
+
+    def _lowest_point(self, observation: Observation) -> float:
+        """Height in the world of what is lowest of the stretched finger's tip [m]."""
+        T = self._tip(observation)
+        return float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
+
+    def touch(self, sweep: Sweep, see: Callable[[Sample], None] = nobody) -> Touch:
+        """What comes of a sweep: the hand goes to its start over the table, along it until it feels something, and up.
+
+        `see` is given every sample of it.
+        """
+        R = self._turned(sweep.direction_world)
+        self._travel(self._palm(R, sweep.start_world), see)
+        free: list[Array] = []
+        contact = None
+        ways = np.arange(0.0, sweep.length, SPEED / STEPS_PER_SECOND)
+        for sample in self._along(self._palms(R, sweep, ways)):
+            see(sample)
+            felt = self._felt(sample.observation)
+            if felt is not None:
+                contact = self._at_rest(see) or felt
+                break
+            tip = self._tip(sample.observation)[:3, 3]
+            if not free or np.linalg.norm(tip - free[-1]) >= EVERY:
+                free.append(tip)
+        back = BACK if contact is not None else 0.0
+        self._straight(self._T_world_palm, _shifted(self._T_world_palm, -back * sweep.direction_world), see)
+        return Touch(np.array(free).reshape(-1, 3), RADIUS, SIGMA, contact)
+
+    def _felt(self, observation: Observation) -> Contacts | None:
+        """The contact of the stretched finger in the world, where it is pressed hard enough."""
+        felt = self._tips.contacts(observation)
+        if FINGER not in felt.fingers or felt.contacts is None or felt.loads is None:
+            return None
+        k = felt.fingers.index(FINGER)
+        if np.linalg.norm(felt.loads[k, :4]) < PRESSED:
+            return None
+        return felt.contacts.select([k]).moved(_placed(observation)[0])
+
+    def _at_rest(self, see: Callable[[Sample], None]) -> Contacts | None:
+        """The contact by the mean wrench of a hand that stays; None where it is lost."""
+        stays = np.tile(self._T_world_palm, (round(STILL * STEPS_PER_SECOND), 1, 1))
+        samples = list(self._along(stays))
+        for sample in samples:
+            see(sample)
+        last = [sample.observation for sample in samples[-READ:]]
+        mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
+        return self._felt(replace(last[-1], wrenches={FINGER: mean}))
+
+    def _along(self, Ts_world_palm: Array, *, looked: bool = True) -> Iterator[Sample]:
+        """Samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.
+
+        None where they are not `looked` at: they take longer than all the rest.
+        """
+        arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
+        for i, T in enumerate(Ts_world_palm):
+            self._arm, self._T_world_palm = arm[i : i + 1], T
+            self.step()
+            if looked and self.steps % self._every == 0:
+                self.refresh()
+                sample = self._sensors.sample()
+                yield replace(sample, observation=replace(sample.observation, vision=None))
+
+    def _travel(self, T_goal: Array, see: Callable[[Sample], None]) -> None:
+        """Up, over the table and down to a palm pose (4, 4)."""
+        safe = self.top + CLEAR - (T_goal @ self._T_palm_finger)[2, 3]
+        up = self._T_world_palm.copy()
+        up[2, 3] = max(up[2, 3], T_goal[2, 3] + safe)
+        over = T_goal.copy()
+        over[2, 3] = up[2, 3]
+        for goal in (up, over, T_goal):
+            self._straight(self._T_world_palm, goal, see)
+
+    def _straight(self, T_begin: Array, T_end: Array, see: Callable[[Sample], None]) -> None:
+        """From one palm pose to another, at rest at both ends."""
+        way = se3.difference(T_end, T_begin)
+        seconds = np.linalg.norm(way[:3]) / TRAVEL + np.linalg.norm(way[3:]) / TURNING
+        s = np.linspace(0, 1, max(round(seconds * STEPS_PER_SECOND), 1) + 1)[1:, None]
+        smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
+        for sample in self._along(se3.moved(T_begin, smooth * way), looked=see is not nobody):
+            see(sample)
+
+    def _turned(self, direction_world: Array) -> Array:
+        """R_world_palm (3, 3) that has the finger down, its tip and the palm's front ahead."""
+        finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
+        down = np.sin(LEAN) * direction_world - np.cos(LEAN) * np.array([0.0, 0.0, 1.0])
+        return _frame(down, direction_world) @ _frame(finger, front).T
+
+    def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
+        """T_world_palm (4, 4) that has the finger's tip there."""
+        return se3.compose(R_world_palm, middle_world - R_world_palm @ self._T_palm_finger[:3, 3])
+
+    def _palms(self, R_world_palm: Array, sweep: Sweep, ways: Array) -> Array:
+        """(n, 4, 4) along a sweep, at distances (n,) from its start [m]."""
+        return _shifted(self._palm(R_world_palm, sweep.start_world), ways[:, None] * sweep.direction_world)
+
+    def _tip(self, observation: Observation) -> Array:
+        """T_world_tip (4, 4) of the stretched finger's tip, as the robot has it."""
+        T_world_palm, joints = _placed(observation)
+        return np.asarray(T_world_palm @ self._finger_in_palm(joints))
+
+    def _finger_in_palm(self, joints: Mapping[str, float]) -> Array:
+        """T_palm_tip (4, 4) of the stretched finger's tip, the origin in its middle, by what the joints say."""
+        return np.asarray(self._tips.rig.hand.Ts_palm_tip(joints)[self._place] @ self._finger.T_frame_surface)
+
+
+def _placed(observation: Observation) -> tuple[Array, Mapping[str, float]]:
+    """T_world_palm (4, 4) and joints [rad], which every observation of the simulation has."""
+    if observation.T_world_palm is None or observation.joint_positions is None:
+        raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
+    return observation.T_world_palm, observation.joint_positions
+
+
+def _frame(first: Array, second: Array) -> Array:
+    """(3, 3) axes: along the first direction, as far along the second as that leaves, and across both."""
+    x = first / np.linalg.norm(first)
+    y = second - (second @ x) * x
+    y /= np.linalg.norm(y)
+    return np.column_stack([x, y, np.cross(x, y)])
+
+
+def _shifted(T: Array, shift: Array) -> Array:
+    """A pose (4, 4) moved by (3,), or by each of (n, 3) [m]."""
+    return np.asarray(se3.compose(T[:3, :3], T[:3, 3] + shift))

@@ -1,0 +1,106 @@
+"""A simulated hand that searches what stands on a table: its touches, what it finds, and what follows."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from cli.commands import called
+from handsight import se3
+from handsight.blind import Sweep
+from handsight.correction.modes import apart
+from handsight.errors import InvalidInput
+from handsight.simulation import Nuisances, Scenario, blind_rig, model_of, simulate_blind
+from handsight.simulation.blind import begun
+from simulation.simulated import NONE
+
+
+def towards(probe, aside=0.0):
+    """A sweep of 0.2 m along y, so far beside the middle of the object that its middle is met, or not."""
+    T, height = probe.T_world_object, probe.heights[0]
+    return Sweep(T[:3, 3] * [1, 1, 0] + [aside, -0.15, height], np.array([0.0, 1.0, 0.0]), 0.25)
+
+
+def test_a_touch_is_on_the_object_and_what_was_swept_before_is_not():
+    """Without nuisances: within the simulator's own softness, and the object hardly moves."""
+    for name, seed in (("can", 0), ("box", 1)):
+        scenario = Scenario(object=name, seed=seed, nuisances=NONE)
+        model = model_of(scenario)
+        probe, belief = begun(scenario, model)
+        assert belief.area.table.height == pytest.approx(0.0, abs=1e-3)
+        before = probe.T_world_object
+        assert (np.abs(se3.apply(before, model.vertices)[:, :2].mean(axis=0)) < 0.15).all()
+        touch = probe.touch(towards(probe))
+        T_object_world = se3.inverse(probe.T_world_object)
+        (point,) = se3.apply(T_object_world, touch.contact_world.points_palm)
+        felt = model.evaluate(point[None])
+        assert abs(felt.distance[0]) < 5e-4
+        normal = probe.T_world_object[:3, :3] @ felt.gradient[0]
+        assert normal @ touch.contact_world.normals_palm[0] > np.cos(np.deg2rad(3))
+        free = model.evaluate(se3.apply(T_object_world, touch.free_world)).distance
+        assert free.min() > touch.radius - 1e-3
+        assert np.linalg.norm(probe.T_world_object[:3, 3] - before[:3, 3]) < 2e-3
+        passed = probe.touch(towards(probe, aside=0.09))
+        assert passed.contact_world is None
+        assert len(passed.free_world) > 40
+        assert np.ptp(passed.free_world[:, 2]) < 1e-3
+
+
+def test_the_same_seed_stands_and_feels_the_same():
+    scenario = Scenario(object="can", seed=3)
+    felt = []
+    for _ in range(2):
+        probe, _ = begun(scenario, model_of(scenario))
+        felt.append(probe.touch(towards(probe)).contact_world.points_palm)
+    assert (felt[0] == felt[1]).all()
+
+
+def test_what_is_larger_than_its_place_on_the_table_is_said():
+    scenario = Scenario(object="can")
+    with pytest.raises(InvalidInput, match="object: expected one within 300 mm, got 400 x 400 x 100 mm"):
+        begun(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
+
+
+@pytest.mark.slow
+def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
+    """Nothing of a camera in any sample but the pose that the search has found, once."""
+    scenario = Scenario(object="can", seed=0, motion="weigh")
+    rig = blind_rig(scenario)
+    model = rig.objects["can"].model()
+    tracker, poses, last = hs.Tracker(rig, model), 0, None
+    for sample in simulate_blind(scenario):
+        observation = sample.observation
+        assert observation.color is None
+        assert last is None or observation.stamp > last
+        poses, last = poses + (observation.vision is not None), observation.stamp
+        estimate = tracker.update(observation)
+        assert (estimate is None) == (poses == 0)
+    assert poses == 1
+    shift, turn = apart(model, sample.T_palm_object[None], estimate.T_palm_object)
+    assert shift[0] < 3e-3
+    assert turn[0] < np.deg2rad(4)
+    assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)
+
+
+@pytest.mark.slow
+def test_a_blind_recording_is_tracked_without_a_camera(tmp_path, monkeypatch, capsys):
+    arguments = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
+    assert called(monkeypatch, tmp_path, *arguments) == 0
+    assert called(monkeypatch, tmp_path, "track", "can.mcap", "-o", "out") == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["poses"] > 150
+    assert summary["errors_mm_deg"]["tracked"]["base_last"] < 5
+    assert called(monkeypatch, tmp_path, *arguments, "--images") == 2
+    assert "--images: expected none with --blind" in capsys.readouterr().err
+
+
+def test_nuisances_of_a_blind_search_are_those_of_any_other():
+    """Another size of one error does not move the object."""
+    noisy = dataclasses.replace(Nuisances(), force_noise=0.02)
+    placed = [
+        begun(Scenario(object="can", seed=5, nuisances=n), model_of(Scenario()))[0].T_world_object
+        for n in (Nuisances(), noisy)
+    ]
+    assert (placed[0] == placed[1]).all()
