@@ -86,7 +86,16 @@ def can_on_skin(rng: np.random.Generator, array: TaxelArray, *, end: bool = True
     return _measured(scenes.can(), Solid.cylinder(radius, height), T, tips, array, axis, rng)
 
 
-def _measured(model, solid, T, tips, array, across, rng, springs=FOAM) -> SkinScene:
+def _measured(
+    model: hs.ObjectModel,
+    solid: Solid,
+    T: np.ndarray,
+    tips: tuple[np.ndarray, np.ndarray],
+    array: TaxelArray,
+    across: np.ndarray,
+    rng: np.random.Generator,
+    springs: float = FOAM,
+) -> SkinScene:
     contacts = scenes.touched(T, tips, (1.2e-3, np.deg2rad(2)), rng)
     sigma = np.repeat(np.asarray(VISION) / np.sqrt(3), 3)
     vision = hs.PosePrior(se3.moved(T, sigma * rng.normal(size=6)), np.diag(sigma**2))

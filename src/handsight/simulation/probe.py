@@ -36,6 +36,8 @@ LEAN = float(np.deg2rad(12.0))
 """Of the finger from the vertical, its tip ahead, so that nothing else of it meets a wall first [rad]."""
 SPEED, TRAVEL, TURNING = 0.06, 0.4, 3.0
 """Of the tip in a sweep, and elsewhere [m/s]; of the hand as it turns [rad/s]."""
+GAINED = 0.1
+"""How long the tip takes to its speed [s]: a start at once shakes it, as a touch would."""
 PRESSED = 0.15
 """At what force a sweep ends [N]."""
 STILL, READ = 0.15, 10
@@ -115,7 +117,7 @@ class Probe(World):
             R = self._turned(np.array([1.0, 0.0, 0.0]))
             begin = self._palm(R, np.array([x, y, TABLE_FROM]))
             self._travel(begin, see)
-            ways = np.arange(0.0, 2 * TABLE_FROM, SPEED / STEPS_PER_SECOND)[:, None] * [0.0, 0.0, -1.0]
+            ways = _ways(2 * TABLE_FROM)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, ways)):
                 see(sample)
                 felt = self._tips.contacts(sample.observation)
@@ -138,7 +140,7 @@ class Probe(World):
         self._travel(self._palm(R, sweep.start_world), see)
         free: list[Array] = []
         contact = None
-        ways = np.arange(0.0, sweep.length, SPEED / STEPS_PER_SECOND)
+        ways = _ways(sweep.length)
         for sample in self._along(self._palms(R, sweep, ways)):
             see(sample)
             felt = self._felt(sample.observation)
@@ -242,6 +244,12 @@ def _frame(first: Array, second: Array) -> Array:
     y = second - (second @ x) * x
     y /= np.linalg.norm(y)
     return np.column_stack([x, y, np.cross(x, y)])
+
+
+def _ways(length: float) -> Array:
+    """(n,) how far a sweep of some length has gone after each step of the simulation [m]."""
+    t = np.arange(0.0, length / SPEED + GAINED / 2, 1 / STEPS_PER_SECOND)
+    return np.asarray(SPEED * np.where(t < GAINED, t**2 / (2 * GAINED), t - GAINED / 2))
 
 
 def _shifted(T: Array, shift: Array) -> Array:
