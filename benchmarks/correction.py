@@ -1,6 +1,7 @@
 """Pose correction: every peer on the same problems, in turn; time beside success and accuracy."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -99,8 +100,8 @@ def run(
 ) -> tuple[list[Row], dict[str, Any]]:
     """Rows of every case, and the ratios of times on the near start, geometric mean of can and box.
 
-    The ratios of hot times (least of the repeats of each problem) vary less with the machine's other work than those
-    of calls in turn.
+    The ratios of hot times (least of the repeats of each problem), each of one problem, vary less with the machine's
+    other work than those of calls in turn.
     """
     rows: list[Row] = []
     near: dict[str, dict[str, list[float]]] = {}
@@ -113,19 +114,18 @@ def run(
         if error == workload.NEAR:
             near[object_name] = {runner.key: runner.seconds for runner in runners}
             hot[object_name] = {runner.key: runner.hot for runner in runners}
-    return rows, ratios(near) | {f"{name}, hot": found for name, found in ratios(hot).items()}
+    by_problem = ratios(hot, timing.ratio_of_each)
+    return rows, ratios(near) | {f"{name}, hot": found for name, found in by_problem.items()}
 
 
-def ratios(near: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
+def ratios(
+    near: dict[str, dict[str, list[float]]], of: Callable[..., dict[str, float]] = timing.ratio
+) -> dict[str, Any]:
     """ours / peer, and kernel / peer; below 1 where ours is faster."""
     found: dict[str, Any] = {}
     for ours in ("ours", "ours_kernel"):
         for peer in ("paper", "paper_pruned", "scipy", "open3d", "small_gicp"):
-            each = [
-                timing.ratio(times[ours], times[peer])
-                for times in near.values()
-                if {ours, peer} <= times.keys()
-            ]
+            each = [of(times[ours], times[peer]) for times in near.values() if {ours, peer} <= times.keys()]
             if each:
                 mean = {
                     k: float(np.exp(np.mean([np.log(e[k]) for e in each]))) for k in ("ratio", "low", "high")

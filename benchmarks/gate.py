@@ -1,6 +1,8 @@
 """Whether handsight got slower: ratios of this run against those of baseline.json.
 
 Only ratios of times taken in the same process and in turn are compared, so that the machine cancels as far as it can.
+It does not wholly: newer machines speed compiled code up by more than Python. So the baseline has of each ratio the
+larger of the machines that it was measured on.
 A ratio is handsight's time over a peer's: one that grew by more than a quarter, in each of three measurements, is a
 loss. Corrections are compared hot: taken in turn, what the other work on the machine leaves of the caches moves their
 ratios by more than a quarter. Success has a floor as well: a fast wrong answer is no answer.
