@@ -6,7 +6,7 @@ weigh`). Usual nuisances; grasps that drop the object are counted. Tables:
   weighing  after so many orientations: error of the centre of mass in the palm [mm] (one: across gravity), that over
             what is claimed (NEES per freedom), error of the mass, of those that are believed; and how many are not
   pose      error of the object's middle [mm] by contacts, vision and the hand, without the weight, with it, and with
-            their joints' errors shared; what of it is across gravity; and the turn
+            their joints' errors shared; what of it is across gravity, and along what the fingers grip; and the turn
   moving    the centre by the palm's acceleration: by single means of 0.2 s (across gravity less the acceleration, along
             which it hangs), and with what was kept of the holds before (in space)
   wrong     whether a tracker says that something is wrong, until the third hold and at its end, and the pose's error
@@ -102,6 +102,13 @@ def across_gravity(sample: Any) -> Array:
     return np.asarray(np.linalg.svd(down)[2][1:])
 
 
+def gripped(run: Run, sample: Any) -> Array:
+    """(3,) unit: the direction in the palm that most of the contacts' normals have, or the opposite one."""
+    held = trial_of(run.scenario, sample, run.model)
+    assert held is not None
+    return np.asarray(np.linalg.svd(held.contacts.normals_palm)[2][0])
+
+
 def of_hold(stamp: float) -> int:
     """Which orientation's last mean ends at a stamp, from 1 on; 0: none."""
     near = np.flatnonzero((HOLDS - stamp > -1e-6) & (HOLDS - stamp < 0.2))
@@ -119,13 +126,14 @@ def pose_error(run: Run, sample: Any, weight: WeightEvidence | None) -> tuple[Ro
 
 
 def errors_of(run: Run, sample: Any, T: Array) -> Row:
-    """Of a pose: the middle's error in space and across gravity [mm], and the turn [°]."""
+    """Of a pose: the middle's error in space, across gravity and along what the fingers grip [mm], and the turn [°]."""
     T_true, middle = sample.T_palm_object, run.model.center_object
     T = run.model.nearest(T, T_true)
     off = (T[:3, :3] @ middle + T[:3, 3]) - (T_true[:3, :3] @ middle + T_true[:3, 3])
     return {
         "pose": 1e3 * float(np.linalg.norm(off)),
         "across": 1e3 * float(np.linalg.norm(across_gravity(sample) @ off)),
+        "normal": 1e3 * abs(float(gripped(run, sample) @ off)),
         "turn": float(np.rad2deg(np.linalg.norm(se3.rotation_log(T[:3, :3] @ T_true[:3, :3].T)))),
     }
 

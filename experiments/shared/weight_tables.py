@@ -31,13 +31,14 @@ def show(rows: Rows) -> None:
     report.print_table("Weighing", columns, lines)
     lines = [
         [f"{o} {m:g} kg, {n}", *_mean_p90(mine, "without pose"), *_mean_p90(mine, "with pose"),
-         *_mean_p90(mine, "shared pose"), _mean(mine, "without across"), _mean(mine, "with across"),
+         _mean(mine, "shared pose"), _mean(mine, "without across"), _mean(mine, "with across"),
+         *(_mean(mine, f"{way} normal") for way in ("without", "with", "shared")),
          *(_mean(mine, f"{way} turn") for way in ("without", "with", "shared")), _mean(mine, "left out")]
         for (o, m, n), mine in cells
     ]  # fmt: skip
     columns = [
-        "object, orientations", "without mm", "p90", "with", "p90", "shared", "p90", "across g", "with",
-        "turn °", "with", "shared", "left out",
+        "object, orientations", "without mm", "p90", "with", "p90", "shared", "across g", "with",
+        "normal", "with", "shared", "turn °", "with", "shared", "left out",
     ]  # fmt: skip
     report.print_table("Pose", columns, lines)
     _show_moving(rows)

@@ -57,6 +57,22 @@ def test_the_same_seed_stands_and_feels_the_same():
     assert (felt[0] == felt[1]).all()
 
 
+def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(monkeypatch):
+    scenario = Scenario(object="can", seed=3, nuisances=NONE)
+    probe, _ = begun(scenario, model_of(scenario))
+    places, low = [[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2]], iter([0.0, -0.034, 0.0])
+    felt = type(probe)._lowest_point
+    monkeypatch.setattr(
+        type(probe), "_lowest_point", lambda self, observation: felt(self, observation) + next(low)
+    )
+    assert probe.feel_table(places) == pytest.approx(0.0, abs=1e-3)
+    assert next(low, None) is None
+    with pytest.raises(
+        InvalidInput, match=r"^places: expected some over the table, felt nothing at any of 1$"
+    ):
+        probe.feel_table([3.0, 3.0])
+
+
 def test_what_is_larger_than_its_place_on_the_table_is_said():
     scenario = Scenario(object="can")
     with pytest.raises(InvalidInput, match="object: expected one within 300 mm, got 400 x 400 x 100 mm"):

@@ -50,6 +50,8 @@ LOWEST, HIGHEST = 0.022, 0.012
 """Of the tip's middle above the table [m], which is known to some millimetres and a degree; below the object's top."""
 TABLE_FROM = 0.05
 """Above where the table is thought to be the tip begins to feel for it [m]."""
+ALIKE = 0.015
+"""A table off plumb by a degree is not more uneven [m]: what is lower was felt by the finger's side, at its edge."""
 ABOVE = 0.5
 """Of the palm at first over the object's middle [m]."""
 
@@ -111,9 +113,12 @@ class Probe(World):
         return lowest, max(lowest, self.top - HIGHEST)
 
     def feel_table(self, places: ArrayLike, see: Callable[[Sample], None] = nobody) -> float:
-        """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m]."""
-        found = []
-        for x, y in np.atleast_2d(places):
+        """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m].
+
+        Places beside it count for nothing. Raises InvalidInput where all are.
+        """
+        found, places = [], np.atleast_2d(places)
+        for x, y in places:
             R = self._turned(np.array([1.0, 0.0, 0.0]))
             begin = self._palm(R, np.array([x, y, TABLE_FROM]))
             self._travel(begin, see)
@@ -124,7 +129,10 @@ class Probe(World):
                 if FINGER in felt.fingers or felt.reasons[FINGER] == "on the table":
                     found.append(self._lowest_point(sample.observation))
                     break
-        return float(np.mean(found))
+        if not found:
+            raise InvalidInput(f"places: expected some over the table, felt nothing at any of {len(places)}")
+        heights = np.array(found)
+        return float(heights[np.abs(heights - np.median(heights)) < ALIKE].mean())
 
     def _lowest_point(self, observation: Observation) -> float:
         """Height in the world of what is lowest of the stretched finger's tip [m]."""
