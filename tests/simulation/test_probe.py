@@ -13,7 +13,7 @@ from handsight.blind import Sweep
 from handsight.correction.modes import apart
 from handsight.errors import InvalidInput
 from handsight.simulation import Nuisances, Scenario, blind_rig, model_of, simulate_blind
-from handsight.simulation.blind import begun
+from handsight.simulation.blind import FELT_AT, begun
 from simulation.simulated import NONE
 
 
@@ -60,13 +60,15 @@ def test_the_same_seed_stands_and_feels_the_same():
 def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(monkeypatch):
     scenario = Scenario(object="can", seed=3, nuisances=NONE)
     probe, _ = begun(scenario, model_of(scenario))
-    places, low = [[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2]], iter([0.0, -0.034, 0.0])
-    felt = type(probe)._lowest_point
-    monkeypatch.setattr(
-        type(probe), "_lowest_point", lambda self, observation: felt(self, observation) + next(low)
-    )
-    assert probe.feel_table(places) == pytest.approx(0.0, abs=1e-3)
-    assert next(low, None) is None
+    felt, calls = type(probe)._lowest_point, []
+
+    def second_at_an_edge(self, observation):
+        calls.append(felt(self, observation) - (0.034 if len(calls) == 1 else 0.0))
+        return calls[-1]
+
+    monkeypatch.setattr(type(probe), "_lowest_point", second_at_an_edge)
+    assert probe.feel_table(np.repeat(FELT_AT, 2, axis=0)) == pytest.approx(0.0, abs=1e-3)
+    assert len(calls) >= 3
     with pytest.raises(
         InvalidInput, match=r"^places: expected some over the table, felt nothing at any of 1$"
     ):
