@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 import handsight as hs
 from handsight import se3
+from handsight.correction.estimate import inflated_information
 from handsight.rig import Table
 from handsight.tracking.measurements import on_table
-from handsight.tracking.propagation import inflated_information
 from handsight.tracking.smoother import (
     MOST_MEASUREMENTS,
     PoseAndBias,

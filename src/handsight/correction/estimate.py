@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
+from handsight._kernels.propagated import inflate
 from handsight._kernels.records import ANSWER, PRIOR
 from handsight.checks import Array
 
@@ -121,6 +122,14 @@ class PoseEstimate:
         answer["unobservable"][: len(unobservable)] = unobservable
         return cls(answer, (answer,), np.empty((0, 2)), True)
 
+    def inflated(self, variance: Array) -> "PoseEstimate":
+        """The estimate where the pose may be off by `variance` (6,) more, along the palm's axes [m², rad²]."""
+        if not variance.any():
+            return self
+        covariance = None if self.covariance is None else self.covariance + np.diag(variance)
+        information = inflated_information(self.information, variance)
+        return self.with_gaussian(self.T_palm_object, covariance, information)
+
     def with_gaussian(
         self,
         T_palm_object: Array,
@@ -201,6 +210,13 @@ class PoseEstimate:
         fits = "consistent" if self.consistent else "inconsistent"
         count = f"{len(self.modes)} mode{'s' * (len(self.modes) != 1)}"
         return f"<PoseEstimate at ({place}) mm: {ended}, {fits}, {count}, {len(self.unobservable)} directions open>"
+
+
+def inflated_information(information: Array, variance: Array) -> Array:
+    """An information (6, 6), which may be singular, after noise of `variance` (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
+    after = np.array(information)
+    inflate(after, variance)
+    return after
 
 
 def bounded_covariance(information: Array) -> Array:

@@ -8,7 +8,6 @@ from where all evidence together is likeliest.
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.propagated import inflate
 from handsight.checks import Array
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import Outside
@@ -26,11 +25,7 @@ def less_certain(estimate: PoseEstimate, outside: object) -> PoseEstimate:
     """The estimate as uncertain as the array is that its evidence was relative to, if there was one."""
     if not isinstance(outside, Outside) or outside.skin is None:
         return estimate
-    variance = np.asarray(outside.skin) ** 2
-    information = np.array(estimate.information)
-    inflate(information, variance)
-    covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
-    return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
+    return estimate.inflated(np.asarray(outside.skin) ** 2)
 
 
 def likely_starts(problem: Problem, estimate: PoseEstimate) -> Array:

@@ -16,8 +16,8 @@ from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
 from handsight.simulation.probe import RADIUS, Probe, nobody
 from handsight.simulation.robot import model_of, rig_of
-from handsight.simulation.scenario import STEPS_PER_SECOND, Sample, Scenario
-from handsight.simulation.simulate import Sensors
+from handsight.simulation.scenario import Sample, Scenario
+from handsight.simulation.simulate import Sensors, samples
 from handsight.simulation.world import World
 
 TABLE_SIDE = 0.3
@@ -103,14 +103,8 @@ def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> 
     world = World(scenario, replace(grasp, T_palm_middle=T_palm_middle, R_world_palm=R_scene_palm))
     sensors = Sensors(scenario, world)
     sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
-    every = round(STEPS_PER_SECOND / scenario.rate)
     vision: PoseMeasurement | None = PoseMeasurement(found.T_palm_object, "world", found.covariance)
-    for step in range(round(world.duration * STEPS_PER_SECOND) + 1):
-        if step:
-            world.step()
-        if step % every == 0:
-            world.refresh()
-            sample = sensors.sample()
-            stamp = begins + sample.observation.stamp
-            yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))
-            vision = None
+    for sample in samples(scenario, world, sensors):
+        stamp = begins + sample.observation.stamp
+        yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))
+        vision = None

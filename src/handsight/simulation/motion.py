@@ -157,6 +157,11 @@ WEIGH_LEGS = np.array(
 WEIGH_LEGS[:, 4:] = np.deg2rad(WEIGH_LEGS[:, 4:])
 
 
+def least_jerk(s: Array) -> Array:
+    """How far from 0 to 1 at shares `s` of the time, at rest at both ends (Flash and Hogan 1985)."""
+    return np.asarray(s**3 * (10 - 15 * s + 6 * s * s))
+
+
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
     """Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s], at rest at the end of each leg.
 
@@ -165,7 +170,7 @@ def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> 
     ends = np.cumsum(legs[:, 0])
     i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
     s = np.clip(1 - (ends[i] - times) / legs[i, 0], 0, 1)
-    smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
+    smooth = least_jerk(s)
     begins = np.vstack([np.zeros(legs.shape[1] - 1), legs[:-1, 1:]])
     now = begins[i] + smooth[:, None] * (legs[i, 1:] - begins[i])
     R = se3.rotation_exp(now[:, 3:4] * [0.0, 0, 1]) @ se3.rotation_exp(now[:, 4:5] * [1.0, 0, 0])

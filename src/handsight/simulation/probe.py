@@ -13,7 +13,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
-from handsight.simulation.motion import Grasp
+from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import rig_of
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Sample, Scenario
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
@@ -211,8 +211,7 @@ class Probe(World):
         way = se3.difference(T_end, T_begin)
         seconds = np.linalg.norm(way[:3]) / TRAVEL + np.linalg.norm(way[3:]) / TURNING
         s = np.linspace(0, 1, max(round(seconds * STEPS_PER_SECOND), 1) + 1)[1:, None]
-        smooth = s**3 * (10 - 15 * s + 6 * s * s)  # least jerk
-        for sample in self._along(se3.moved(T_begin, smooth * way), looked=see is not nobody):
+        for sample in self._along(se3.moved(T_begin, least_jerk(s) * way), looked=see is not nobody):
             see(sample)
 
     def _turned(self, direction_world: Array) -> Array:

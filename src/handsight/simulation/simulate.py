@@ -154,7 +154,13 @@ def simulate(
     `grasp`: else the object's own, or for a mesh the one that `find_grasp` finds for this seed.
     """
     world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
-    sensors = Sensors(scenario, world)
+    yield from samples(scenario, world, Sensors(scenario, world), progress)
+
+
+def samples(
+    scenario: Scenario, world: World, sensors: Sensors, progress: Callable[[float], None] | None = None
+) -> Iterator[Sample]:
+    """What sensors, which are closed at the end, have of a world's motion, at the scenario's rate; see `simulate`."""
     every, steps = round(STEPS_PER_SECOND / scenario.rate), round(world.duration * STEPS_PER_SECOND)
     with closing(sensors):
         for step in range(steps + 1):

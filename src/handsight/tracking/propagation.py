@@ -39,22 +39,6 @@ def walked(process_noise: Array, seconds: float) -> Array:
     return np.minimum(process_noise * seconds, MOST_WALKED)
 
 
-def propagated(estimate: PoseEstimate, variance: Array) -> PoseEstimate:
-    """The estimate after a random walk of the pose, of `variance` (6,) along the palm's axes."""
-    if not variance.any():
-        return estimate
-    information = inflated_information(estimate.information, variance)
-    covariance = None if estimate.covariance is None else estimate.covariance + np.diag(variance)
-    return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
-
-
-def inflated_information(information: Array, variance: Array) -> Array:
-    """An information (6, 6), which may be singular, after process noise (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
-    after = np.array(information)
-    kernel.inflate(after, variance)
-    return after
-
-
 def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:
     """(3, 3) of where in the palm [m] a point fixed on the object (3,) is.
 

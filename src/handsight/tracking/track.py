@@ -21,7 +21,7 @@ from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargin
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import Correction, propagated, sigma_of_point, walked
+from handsight.tracking.propagation import Correction, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import NOTHING, SkinSensors
 from handsight.tracking.slipping import Slipping
@@ -129,7 +129,7 @@ class Track:
             now = self.smoother.now
             self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
         elif stamp - self._propagated_to > RENEW_AFTER:
-            self.estimate = propagated(last.estimate, walked(self._process_noise, stamp - last.stamp))
+            self.estimate = last.estimate.inflated(walked(self._process_noise, stamp - last.stamp))
             self._propagated_to = stamp
         self._trust = self._trust.answered(stamp, consistent=self.estimate.consistent)
         self.state, self.reason = self._trust.judged(stamp, self.sigma, self._doubt(self.estimate))
