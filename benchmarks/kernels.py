@@ -7,12 +7,13 @@ import numba
 import numpy as np
 
 import handsight as hs
-from handsight._kernels import batch, levenberg, records
-from handsight._kernels.compiled import FAST
-from handsight._kernels.simd import local
-from handsight._kernels.symmetry import pose_of
-from handsight._kernels.threads import alone
-from handsight._kernels.warm import warm
+from handsight._kernels import records
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.runtime.compilation import FAST
+from handsight._kernels.runtime.threads import alone
+from handsight._kernels.runtime.warm import warm
+from handsight._kernels.solve import batch, levenberg
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem

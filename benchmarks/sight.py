@@ -18,7 +18,7 @@ import handsight as hs
 import sight_tracking as tracking
 from benchmarks import peers, timing
 from benchmarks.targets import Target
-from handsight.vision.region import Scene, scene_of, table_plane
+from handsight.vision.object.region import Scene, scene_of, table_plane
 from shared import report, sight, ycb
 from shared import sight_scenes as scenes
 from shared.report import Rows

@@ -29,12 +29,12 @@ from handsight.rig import Rig
 from handsight.simulation import Scenario
 from handsight.tracking.replay import Tally
 from handsight.viewer import Viewer
-from handsight.viewer.apart import Frame
 from handsight.viewer.curves import curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.player import FRAME, PLOT_EVERY, Timeline
-from handsight.viewer.replayed import follow
+from handsight.viewer.replay_moments import follow
+from handsight.viewer.viewer_process import Frame
 from shared import report
 
 READER = """

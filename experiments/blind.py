@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from handsight.blind import Belief, Sweep, best_sweep
-from handsight.blind.information import level_sweep, shortened
 from handsight.correction.modes import apart
 from handsight.objects import propose_symmetries
+from handsight.search import Belief, Sweep, best_sweep
+from handsight.search.information import level_sweep, shortened
 from handsight.simulation import Scenario, model_of
-from handsight.simulation.blind import TABLE_SIDE, begun, blind_rig, simulate_blind
 from handsight.simulation.motion import SETTLED, WEIGH_LEGS
 from handsight.simulation.probe import RADIUS
+from handsight.simulation.touch_search import TABLE_SIDE, begun, blind_rig, simulate_blind
 from shared import figures, report, ycb
 from shared.report import Array, Row, Rows
 

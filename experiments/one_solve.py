@@ -21,10 +21,10 @@ from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.vision import PinholeCamera, depth_points
-from handsight.vision.close_look import CloseLook, Looked
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.depth_tracker import LEAST_PIXELS, LEAST_POINTS
-from handsight.vision.own_hand import OwnHand
+from handsight.vision.object.depth_tracker import LEAST_PIXELS, LEAST_POINTS
+from handsight.vision.object.pose_refiner import CloseLook, Looked
+from handsight.vision.palm.hand_in_image import OwnHand
 from shared import report
 from shared.report import Array, Rows
 

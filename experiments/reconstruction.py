@@ -23,9 +23,9 @@ import views_around  # beside the scenes
 from handsight import se3
 from handsight.objects.files.read import Shape
 from handsight.objects.files.write import ply_bytes
-from handsight.vision.closing import ReconstructedModel, closed, one_object
-from handsight.vision.reconstruction import Reconstruction, View
-from handsight.vision.views import on_table
+from handsight.vision.reconstruction.completion import ReconstructedModel, closed, one_object
+from handsight.vision.reconstruction.reconstruct import Reconstruction, View
+from handsight.vision.reconstruction.segmentation import on_table
 from scans import Thing, grasp
 from shared import figures, report, scenes, ycb
 from shared.report import Array, Row, Rows

@@ -16,8 +16,8 @@ from scipy.special import chdtri
 
 from handsight import se3
 from handsight.objects.symmetry import nearest
-from handsight.vision.first_pose import Found, first_pose
-from handsight.vision.region import scene_of, table_plane
+from handsight.vision.object.first_pose import Found, first_pose
+from handsight.vision.object.region import scene_of, table_plane
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
 

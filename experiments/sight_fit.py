@@ -1,4 +1,4 @@
-"""Fits what recognition weighs, on the development seeds: the numbers of `handsight.vision.presence`.
+"""Fits what recognition weighs, on the development seeds: the numbers of `handsight.vision.object.presence`.
 
 Each object is looked for in each picture. The likeliest weights say which it is of, and, with that object left out,
 that it is none of the others. The worth of a mode's score is fitted beside it.
@@ -8,9 +8,9 @@ that it is none of the others. The worth of a mode's score is fitted beside it.
 import numpy as np
 from scipy.optimize import minimize
 
-from handsight.vision.first_pose import first_pose, worths
-from handsight.vision.locate import WIDER_THAN_OBJECT, scene_in
-from handsight.vision.presence import EVIDENCE, evidence_of
+from handsight.vision.object.first_pose import first_pose, worths
+from handsight.vision.object.locate import WIDER_THAN_OBJECT, scene_in
+from handsight.vision.object.presence import EVIDENCE, evidence_of
 from shared import report, sight, ycb
 from shared import sight_scenes as scenes
 from shared.report import Array

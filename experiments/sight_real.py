@@ -18,10 +18,10 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.cli.located import Sought, warmed
+from handsight.cli.locate_images import Sought, warmed
+from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
-from handsight.recording.located import Located
-from handsight.viewer.located import draw_located
+from handsight.viewer.detection_figures import draw_located
 from handsight.vision import PinholeCamera, read_depth
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from shared import report

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.vision.locate import LEAST_PROBABILITY
-from handsight.vision.presence import log_odds, probabilities
-from handsight.vision.recognition import recognise
+from handsight.vision.object.locate import LEAST_PROBABILITY
+from handsight.vision.object.presence import log_odds, probabilities
+from handsight.vision.object.recognition import recognise
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
 from shared.report import Array

@@ -28,8 +28,8 @@ from scipy.special import chdtri
 import handsight as hs
 from handsight import se3
 from handsight.vision import DepthTracker
-from handsight.vision.close_look import WITHIN
-from handsight.vision.depth_tracker import GOES_ON
+from handsight.vision.object.depth_tracker import GOES_ON
+from handsight.vision.object.pose_refiner import WITHIN
 from shared import figures, report, scenes, ycb
 from shared.report import Array, Row, Rows
 from shared.sequences import drawn

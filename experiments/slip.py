@@ -28,8 +28,8 @@ from scipy.special import chdtri
 
 import handsight as hs
 from handsight import se3
-from handsight.dynamics import SlipDetector, slip_twist
-from handsight.dynamics.friction import PATCH
+from handsight.forces import SlipDetector, slip_twist
+from handsight.forces.friction import PATCH
 from handsight.simulation import Sample, Scenario, model_of, rig_of, simulate
 from handsight.simulation.scenario import OBJECT_MASS
 from handsight.tracking import FingertipSensors

@@ -26,13 +26,13 @@ import handsight as hs
 from handsight import se3
 from handsight.cli.demo import DATA
 from handsight.correction import WeightEvidence
-from handsight.dynamics import Weigher
+from handsight.forces import Weigher
 from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, simulate
-from handsight.simulation.loaded import Loaded, center_of_mass
 from handsight.simulation.motion import SETTLED, WEIGH_LEGS
+from handsight.simulation.payload import Loaded, center_of_mass
 from handsight.tracking import JointOffsets
 from handsight.tracking.shared_errors import together
 from shared import report, wrong_weights, ycb

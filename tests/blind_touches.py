@@ -6,8 +6,8 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.blind import Area, Sweep, Touch, cast
 from handsight.rig import Table
+from handsight.search import Area, Sweep, Touch, cast
 
 RADIUS, SIGMA_POINT, SIGMA_NORMAL = 0.009, 0.0015, float(np.deg2rad(4.0))
 

@@ -50,12 +50,12 @@ def pytest_sessionstart(session):
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
         return  # a few tests need few kernels, and compile those
-    from handsight._kernels import compiled, warm
+    from handsight._kernels.runtime import compilation, warm
 
     count, k = int(worker["workercount"]), int(worker["workerid"].removeprefix("gw"))
     names = list(warm.GROUPS)
     for name in sorted(names, key=lambda name: (names.index(name) % count != k, names.index(name))):
-        done = compiled.folder() / f"{name}.done"
+        done = compilation.folder() / f"{name}.done"
         with locked(done.with_suffix(".lock")):
             if not done.exists():
                 warm.GROUPS[name]()

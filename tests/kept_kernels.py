@@ -4,7 +4,7 @@ import hashlib
 import inspect
 from pathlib import Path
 
-from handsight._kernels.compiled import entry
+from handsight._kernels.runtime.compilation import entry
 
 
 def kept(function):

@@ -19,7 +19,7 @@ from handsight.objects.symmetry import Symmetries, about
 from handsight.simulation.camera import spoil
 from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.hand_mask import hand_mask
+from handsight.vision.palm.hand_mask import hand_mask
 
 Array = np.ndarray
 Rng = np.random.Generator

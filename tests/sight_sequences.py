@@ -12,7 +12,7 @@ from handsight.hand.shape import HandShape
 from handsight.simulation.camera import spoil
 from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.hand_mask import hand_mask
+from handsight.vision.palm.hand_mask import hand_mask
 
 CAMERA = PinholeCamera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
 RATE = 30.0

@@ -11,7 +11,7 @@ import handsight as hs
 from benchmarks.peers.open3d_icp import cloud_of
 from benchmarks.workload import Solve
 from handsight import se3
-from handsight.vision.region import Scene
+from handsight.vision.object.region import Scene
 
 registration = o3d.pipelines.registration
 VOXEL = 5e-3

@@ -11,7 +11,7 @@ from cv2 import ppf_match_3d as ppf
 
 import handsight as hs
 from benchmarks.workload import Solve
-from handsight.vision.region import Scene, seen_points
+from handsight.vision.object.region import Scene, seen_points
 
 STEP, VOTING = 0.1, 0.5
 """Between points [diameters of the model]; the share of the scene's points that vote."""

@@ -5,9 +5,9 @@ import numpy as np
 import handsight as hs
 from benchmarks.kernels import kernel_call
 from benchmarks.workload import Problem, Solve
-from handsight.vision.appearance import appearance_of
-from handsight.vision.first_pose import first_pose
-from handsight.vision.region import Scene
+from handsight.vision.object.appearance import appearance_of
+from handsight.vision.object.first_pose import first_pose
+from handsight.vision.object.region import Scene
 
 
 class Ours:

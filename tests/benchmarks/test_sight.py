@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import peers, sight
 from handsight import ObjectModel, se3
-from handsight.vision.region import scene_of
+from handsight.vision.object.region import scene_of
 from shared import sight_scenes as scenes
 
 

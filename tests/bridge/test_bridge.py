@@ -19,7 +19,7 @@ from handsight.bridge.message_types import dds_name, message_type, ros_name
 from handsight.bridge.network import FAST_DDS_3, LOOPBACK, configuration, domain_id
 from handsight.errors import InvalidInput
 from handsight.live.answers import MARKERS, MARKERS_TOPIC
-from handsight.live.asked import TEXT
+from handsight.live.requests import TEXT
 from handsight.messages.topics import (
     COMPRESSED,
     CONTACT,

@@ -11,7 +11,7 @@ from PIL import Image
 import handsight.vision
 from cli.commands import called, run
 from handsight import se3
-from handsight.vision.locate import LEAST_PROBABILITY
+from handsight.vision.object.locate import LEAST_PROBABILITY
 from pictures import (
     INTRINSICS,
     bop_of,

@@ -112,7 +112,7 @@ def test_what_cannot_be_a_model_is_said(asked, tmp_path, rig, around, change, op
 
 
 def test_what_was_fused_before_it_was_interrupted_is_written(asked, tmp_path, rig, around, monkeypatch):
-    from handsight.vision.reconstruction import Reconstruction
+    from handsight.vision.reconstruction.reconstruct import Reconstruction
 
     grow, taken = Reconstruction.grow, []
 

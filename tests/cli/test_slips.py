@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from handsight.cli.run import Run
 from handsight.cli.track import grip
-from handsight.dynamics import Slip
+from handsight.cli.track_summary import Run
+from handsight.forces import Slip
 from handsight.tracking.replay import Tally
 from handsight.tracking.skin import NOTHING
 from handsight.viewer.curves import slips_of

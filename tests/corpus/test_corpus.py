@@ -2,7 +2,7 @@
 
 import pytest
 
-from handsight._kernels.warm import warm
+from handsight._kernels.runtime.warm import warm
 from handsight.errors import HandsightError
 from tests.corpus.door import check_sentence, knock
 from tests.corpus.doors import CASES, DOORS

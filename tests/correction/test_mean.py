@@ -7,7 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import mean
+from handsight._kernels.posterior import mean
 from handsight.batch.problems import Reader, answer_text
 from handsight.correction import ANSWERS, Outside, Plane, refine_pose
 from handsight.correction.modes import in_metres

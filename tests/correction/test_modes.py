@@ -5,11 +5,14 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import levenberg, prior_term, records, uncertainty
+from handsight._kernels import records
+from handsight._kernels.evidence import prior_term
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.posterior import uncertainty
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
-from handsight._kernels.settings import LEAST_FACTOR, STRIDE
-from handsight._kernels.simd import local
-from handsight._kernels.symmetry import pose_of
+from handsight._kernels.solve import levenberg
+from handsight._kernels.solve.settings import LEAST_FACTOR, STRIDE
 from handsight.correction import modes
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import descents_at

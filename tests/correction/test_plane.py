@@ -9,10 +9,11 @@ import trimesh
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight._kernels import levenberg, plane_term
+from handsight._kernels.evidence import plane_term
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.records import PRIOR_TERM, TERM
-from handsight._kernels.simd import local
-from handsight._kernels.symmetry import pose_of
+from handsight._kernels.solve import levenberg
 from handsight.correction import Outside, Plane, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem, descents_at

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels import search
+from handsight._kernels.solve import search
 from handsight.correction import refine_pose
 from handsight.correction.modes import APART
 from handsight.correction.outside import MOST_PLANES

@@ -5,7 +5,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.threads import alone
+from handsight._kernels.runtime.threads import alone
 from handsight.correction import outliers, solve, starts
 from handsight.correction.budget import Budget
 from handsight.correction.outside import NO_OUTSIDE

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hand.hands import ALLEGRO_TIPS, SHADOW, SHADOW_TIPS, allegro_file, shadow_file, within_limits
 from handsight import se3
-from handsight._kernels import chain
+from handsight._kernels.math import chain
 from handsight.hand import Hand
 from oracles import product_of_exponentials
 

@@ -12,9 +12,9 @@ from scipy.special import erfc
 import handsight as hs
 from contact.contact_cases import any_tip, touches
 from handsight import se3
-from handsight._kernels.contacts_to_palm import contacts_to_palm
-from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.tips_touching import NEAR_TIP, PRESS, TWO_AT_ONCE
+from handsight._kernels.touch.contacts_to_palm import contacts_to_palm
+from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
+from handsight._kernels.touch.tips_touching import NEAR_TIP, PRESS, TWO_AT_ONCE
 from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
 from handsight.rig import Finger
 from handsight.tracking.fingertips import finger_record

@@ -15,11 +15,13 @@ from scipy.optimize import least_squares
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight._kernels import batch, levenberg, match, prior_term, records
-from handsight._kernels.settings import CANDIDATE_APART
-from handsight._kernels.simd import local
-from handsight._kernels.symmetry import pose_of
-from handsight._kernels.threads import alone, in_parts
+from handsight._kernels import records
+from handsight._kernels.evidence import prior_term
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.runtime.threads import alone, in_parts
+from handsight._kernels.solve import batch, levenberg, match
+from handsight._kernels.solve.settings import CANDIDATE_APART
 from handsight.correction import WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of

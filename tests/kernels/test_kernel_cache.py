@@ -13,7 +13,7 @@ import pytest
 KERNEL = """
 import sys
 import numpy as np
-from handsight._kernels.compiled import entry
+from handsight._kernels.runtime.compilation import entry
 
 @entry
 def doubled(values):
@@ -157,8 +157,8 @@ def test_processes_that_compile_at_once_keep_what_each_compiled(started, ran, tm
 
 WARMED = """
 import os, sys
-from handsight._kernels import compiled
-from handsight._kernels.warm import warm
+from handsight._kernels.runtime import compilation
+from handsight._kernels.runtime.warm import warm
 warm(lambda name, seconds: None)
 
 def signatures():
@@ -195,9 +195,9 @@ model.evaluate(model.points_object)
 hs.contacts_from_wrenches(np.eye(3), np.eye(3), hs.Ellipsoid((0.01, 0.01, 0.012)))
 hs.contact_from_wrench([0, 0, -1], [0, 0, 0], hs.Sphere(0.01))
 from handsight.vision.camera import PinholeCamera
-from handsight.vision.first_pose import first_pose
-from handsight.vision.hand_mask import hand_mask
-from handsight.vision.region import scene_of
+from handsight.vision.object.first_pose import first_pose
+from handsight.vision.palm.hand_mask import hand_mask
+from handsight.vision.object.region import scene_of
 camera = PinholeCamera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
 wall = np.full((48, 64), 0.5, dtype=np.float32)
 hand_mask(camera, wall, model.sample(3)[0], np.array([[0, 1, 2]]), T)

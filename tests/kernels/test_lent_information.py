@@ -9,9 +9,11 @@ from scipy.special import chdtri
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight._kernels import batch, lent, levenberg, posterior, records
-from handsight._kernels.simd import local
-from handsight._kernels.symmetry import pose_of
+from handsight._kernels import records
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.posterior import density, spurious_information
+from handsight._kernels.solve import batch, levenberg
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, descents_at
 from handsight.objects import Symmetries
@@ -49,7 +51,7 @@ def _information(model, nodes, contacts, vision, outside, descents, by_touch, to
     center = batch.load_terms(contacts, terms)
     batch.fill_prior(model[0], vision, center, prior)
     evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
-    posterior.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
+    density.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
     whole = np.zeros((6, 6))
     for k in range(len(terms)):
         for i in range(6):
@@ -99,7 +101,7 @@ def _wavering(model, nodes, contacts, vision, outside, descents):
     center = batch.load_terms(contacts, terms)
     batch.fill_prior(model[0], vision, center, prior)
     evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
-    return lent.wavering(evidence, pose_of(descents[0].pose))
+    return spurious_information.wavering(evidence, pose_of(descents[0].pose))
 
 
 @pytest.mark.parametrize("bare", [False, True])

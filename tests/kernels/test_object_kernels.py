@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from handsight._kernels import warm
-from handsight._kernels.linking import linked
-from handsight._kernels.nearest_triangle import closest_points
-from handsight._kernels.spreading import snapped, spread_out
+from handsight._kernels.math.spreading import snapped, spread_out
+from handsight._kernels.mesh.connected_nodes import linked
+from handsight._kernels.mesh.nearest_triangle import closest_points
+from handsight._kernels.runtime import warm
 from handsight.objects import ObjectModel
 from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding, box_tree
 from objects.object_shapes import box_mesh, divided, prism, triangles
@@ -298,7 +298,8 @@ def test_closest_points_and_winding_numbers_take_any_layout_of_points(rng):
 
 
 def test_warming_compiles_what_building_an_object_calls(rng):
-    from handsight._kernels import field, linking, nearest_triangle, spreading, winding
+    from handsight._kernels.math import spreading
+    from handsight._kernels.mesh import connected_nodes, field, nearest_triangle, winding
 
     told = []
     warm.warm(lambda name, seconds: told.append((name, seconds)))
@@ -306,7 +307,7 @@ def test_warming_compiles_what_building_an_object_calls(rng):
     kernels = (
         nearest_triangle.closest,
         winding.winding,
-        linking.linked,
+        connected_nodes.linked,
         spreading.spread_out,
         spreading.snapped,
         field.evaluate,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight import se3
-from handsight._kernels import pose_bias
+from handsight._kernels.posterior import pose_bias
 from handsight._kernels.records import MEASUREMENT
 from kept_kernels import kept
 from oracles import pose_bias as oracle

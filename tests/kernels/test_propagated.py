@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import propagated
+from handsight._kernels.posterior import propagation
 from handsight.objects.symmetry import nearest
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -18,7 +18,7 @@ def test_a_point_moves_with_the_shift_and_with_the_turn_at_its_lever(seed):
     rng = np.random.default_rng(seed)
     root, lever, found = rng.normal(size=(6, 6)), rng.normal(scale=0.1, size=3), np.empty((3, 3))
     information = root @ root.T + 0.1 * np.eye(6)
-    largest = propagated.at_point(information, 0.05, lever, found)
+    largest = propagation.at_point(information, 0.05, lever, found)
     J = np.hstack([np.eye(3), -se3.skew(lever)])
     expected = J @ np.linalg.inv(information) @ J.T
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from contact.contact_cases import PAPER_TIP, any_tip, touches
 from handsight import se3
-from handsight._kernels import sensing as kernels
+from handsight._kernels.touch import sensing as kernels
 from handsight.checks import STRONGEST
 from handsight.contact import (
     Contact,

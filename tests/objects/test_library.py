@@ -14,7 +14,7 @@ from handsight.objects import Facts, Library, ObjectModel
 from handsight.objects.files.ply import ply_shape
 from handsight.objects.files.read import Shape, read_shape
 from handsight.objects.files.write import ply_bytes
-from handsight.objects.library.declared import declared
+from handsight.objects.library.symmetry_notation import declared
 from objects.libraries import block, bop, off_text
 from objects.object_shapes import box_mesh, data_file, prism
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels.patches import blended
+from handsight._kernels.mesh.patches import blended
 from handsight.objects import ObjectModel
 from handsight.objects.cloud import cloud_geometry
 from handsight.objects.meshes.mesh_geometry import mesh_geometry

@@ -3,7 +3,7 @@
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.outside_term import POWER
+from handsight._kernels.evidence.outside_term import POWER
 from handsight.checks import Array
 from handsight.correction.problem import Problem
 from oracles import fields

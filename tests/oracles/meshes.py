@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels.winding import FAR_PATCH, FAR_TRIANGLE
+from handsight._kernels.mesh.winding import FAR_PATCH, FAR_TRIANGLE
 from handsight.checks import Array, Indices
 
 _PAIRS = 2_000_000

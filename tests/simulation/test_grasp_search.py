@@ -10,7 +10,7 @@ import trimesh
 
 from handsight.errors import InvalidFile, InvalidObject
 from handsight.simulation import Scenario, find_grasp, grasp_search, read_grasp, simulate, write_grasp
-from handsight.simulation.holds import body_of, holds
+from handsight.simulation.grasp_candidates import body_of, holds
 from handsight.simulation.motion import CAN
 from handsight.simulation.posture import FAR, Posture
 from handsight.simulation.scene import convex_hull, mujoco_module, scene, tip_shape

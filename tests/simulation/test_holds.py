@@ -6,7 +6,7 @@ import trimesh
 from scipy.optimize import linprog
 
 from handsight import se3
-from handsight.simulation.holds import (
+from handsight.simulation.grasp_candidates import (
     EDGES,
     FRICTION,
     LEVER,

@@ -9,11 +9,11 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.blind import Sweep
 from handsight.correction.modes import apart
 from handsight.errors import InvalidInput
+from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, blind_rig, model_of, simulate_blind
-from handsight.simulation.blind import FELT_AT, begun
+from handsight.simulation.touch_search import FELT_AT, begun
 from simulation.simulated import NONE
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from handsight.simulation import Nuisances, Scenario
-from handsight.simulation.loaded import Loaded, center_of_mass
 from handsight.simulation.motion import WEIGH_LEGS, palm_poses
+from handsight.simulation.payload import Loaded, center_of_mass
 from handsight.simulation.scene import FINGERS
 from handsight.simulation.simulate import _one_tip
 from simulation.simulated import only

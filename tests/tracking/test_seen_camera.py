@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handsight import se3
-from handsight.tracking.past import Instant, Past
-from handsight.tracking.seen_camera import IN_A_ROW, HandView, SeenCamera
+from handsight.tracking.camera_from_palm import IN_A_ROW, HandView, SeenCamera
+from handsight.tracking.history import Instant, Past
 from handsight.tracking.smoother import PoseBiasSmoother
 from oracles.pose_bias import biased
 

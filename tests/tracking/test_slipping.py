@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from dynamics.loads import load
 from dynamics.loads import rig as some_rig
+
 from handsight import se3
 from handsight.contact import Contacts
 from handsight.tracking import FingertipContacts, Tracker
-from handsight.tracking.slipping import BEFORE, FARTHEST, SIDEWAYS, SPEED, Slipping
+from handsight.tracking.slip_update import BEFORE, FARTHEST, SIDEWAYS, SPEED, Slipping
 from handsight.tracking.smoother import PoseBiasSmoother
 
 FINGERS = ("ff", "mf", "th")

@@ -18,7 +18,7 @@ from handsight.rig import Rig
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally
 from handsight.viewer.player import Timeline
-from handsight.viewer.replayed import follow
+from handsight.viewer.replay_moments import follow
 
 for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):
     if find_spec(name) is None:
@@ -65,22 +65,22 @@ def page(tracked, free_port):
 def pages(monkeypatch):
     """The pages of viewers, newest last: served in a thread of this process, where a test can look at them."""
     needs_viser()
-    from handsight.viewer import apart
+    from handsight.viewer import viewer_process
 
     made = []
 
     def begin():
         ours, theirs = Pipe()
-        Thread(target=apart.serve, args=(theirs,), daemon=True).start()
+        Thread(target=viewer_process.serve, args=(theirs,), daemon=True).start()
         return ours, None
 
-    class Kept(apart.Page):
+    class Kept(viewer_process.Page):
         def __init__(self, *given, **options):
             super().__init__(*given, **options)
             made.append(self)
 
-    monkeypatch.setattr(apart, "begin", begin)
-    monkeypatch.setattr(apart, "Page", Kept)
+    monkeypatch.setattr(viewer_process, "begin", begin)
+    monkeypatch.setattr(viewer_process, "Page", Kept)
     return made
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from handsight import ObjectModel, PoseEstimate, contact_from_wrench, se3
 from handsight.contact import compensate
-from handsight.dynamics import Slip
 from handsight.evaluation import track_errors
+from handsight.forces import Slip
 from handsight.observation import Observation
 from handsight.tracking import Tracker
+from handsight.tracking.camera_from_palm import SeenCamera
 from handsight.tracking.replay import Tally, replay
-from handsight.tracking.seen_camera import SeenCamera
 from handsight.viewer.curves import curves
 from handsight.viewer.moment import VISION_FOR, Measured, Moment
 from handsight.viewer.panel import share

@@ -190,7 +190,7 @@ def test_playing_goes_through_all_moments_to_the_end_at_its_speed(page, tracked,
 def test_nothing_is_done_while_nobody_looks(page, pages, tracked, free_port, monkeypatch):
     drawn = []
     monkeypatch.setattr(type(page), "draw", lambda *_: drawn.append(1))
-    monkeypatch.setattr("handsight.viewer.live.Moment.now", lambda *_: drawn.append(1))
+    monkeypatch.setattr("handsight.viewer.live_viewer.Moment.now", lambda *_: drawn.append(1))
     player = Player(page, tracked.timeline, lambda: drawn.append(1))
     before = messages(page)
     player.start()
@@ -255,10 +255,11 @@ def test_who_comes_while_the_robot_rests_sees_the_last_answer(tracked, pages, fr
 
 def with_a_pipe(tracker, monkeypatch):
     """A viewer, and the page's end of its pipe."""
-    from handsight.viewer import apart
 
     ours, theirs = Pipe()
-    monkeypatch.setattr(apart, "begin", lambda: (ours, None))
+    from handsight.viewer import viewer_process
+
+    monkeypatch.setattr(viewer_process, "begin", lambda: (ours, None))
     page = threading.Thread(target=lambda: (theirs.recv(), theirs.send("http://nowhere")))
     page.start()
     viewer = Viewer(tracker)

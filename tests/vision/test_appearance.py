@@ -5,9 +5,9 @@ import pytest
 
 import handsight as hs
 from handsight import cache_folder
-from handsight._kernels import look_score, votes
+from handsight._kernels.image import pose_score, votes
 from handsight.objects import ObjectWarning, cache
-from handsight.vision import appearance
+from handsight.vision.object import appearance
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def looked_at(monkeypatch):
     """Its visible samples and pairs, and how often each were worked out."""
     calls = []
     with monkeypatch.context() as patch:
-        for room, name in ((look_score, "visible_sets"), (votes, "pairs_of")):
+        for room, name in ((pose_score, "visible_sets"), (votes, "pairs_of")):
             kernel = getattr(room, name)
             patch.setattr(room, name, lambda *a, kernel=kernel, name=name: (calls.append(name), kernel(*a)))
         model = hs.ObjectModel.box((0.05, 0.04, 0.02))

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-from handsight._kernels import depth_image
-from handsight._kernels.look_score import HAND, OUT, TABLE
-from handsight._kernels.sight_records import SEEN
+from handsight._kernels.image import depth_image
+from handsight._kernels.image.pose_score import HAND, OUT, TABLE
+from handsight._kernels.image.vision_records import SEEN
 from sight_scenes import CAMERA
 
 

@@ -7,11 +7,11 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import depth_covariance, depth_term, near_points
-from handsight._kernels.sight_records import LOOK, SEEN, WINDOW
+from handsight._kernels.image import depth_covariance, depth_term, near_points
+from handsight._kernels.image.vision_records import LOOK, SEEN, WINDOW
 from handsight.errors import InvalidInput, InvalidTransform
 from handsight.vision import DepthTracker
-from handsight.vision.depth_tracker import LONGEST, SEARCH_EVERY
+from handsight.vision.object.depth_tracker import LONGEST, SEARCH_EVERY
 from sight_scenes import CAMERA, drawn, letter, looking, noisy
 from sight_sequences import jug
 

@@ -10,12 +10,12 @@ from scipy.optimize import least_squares
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import depth_covariance, depth_term, look_score, votes
-from handsight._kernels.sight_records import LOOK, SEEN
+from handsight._kernels.image import depth_covariance, depth_term, pose_score, votes
+from handsight._kernels.image.vision_records import LOOK, SEEN
 from handsight.objects.symmetry import nearest
-from handsight.vision.appearance import appearance_of
-from handsight.vision.first_pose import distinct, first_pose
-from handsight.vision.region import scene_of, table_plane
+from handsight.vision.object.appearance import appearance_of
+from handsight.vision.object.first_pose import distinct, first_pose
+from handsight.vision.object.region import scene_of, table_plane
 from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
 
 
@@ -198,7 +198,7 @@ def plain_covariance(told, error, look, T):
 def test_of_a_convex_object_all_that_faces_a_side_is_seen():
     box = hs.ObjectModel.box((0.05, 0.08, 0.03))
     samples, directions, visible = appearance_of(box).sides
-    np.testing.assert_array_equal(visible, directions @ samples[1].T > look_score.FACING)
+    np.testing.assert_array_equal(visible, directions @ samples[1].T > pose_score.FACING)
 
 
 def test_what_is_behind_another_part_of_the_object_is_not_seen():
@@ -242,7 +242,7 @@ def test_explained_pixels_are_those_of_the_silhouette():
         look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
         limits = np.array([appearance.sample_area, 0.006, *model().center_object])
         image = scene.depth, scene.labels
-        look_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, look)
+        pose_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, look)
         assert look["explained"][0] == pytest.approx((labels == 0).sum(), rel=0.15)
         assert look["passed"][0] + look["hidden"][0] < 0.1 * look["expected"][0]
 
@@ -256,7 +256,7 @@ def test_nothing_is_under_the_table():
     lifts = [T_camera_table[:3, :3] @ [0.08, 0.08, height] for height in (0.05, -0.12)]
     looks = looks_at(np.stack([T] + [se3.compose(np.eye(3), lift) @ T for lift in lifts]))
     image = scene.depth, scene.labels
-    look_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, looks)
+    pose_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, looks)
     share = looks["passed"] / looks["expected"]
     assert share[0] < 0.15
     assert share[1:].min() > 0.8

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from handsight import se3
-from handsight.vision.hand_mask import AROUND, hand_mask
+from handsight.vision.palm.hand_mask import AROUND, hand_mask
 from sight_scenes import CAMERA
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used

@@ -14,9 +14,9 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 
 from hand_scenes import curled
 from handsight.simulation import Scenario, rig_of
-from handsight.vision.closing import one_object
-from handsight.vision.reconstruction import Reconstruction, View
-from handsight.vision.views import HELD_BOUNDS, Held
+from handsight.vision.reconstruction.completion import one_object
+from handsight.vision.reconstruction.reconstruct import Reconstruction, View
+from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, Held
 from sight_scenes import CAMERA
 from views_around import CAN, pictures_of, turned_before
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.vision.locate import LEAST_PROBABILITY, locate
-from handsight.vision.presence import probabilities
-from handsight.vision.recognition import recognise
+from handsight.vision.object.locate import LEAST_PROBABILITY, locate
+from handsight.vision.object.presence import probabilities
+from handsight.vision.object.recognition import recognise
 from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
 
 

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 import handsight as hs
 from handsight import se3
-from handsight.vision.closing import closed, one_object
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.locate import locate
-from handsight.vision.reconstruction import Reconstruction, View
-from handsight.vision.views import on_table
-from handsight.vision.volume import Volume
+from handsight.vision.object.locate import locate
+from handsight.vision.reconstruction.completion import closed, one_object
+from handsight.vision.reconstruction.reconstruct import Reconstruction, View
+from handsight.vision.reconstruction.segmentation import on_table
+from handsight.vision.reconstruction.volume import Volume
 from sight_scenes import CAMERA, drawn, letter, mssd
 from views_around import CAN, path, pictures, standing, wrong
 

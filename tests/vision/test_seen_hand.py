@@ -16,23 +16,23 @@ from scipy.optimize import least_squares
 import handsight as hs
 from hand_scenes import CAMERA, SQUARE, error, hand_scene, moved
 from handsight import se3
-from handsight._kernels import hand_scan, hand_term
-from handsight._kernels.hand_scan import AGREES, FACING
-from handsight._kernels.sight_records import LOOK
+from handsight._kernels.image import hand_term, palm_scan
+from handsight._kernels.image.palm_scan import AGREES, FACING
+from handsight._kernels.image.vision_records import LOOK
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.hand_covariance import _spread
-from handsight.vision.hand_look import BESIDE, HandLook
-from handsight.vision.hand_search import Picture, _shifts, _turns, picture_of
-from handsight.vision.own_hand import OwnHand
+from handsight.vision.palm.hand_appearance import BESIDE, HandLook
+from handsight.vision.palm.hand_in_image import OwnHand
+from handsight.vision.palm.palm_covariance import _spread
+from handsight.vision.palm.palm_search import Picture, _shifts, _turns, picture_of
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
 
 from handsight.simulation import Scenario, rig_of
 
-seen_hand = importlib.import_module("handsight.vision.seen_hand")
+seen_hand = importlib.import_module("handsight.vision.palm.palm_detector")
 ALLEGRO = (
     Path(os.environ.get("HANDSIGHT_DATA", "../shared/data")) / "hands/allegro_hand/allegro_hand_right.urdf"
 )
@@ -319,9 +319,9 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
         cells[..., 0] = 1.0 + behind
         cells[4, 4, 0] = 1.0
         found = np.empty((1, 1, 2))
-        hand_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
-        scores.append(found[0, 0, 0] * (len(on) + hand_scan.UNSEEN))
-    np.testing.assert_allclose(scores, [len(on) - hand_scan.BESIDE * len(air), len(on), len(on)])
+        palm_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
+        scores.append(found[0, 0, 0] * (len(on) + palm_scan.UNSEEN))
+    np.testing.assert_allclose(scores, [len(on) - palm_scan.BESIDE * len(air), len(on), len(on)])
 
 
 @settings(max_examples=20, deadline=None)

@@ -60,7 +60,7 @@ _one_at_a_time = threading.Lock()  # the models kept are not made to be shared b
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
     """The answers to lines whose meshes are in `folder`, on one thread; models are built once in a process."""
-    from handsight._kernels.threads import alone
+    from handsight._kernels.runtime.threads import alone
     from handsight.batch.problems import answer_text
 
     with _one_at_a_time, alone(), warnings.catch_warnings(record=True) as caught:

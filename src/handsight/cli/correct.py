@@ -126,7 +126,7 @@ def correct(
     written = Written()
     try:
         if plot is not None:
-            from handsight.viewer.corrections import require_matplotlib
+            from handsight.viewer.correction_figures import require_matplotlib
 
             require_matplotlib()
         if workers == 1 and cluster is None:
@@ -203,7 +203,7 @@ def _folder(problems: str) -> Path:
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
     """Writes a picture of problems and their answers."""
-    from handsight.viewer.corrections import Panel, draw_corrections
+    from handsight.viewer.correction_figures import Panel, draw_corrections
 
     panels = [Panel(problem.model, problem.contacts, problem.vision, answer) for problem, answer in answered]
     draw_corrections(panels, plot)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from handsight.batch.problems import Problem
-    from handsight.cli.run import Run
+    from handsight.cli.track_summary import Run
     from handsight.evaluation import CorrectionErrors
     from handsight.recording.frames import Frame
     from handsight.rig import Rig
@@ -123,7 +123,7 @@ def _pictured(plot: Path) -> str:
     from dataclasses import replace
 
     from handsight import se3
-    from handsight.cli.located import Sought, draw, warmed
+    from handsight.cli.locate_images import Sought, draw, warmed
     from handsight.rig import Rig
     from handsight.vision.depth_noise import STRUCTURED_LIGHT
 

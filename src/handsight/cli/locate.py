@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from handsight.cli.located import MOST_PANELS, Sought, draw, run
+from handsight.cli.locate_images import MOST_PANELS, Sought, draw, run
 from handsight.cli.options import RigFile, by_name, library_objects, object_named, rig_and_objects
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
@@ -123,7 +123,7 @@ def locate(
             apart(place, what, source, "what is read")
     apart(plot, "the picture", output, "the answers")
     if plot is not None:
-        from handsight.viewer.corrections import require_matplotlib
+        from handsight.viewer.correction_figures import require_matplotlib
 
         require_matplotlib()
     asked = Asked(object or [], rig, library, scale, depth_camera)

@@ -16,8 +16,8 @@ from handsight.files import written
 if TYPE_CHECKING:
     from handsight.recording import Recording
     from handsight.rig import Rig
-    from handsight.vision.closing import ReconstructedModel
-    from handsight.vision.reconstruction import Reconstruction
+    from handsight.vision.reconstruction.completion import ReconstructedModel
+    from handsight.vision.reconstruction.reconstruct import Reconstruction
 
 LEAST_FUSED, LEAST_POINTS = 5, 100
 """Views that a model is made of, and points that it has, or there is none."""
@@ -105,8 +105,8 @@ class Run:
 
         from handsight import se3
         from handsight.recording.object_views import camera_of, held_views, views_of
-        from handsight.vision.reconstruction import Reconstruction, View
-        from handsight.vision.views import HELD_BOUNDS, on_table
+        from handsight.vision.reconstruction.reconstruct import Reconstruction, View
+        from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, on_table
 
         seen = (each for each in recording.observations() if each.depth is not None)
         first = next(seen, None)
@@ -129,7 +129,7 @@ class Run:
 
     def model(self) -> "ReconstructedModel":
         """The object; raises InvalidInput where too little of it was seen."""
-        from handsight.vision.closing import closed, one_object
+        from handsight.vision.reconstruction.completion import closed, one_object
 
         if self.reconstruction is None:
             where = "in the hand" if self.held else "on a table"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
-from handsight.cli.run import refusals
 from handsight.cli.terminal import announce_compiling, kept_going, say, table
+from handsight.cli.track_summary import refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from handsight.checks import Array
     from handsight.observation import Observation
     from handsight.rig import Camera, Rig
-    from handsight.tracking.camera_by_hand import HandCalibration
     from handsight.tracking.camera_calibration import CameraCalibration
+    from handsight.tracking.hand_eye_calibration import HandCalibration
 
 rig_app = typer.Typer(help="What describes a robot: hand, fingertips, camera.", no_args_is_help=True)
 calibrate_app = typer.Typer(help="What is constantly wrong, from a recording.", no_args_is_help=True)
@@ -115,8 +115,8 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     """
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
-    from handsight.tracking.camera_by_hand import HandViews
     from handsight.tracking.camera_calibration import calibrations
+    from handsight.tracking.hand_eye_calibration import HandViews
     from handsight.tracking.replay import Tally
 
     announce_compiling()

@@ -15,13 +15,13 @@ from handsight.cli.options import (
     with_intrinsics,
     with_settings,
 )
-from handsight.cli.run import Run, weight_said
 from handsight.cli.terminal import announce_compiling, live_rows, say
+from handsight.cli.track_summary import Run, weight_said
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import written
 
 if TYPE_CHECKING:
-    from handsight.dynamics import Slip
+    from handsight.forces import Slip
     from handsight.objects import ObjectModel
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
@@ -191,7 +191,7 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
 def draw(ended: Run, model: "ObjectModel", path: Path) -> str:
     """Draws a run, and says what was written, or why not."""
     try:
-        from handsight.viewer.track import draw_track
+        from handsight.viewer.track_figure import draw_track
 
         draw_track(ended.name, model, ended.steps, ended.truths, path)
     except MissingExtra as error:

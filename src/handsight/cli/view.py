@@ -15,8 +15,8 @@ from handsight.cli.options import (
     with_intrinsics,
     with_settings,
 )
-from handsight.cli.run import refusals
 from handsight.cli.terminal import FAILED, announce_compiling, say
+from handsight.cli.track_summary import refusals
 from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def show(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSetting
     from handsight.tracking.replay import Tally
     from handsight.viewer.curves import curves
     from handsight.viewer.player import Player, Timeline
-    from handsight.viewer.replayed import follow
+    from handsight.viewer.replay_moments import follow
 
     with open_recording(path, rig) as recording:
         rig = with_intrinsics(rig, recording)

@@ -34,7 +34,7 @@ def weigh(
     from handsight.objects import Library
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
-    from handsight.tracking.weighing import best_weight, center_of
+    from handsight.tracking.best_weighing import best_weight, center_of
 
     announce_compiling()
     opened, robot = Library(library), rig_of_recording(recording, rig)

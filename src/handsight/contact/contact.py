@@ -149,7 +149,7 @@ class ContactBatch:
     def covariances(self) -> Array:
         """(k, 6, 6) of (point [m], normal), from the sensor's noise alone; computed when first asked for."""
         if self._covariances is None:
-            from handsight._kernels import sensing
+            from handsight._kernels.touch import sensing
 
             out = np.empty((len(self.rows), 6, 6))
             sensing.covariances(self.records, self.fingertip.record, self.sigmas, out)

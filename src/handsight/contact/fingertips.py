@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.sensing_records import FINGERTIP
+from handsight._kernels.touch.sensing_records import FINGERTIP
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 

@@ -1,6 +1,6 @@
 """Intrinsic contact sensing: a wrench on a fingertip to where and how the object touches it (eq. 7).
 
-Checked here, computed by `handsight._kernels.sensing`; what is computed, and why so, says `sensing_steps` there.
+Checked here, computed by `handsight._kernels.touch.sensing`; what is computed, and why so, says `sensing_steps` there.
 """
 
 from collections.abc import Callable, Iterable
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
-from handsight._kernels.sensing_records import TIP_CONTACT
+from handsight._kernels.touch.sensing_records import TIP_CONTACT
 from handsight.checks import Array
 from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason, new_contact
 from handsight.contact.fingertips import Fingertip
@@ -78,7 +78,7 @@ def contacts_from_wrenches(
     if n != len(M):
         raise InvalidInput(f"torques: expected as many rows as forces ({n}), got {len(M)}")
     sigmas = _sigmas(sigma_force, sigma_torque).copy()
-    from handsight._kernels.sensing import sense
+    from handsight._kernels.touch.sensing import sense
 
     reasons, rows, records = (np.empty(n, dtype=kind) for kind in (np.int8, np.intp, TIP_CONTACT))
     k = sense(F, M, fingertip.record, reasons, rows, records)
@@ -90,7 +90,7 @@ def _sense_one() -> Callable[
     [tuple[float, ...], NDArray[Any], Array, Array, Array], tuple[int, float, float]
 ]:
     """Imported with the first contact: numba takes half a second."""
-    from handsight._kernels.sensing import sense_one
+    from handsight._kernels.touch.sensing import sense_one
 
     return sense_one
 

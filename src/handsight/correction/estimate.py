@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.propagated import inflate
+from handsight._kernels.posterior.propagation import inflate
 from handsight._kernels.records import ANSWER, PRIOR
 from handsight.checks import Array
 

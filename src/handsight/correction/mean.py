@@ -1,14 +1,14 @@
 """The best answer: the mean of a mode that is no Gaussian, else its maximum.
 
 Two fingers and a thumb on opposite faces leave a slide that edges bound and do not fix: the maximum of the density is
-at the interval's end, its mean in the middle. How it is integrated: `_kernels/mean.py`.
+at the interval's end, its mean in the middle. How it is integrated: `_kernels/posterior/mean.py`.
 """
 
 import numpy as np
 
 from handsight import checks
-from handsight._kernels import mean
-from handsight._kernels.settings import DEPARTS, MOST_MEANS
+from handsight._kernels.posterior import mean
+from handsight._kernels.solve.settings import DEPARTS, MOST_MEANS
 from handsight.correction import modes, solve
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, descents_at

@@ -6,9 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from handsight._kernels import batch, records, search
-from handsight._kernels.settings import CANDIDATE_APART, WIDEST_OF_ONE
-from handsight._kernels.threads import in_parts
+from handsight._kernels import records
+from handsight._kernels.runtime.threads import in_parts
+from handsight._kernels.solve import batch, search
+from handsight._kernels.solve.settings import CANDIDATE_APART, WIDEST_OF_ONE
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes

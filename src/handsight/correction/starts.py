@@ -10,9 +10,9 @@ from functools import cache, partial
 import numpy as np
 
 from handsight import se3
-from handsight._kernels import batch, search
 from handsight._kernels.records import DESCENT, POSE, SAMPLES
-from handsight._kernels.threads import in_parts
+from handsight._kernels.runtime.threads import in_parts
+from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
 from handsight.correction.estimate import PosePrior
 from handsight.correction.problem import Problem, Records, taken

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels import chain
+from handsight._kernels.math import chain
 from handsight._kernels.records import CHAIN_JOINT
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput

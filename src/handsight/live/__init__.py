@@ -14,6 +14,6 @@ publishes what `step` answers, from one. So nodes of ROS 1, ROS 2 and others com
 """
 
 from handsight.live.answers import Answer
-from handsight.live.live import LiveTracker
+from handsight.live.live_tracker import LiveTracker
 
 __all__ = ["Answer", "LiveTracker"]

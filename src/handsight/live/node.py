@@ -9,8 +9,8 @@ from typing import Protocol
 
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
-from handsight.live.asked import ASKED, model_named
-from handsight.live.live import LiveTracker
+from handsight.live.live_tracker import LiveTracker
+from handsight.live.requests import ASKED, model_named
 from handsight.messages import RawMessage
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings

@@ -1,7 +1,7 @@
 """Distance fields: how far a point is from the surface, with two derivatives, and the grids they are sampled on.
 
 Points, gradients and Hessians are in the object's frame. Distances are metres, negative inside. A field is data alone;
-what it is worth at a point is computed by `handsight._kernels.field`.
+what it is worth at a point is computed by `handsight._kernels.mesh.field`.
 """
 
 from collections.abc import Callable

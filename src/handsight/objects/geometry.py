@@ -166,7 +166,7 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
     The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the middle
     of those it stands for. Normals count too, so that the two sides of a thin wall are kept apart.
     """
-    from handsight._kernels.spreading import snapped, spread_out  # numba's import is long
+    from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
 
     points, normals = surface.draw(CROWD * n, np.random.default_rng(0))
     features = np.hstack([points, np.sqrt(surface.area / n) * normals])

@@ -167,7 +167,7 @@ class ObjectModel(Geometry):
             return T
         if not self.record.symmetry_known:
             return nearest(self.symmetries, T, T_reference, self.radius)
-        from handsight._kernels.batch import equivalent
+        from handsight._kernels.solve.batch import equivalent
 
         out = np.empty((4, 4))
         equivalent(self.record.model, np.array(T), np.array(T_reference), out)
@@ -239,7 +239,7 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
 
 
 def _with_told(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
-    from handsight.objects.scans.told import with_told
+    from handsight.objects.scans.declared_noise import with_told
 
     return with_told(geometry, points, sigmas)
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels import field as kernel
 from handsight._kernels import records
-from handsight._kernels.threads import in_parts
+from handsight._kernels.mesh import field as kernel
+from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array
 from handsight.objects.fields import ExactField, Field, FieldValues, GridField
 from handsight.objects.symmetry import Symmetries

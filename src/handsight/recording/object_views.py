@@ -16,8 +16,8 @@ from handsight.observation import Observation
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
 from handsight.vision import PinholeCamera
-from handsight.vision.reconstruction import View, within
-from handsight.vision.views import HELD_BOUNDS, LEAST_PIXELS, Held
+from handsight.vision.reconstruction.reconstruct import View, within
+from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, LEAST_PIXELS, Held
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:

@@ -14,7 +14,7 @@ from handsight.recording.open import Recording, open_recording
 from handsight.rig import Rig
 from handsight.vision import PinholeCamera, SeenHand
 from handsight.vision.camera import Depth
-from handsight.vision.own_hand import OwnHand
+from handsight.vision.palm.hand_in_image import OwnHand
 
 KNOWN = 0.01, float(np.deg2rad(2))
 """How far the hand may be off where the last picture had it, once one has shown it: sigma [m, rad]."""

@@ -1,6 +1,5 @@
 """Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
 
-from handsight.simulation.blind import blind_rig, simulate_blind
 from handsight.simulation.camera import looking
 from handsight.simulation.grasp_file import read_grasp, write_grasp
 from handsight.simulation.grasp_search import Found, find_grasp
@@ -9,6 +8,7 @@ from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Nuisances, Sample, Scenario, TipContact
 from handsight.simulation.simulate import simulate
+from handsight.simulation.touch_search import blind_rig, simulate_blind
 
 __all__ = [
     "Found",

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from handsight.errors import InvalidObject
-from handsight.simulation.holds import Hold, body_of, holds
+from handsight.simulation.grasp_candidates import Hold, body_of, holds
 from handsight.simulation.motion import FREE, LEGS, MOVES, OWN, POWER, SETTLED, Grasp
 from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import STEPS_PER_SECOND, Scenario

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.simulation.holds import Hold, forces, wished
+from handsight.simulation.grasp_candidates import Hold, forces, wished
 from handsight.simulation.motion import Grasp
 from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, Scene, mujoco_module, tip_shape
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import se3
-from handsight.blind import Sweep, Touch
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
+from handsight.search import Sweep, Touch
 from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import rig_of
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Sample, Scenario

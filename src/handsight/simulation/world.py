@@ -7,7 +7,6 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.simulation.loaded import Loaded
 from handsight.simulation.motion import (
     CLOSED,
     FREE,
@@ -20,6 +19,7 @@ from handsight.simulation.motion import (
     palm_poses,
     perturbed,
 )
+from handsight.simulation.payload import Loaded
 from handsight.simulation.pull import BEGINS, LASTS, Pull, pulls
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module

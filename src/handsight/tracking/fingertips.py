@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight._kernels.contacts_to_palm import contacts_to_palm
-from handsight._kernels.on_table import mark_on_table
-from handsight._kernels.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.tips_touching import NEAR_TIP
+from handsight._kernels.touch.contacts_to_palm import contacts_to_palm
+from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
+from handsight._kernels.touch.table_contacts import mark_on_table
+from handsight._kernels.touch.tips_touching import NEAR_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.correction import PoseEstimate
@@ -18,7 +18,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.ready_contacts import put_ready
+from handsight.tracking.sensed_contacts import put_ready
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")

@@ -9,13 +9,13 @@ from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig
-from handsight.tracking.past import Instant, Past
-from handsight.tracking.seen_camera import HandView, SeenCamera
+from handsight.tracking.camera_from_palm import HandView, SeenCamera
+from handsight.tracking.history import Instant, Past
 from handsight.vision import PinholeCamera, SeenHand
 from handsight.vision.camera import Depth
 from handsight.vision.depth_noise import PRESETS
-from handsight.vision.depth_tracker import HIDDEN, DepthTracker, Sighting
-from handsight.vision.own_hand import OwnHand
+from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
+from handsight.vision.palm.hand_in_image import OwnHand
 
 ERR_TOGETHER = 1.0
 """Images so far apart err each by itself; nearer ones share what smoothing, bias and the side they show do [s]."""

@@ -10,7 +10,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig, Table
-from handsight.tracking.seen_camera import HandView, SeenCamera
+from handsight.tracking.camera_from_palm import HandView, SeenCamera
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handsight._kernels import propagated as kernel
+from handsight._kernels.posterior import propagation as kernel
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
-from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
+from handsight.forces import Slip
 from handsight.observation import Observation
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.skin import NOTHING, SkinContacts

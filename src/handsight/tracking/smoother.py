@@ -12,7 +12,7 @@ overconfident (measured: χ² forty times too large).
 Contacts are not measurements of this estimate: they say the same thing at every instant and would be counted again each
 time. The correction fuses them with this estimate as its prior, afresh each time.
 
-What is computed is in `_kernels/pose_bias.py`.
+What is computed is in `_kernels/posterior/pose_bias.py`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels import pose_bias
+from handsight._kernels.posterior import pose_bias
 from handsight._kernels.records import MEASUREMENT
 from handsight.checks import FARTHEST, Array
 from handsight.correction import PosePrior

@@ -24,7 +24,7 @@ from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import Correction, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import NOTHING, SkinSensors
-from handsight.tracking.slipping import Slipping
+from handsight.tracking.slip_update import Slipping
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.trust import CONTRADICTED, SEEN_ALONE, SLIPS, State, Trust
 from handsight.tracking.weight_update import WeightUpdate

@@ -4,11 +4,11 @@ import math
 from typing import Any
 
 from handsight import checks
-from handsight._kernels.warm import warm_tracker
+from handsight._kernels.runtime.warm import warm_tracker
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
-from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
+from handsight.forces import Slip
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, checked
 from handsight.rig import Rig

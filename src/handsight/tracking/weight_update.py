@@ -7,7 +7,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior, WeightEvidence
-from handsight.dynamics import Weigher, Weighing
+from handsight.forces import Weigher, Weighing
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig

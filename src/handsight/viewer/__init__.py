@@ -3,6 +3,6 @@
 Pictures need matplotlib, the page needs viser: each is imported when one is drawn.
 """
 
-from handsight.viewer.live import NullViewer, Viewer, view
+from handsight.viewer.live_viewer import NullViewer, Viewer, view
 
 __all__ = ["NullViewer", "Viewer", "view"]

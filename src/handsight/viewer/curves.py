@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight.checks import Array
-from handsight.dynamics import Slip
 from handsight.evaluation import Truths, pose_errors
+from handsight.forces import Slip
 from handsight.objects import ObjectModel
 from handsight.tracking import State
 from handsight.viewer.moment import Moment

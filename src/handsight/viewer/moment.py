@@ -9,8 +9,8 @@ import numpy as np
 from handsight.checks import Array
 from handsight.contact import compensate
 from handsight.correction import PoseEstimate
-from handsight.dynamics import Slip
 from handsight.errors import InvalidInput
+from handsight.forces import Slip
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import FingertipContacts, State, Tracker

@@ -12,7 +12,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking.seen_camera import SeenCamera
+from handsight.tracking.camera_from_palm import SeenCamera
 from handsight.viewer.silhouette import silhouette
 from handsight.vision import PinholeCamera, pixels
 from handsight.vision.camera import Depth

@@ -2,16 +2,16 @@
 
 from handsight.vision.camera import Drawn, PinholeCamera
 from handsight.vision.depth_noise import DepthNoise
-from handsight.vision.depth_points import depth_points
-from handsight.vision.depth_tracker import DepthTracker, Sighting
 from handsight.vision.files import read_camera, read_color, read_depth
-from handsight.vision.first_pose import Found
-from handsight.vision.hand_look import HandLook, PlacedHand
-from handsight.vision.hand_mask import hand_mask
-from handsight.vision.locate import locate
-from handsight.vision.recognition import Recognition, recognise
+from handsight.vision.object.depth_points import depth_points
+from handsight.vision.object.depth_tracker import DepthTracker, Sighting
+from handsight.vision.object.first_pose import Found
+from handsight.vision.object.locate import locate
+from handsight.vision.object.recognition import Recognition, recognise
+from handsight.vision.palm.hand_appearance import HandLook, PlacedHand
+from handsight.vision.palm.hand_mask import hand_mask
+from handsight.vision.palm.palm_detector import HandNotSeen, SeenHand, followed_hand, seen_hand
 from handsight.vision.registration import register_color
-from handsight.vision.seen_hand import HandNotSeen, SeenHand, followed_hand, seen_hand
 
 __all__ = [
     "DepthNoise",

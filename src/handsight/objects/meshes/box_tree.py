@@ -93,7 +93,7 @@ class ClosestPointSearch:
 
         Of several triangles that are equally near, any. Quickest where neighbours in space follow each other.
         """
-        from handsight._kernels.nearest_triangle import closest_points  # numba's import is long
+        from handsight._kernels.mesh.nearest_triangle import closest_points  # numba's import is long
 
         found = closest_points(np.require(points, np.float64, ["C", "W"]), within, self._tree)
         index = np.flatnonzero(np.isfinite(found[:, 0]))
@@ -152,7 +152,7 @@ class Winding:
 
     def at(self, points: Array) -> Array:
         """Winding numbers (n,) at the points (n, 3) [m]."""
-        from handsight._kernels.winding import winding_at  # numba's import is long
+        from handsight._kernels.mesh.winding import winding_at  # numba's import is long
 
         return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))
 

@@ -131,7 +131,7 @@ class ByWinding:
 
     def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
         """Signed distances (n,) [m] of these nodes of a grid, given their closest points."""
-        from handsight._kernels.linking import linked  # numba's import is long
+        from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
 
         points = grid.nodes_at(index)
         free = np.ones(len(points), dtype=bool)

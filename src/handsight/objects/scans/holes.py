@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handsight._kernels.lent import LEND
+from handsight._kernels.posterior.spurious_information import LEND
 from handsight.checks import Array
 
 SEEN, UNSEEN = 1.5, 2.5

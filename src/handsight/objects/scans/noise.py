@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight._kernels.patches import neighbours
+from handsight._kernels.mesh.patches import neighbours
 from handsight.checks import Array
 from handsight.objects.scans.normals import enough_neighbours, planes
 from handsight.objects.scans.windows import Noise, Patches, Points, spacing_of, started, widened, widths

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight._kernels.patches import blended
-from handsight._kernels.threads import in_parts
+from handsight._kernels.mesh.patches import blended
+from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array, Indices
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
 from handsight.objects.scans.windows import (

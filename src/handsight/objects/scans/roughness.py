@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight._kernels.lent import LEND
+from handsight._kernels.posterior.spurious_information import LEND
 from handsight.checks import Array
 from handsight.objects.geometry import Roughness
 from handsight.objects.scans.patches import ScannedSurface

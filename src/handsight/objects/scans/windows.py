@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels import quadrics as kernel
-from handsight._kernels.patches import PATCH
-from handsight._kernels.threads import in_parts
+from handsight._kernels.mesh import quadrics as kernel
+from handsight._kernels.mesh.patches import PATCH
+from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array, Indices
 
 Patches = NDArray[np.void]

@@ -1,0 +1,1 @@
+"""The evidence terms: residual rows of each kind of measurement and their derivatives."""

@@ -1,0 +1,244 @@
+"""Contacts as evidence: distance and normal residuals of each, whitened together, added to the normal equations.
+
+Residual rows are by a step (τ, radius ω) about a frame's center: the pose's shift and turn, both along the palm's axes.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.math.simd import accumulate
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add33,
+    block,
+    cross,
+    dot,
+    matmul,
+    mul,
+    neg,
+    norm,
+    outer,
+    scale,
+    scale33,
+    skew,
+    sub,
+    sub33,
+    tmul,
+    transpose,
+    vector,
+)
+from handsight._kernels.mesh.field import FLAT, field_at
+from handsight._kernels.runtime.compilation import inner
+
+Pose = tuple[Mat33, Vec3]
+"""R and p of T_palm_object."""
+Frame = tuple[Vec3, float]
+"""A center and a radius: a step is a shift τ and `radius` times a turn ω about the center."""
+Surface = tuple[float, Vec3, Vec3, Mat33, Vec3]
+"""Near a palm point: distance, its gradient, unit normal, curvature (the normal's derivative), all along the palm's
+axes, and the point in the object's frame."""
+Covariance = tuple[float, Vec3, Mat33]
+"""Of (distance, normal): variance of the distance, its covariance with the normal, covariance of the normal."""
+Factor = tuple[float, Vec3, Vec3, Vec3]
+"""L D Lᵀ of such a covariance: d0 and the column below it, (d1, d2, d3), (l21, l31, l32)."""
+
+
+@inner
+def surface_at(nodes: Any, field: Any, point: Vec3, pose: Pose) -> Surface:
+    """The object's surface near a palm point."""
+    R, p = pose
+    place = tmul(R, sub(point, p))
+    d, g, H = field_at(nodes, field, place)
+    g, H = mul(R, g), matmul(matmul(R, H), transpose(R))
+    s = 1 / max(norm(g), 1e-9)
+    n = scale(g, s)
+    # d(g/|g|) = (I - n nᵀ) dg / |g|
+    K = scale33(sub33(H, outer(n, mul(H, n))), s)
+    return d, g, n, K, place
+
+
+@inner
+def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> None:
+    """Adds a contact's rows at its surface, weighted by `term.weight`."""
+    d, g, n, K, _ = surface
+    center, radius = frame
+    contact = term.contact
+    lever = scale(sub(vector(contact.point), center), 1 / radius)
+    error = sub(n, vector(contact.normal))
+    turned = skew(scale(n, 1 / radius))
+    by_distance = neg(g)
+    a, b, c = neg(K[0]), neg(K[1]), neg(K[2])
+    # The derivative by a turn is the lever's cross product with that by a shift; a normal turns by itself too.
+    rows = (
+        by_distance + cross(lever, by_distance) + (d,),
+        a + sub(cross(lever, a), turned[0]) + (error[0],),
+        b + sub(cross(lever, b), turned[1]) + (error[1],),
+        c + sub(cross(lever, c), turned[2]) + (error[2],),
+    )
+    accumulate(term.weight, rows, equations)
+
+
+@inner
+def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> Covariance:
+    """Of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], and what model and field add.
+
+    A point that slides by its noise over a curved surface meets another normal, so curvature carries point noise into
+    the normal: this is what tells a normal near an edge from one on a face. Where the covariance is of the residuals
+    already, nothing is carried and nothing added but the coarse field's own error.
+    """
+    _, g, _, K, place = surface
+    contact = term.contact
+    of_distance, of_normal = 0.0, 0.0
+    if contact.of_residual:
+        K = FLAT
+    else:
+        of_distance, of_normal = field_error(model.error, nodes, place)
+    if term.isotropic:
+        v = term.variance_point
+        distance, both = v * dot(g, g), scale(mul(K, g), v)
+        normal = add33(scale33(matmul(K, transpose(K)), v), block(contact.covariance, 3, 3))
+    else:
+        P, X = block(contact.covariance, 0, 0), block(contact.covariance, 0, 3)
+        Pg, KX = mul(P, g), matmul(K, X)
+        distance, both = dot(g, Pg), sub(mul(K, Pg), tmul(X, g))
+        normal = add33(matmul(matmul(K, P), transpose(K)), block(contact.covariance, 3, 3))
+        normal = sub33(normal, add33(KX, transpose(KX)))
+    of_distance += field.variance_distance
+    of_normal += field.variance_normal
+    tangential = (normal[0][0] + normal[1][1] + normal[2][2] + 3 * of_normal) / 2
+    # Along the normal itself, where a unit vector has no first-order noise, the mean tangential variance keeps large
+    # angles from going unpunished; where there is no normal, a one keeps the matrix from being singular.
+    n = vector(contact.normal)
+    rest = of_normal + (0.0 if contact.has_normal else 1.0)
+    ball = (rest, 0.0, 0.0), (0.0, rest, 0.0), (0.0, 0.0, rest)
+    return distance + of_distance, both, add33(add33(normal, ball), scale33(outer(n, n), tangential))
+
+
+@inner
+def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
+    """How far the fine field is off the surface near an object point: variances of its distance and its normal."""
+    if error.inverse_cell == 0.0:
+        return error.least_distance, error.least_normal
+    distance, normal = model_error(error, nodes, place, 0)
+    return error.least_distance + distance, error.least_normal + normal
+
+
+@inner
+def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float, float]:
+    """Two of the four variances of a model's error near an object point, from the `first` on; linear between nodes."""
+    one, other = 0.0, 0.0
+    nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
+    u = scale(sub(place, vector(error.origin)), error.inverse_cell)
+    x, y, z = _between(u[0], nx - 1.001), _between(u[1], ny - 1.001), _between(u[2], nz - 1.001)
+    i, j, k = int(x), int(y), int(z)
+    x, y, z = x - i, y - j, z - k
+    for a in range(2):
+        for b in range(2):
+            at = error.nodes + first + 4 * (((i + a) * ny + j + b) * nz + k)
+            share = (x if a else 1 - x) * (y if b else 1 - y)
+            one += share * ((1 - z) * nodes[at] + z * nodes[at + 4])
+            other += share * ((1 - z) * nodes[at + 1] + z * nodes[at + 5])
+    return one, other
+
+
+@inner
+def _between(u: float, most: float) -> float:
+    low = u if u > 0.0 else 0.0
+    return low if low < most else most
+
+
+@inner
+def factored(S: Covariance) -> Factor:
+    """L D Lᵀ of a covariance of (distance, normal)."""
+    s, b, N = S
+    low = scale(b, 1 / s)
+    d1 = N[0][0] - b[0] * low[0]
+    p21, p31 = N[1][0] - b[1] * low[0], N[2][0] - b[2] * low[0]
+    l21, l31 = p21 / d1, p31 / d1
+    d2 = N[1][1] - b[1] * low[1] - p21 * l21
+    p32 = N[2][1] - b[2] * low[1] - p31 * l21
+    l32 = p32 / d2
+    return s, low, (d1, d2, N[2][2] - b[2] * low[2] - p31 * l31 - p32 * l32), (l21, l31, l32)
+
+
+@inner
+def log_determinant(factor: Factor, has_normal: bool) -> float:
+    """Of what is in use of the covariance: without a normal, the distance alone."""
+    d0, _, d, _ = factor
+    return np.log((d0 * d[0]) * (d[1] * d[2])) if has_normal else np.log(d0)
+
+
+@inner
+def invert_covariance(factor: Factor, has_normal: bool, out: Any) -> None:
+    """`out` (4, 4): the inverse; of the distance alone where there is no normal."""
+    d0, low, d, (l21, l31, l32) = factor
+    if not has_normal:
+        out[:] = 0.0
+        out[0, 0] = 1 / d0
+        return
+    # Rows of L⁻¹, below its diagonal of ones.
+    a = -low[0]
+    b0, b1 = l21 * low[0] - low[1], -l21
+    c1, c2 = l32 * l21 - l31, -l32
+    c0 = -low[2] - l31 * a - l32 * b0
+    e1, e2, e3 = 1 / d[0], 1 / d[1], 1 / d[2]
+    out[0, 0] = 1 / d0 + a * a * e1 + b0 * b0 * e2 + c0 * c0 * e3
+    out[1, 1] = e1 + b1 * b1 * e2 + c1 * c1 * e3
+    out[2, 2] = e2 + c2 * c2 * e3
+    out[3, 3] = e3
+    out[0, 1] = out[1, 0] = a * e1 + b0 * b1 * e2 + c0 * c1 * e3
+    out[0, 2] = out[2, 0] = b0 * e2 + c0 * c2 * e3
+    out[1, 2] = out[2, 1] = b1 * e2 + c1 * c2 * e3
+    out[0, 3] = out[3, 0] = c0 * e3
+    out[1, 3] = out[3, 1] = c1 * e3
+    out[2, 3] = out[3, 2] = c2 * e3
+
+
+@inner
+def mahalanobis2(contact: Any, surface: Surface, factor: Factor) -> float:
+    """Squared whitened residuals of a contact."""
+    distance, _, facing, _, _ = surface
+    d0, low, d, (l21, l31, l32) = factor
+    square = distance * distance / d0
+    if contact.has_normal:
+        error = sub(sub(facing, vector(contact.normal)), scale(low, distance))
+        y = error[1] - l21 * error[0]
+        z = error[2] - l31 * error[0] - l32 * y
+        square += error[0] * error[0] / d[0] + y * y / d[1] + z * z / d[2]
+    return square
+
+
+@inner
+def at_edge(model: Any, contact: Any, surface: Surface) -> bool:
+    """Whether the surface bends as sharply as an edge, and the contact's normal tells the face."""
+    K = surface[3]
+    bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
+    return bend > model.edge_curvature2 and contact.has_normal != 0
+
+
+@inner
+def flattened(contact: Any, surface: Surface) -> Surface:
+    """A plane along the contact's normal in place of an edge.
+
+    A contact that the prior has pushed to an edge is stopped on one side only; the sharp bend there is a wall, not a
+    measurement of the way back.
+    """
+    n = vector(contact.normal)
+    return surface[0], n, n, FLAT, surface[4]
+
+
+@inner
+def prepare_term(contact: Any, term: Any) -> None:
+    """Fills in what a correction works out of a contact."""
+    C = contact.covariance
+    point, normal, off = 0.0, 0.0, 0.0
+    for k in range(3):
+        point += C[k, k]
+        normal += C[3 + k, 3 + k]
+    for k in range(3):
+        for j in range(6):
+            off = max(off, abs(C[k, j] - (point / 3 if j == k else 0.0)))
+    term.isotropic = off <= 1e-12 * point
+    term.variance_point, term.variance_normal = point / 3, normal / 2

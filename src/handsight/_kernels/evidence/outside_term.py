@@ -1,0 +1,145 @@
+"""The hand that cannot be inside the object: one-sided evidence, a row for each link.
+
+All points of one link are wrong together, by the link's own error e: it is out of the object if d(x_i + e) ≥ 0 for
+all of its points, and the least Mahalanobis length of such an e is what the link costs. Where its points are pushed out
+the same way that is the deepest point's residual alone. It is taken smoothly, as the POWER-norm of its points'
+residuals, so that two points in turn the deepest make no kink; a link of one point costs that point's square.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.math.simd import accumulate
+from handsight._kernels.math.vec3 import Vec3, add, cross, mul, norm, scale, sub, tmul, vector
+from handsight._kernels.mesh.field import field_at
+from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.solve.settings import LOOK_REACH, LOOK_SLOPE
+
+POWER = 8
+"""Of the norm: even; a hundred points equally deep count as 1.8 times one of them."""
+_NAN = np.nan, np.nan, np.nan
+NOT_LOOKED: tuple[Pose, int] = ((_NAN, _NAN, _NAN), _NAN), 0
+"""For the first call of `nearby`."""
+
+
+@inner
+def _beyond_bounds(model: Any, place: Vec3) -> float:
+    """How far an object point is outside the box around the object [m]; 0 within."""
+    square = 0.0
+    for k in range(3):
+        off = max(model.bounds[0, k] - place[k], place[k] - model.bounds[1, k])
+        if off > 0:
+            square += off * off
+    return np.sqrt(square)
+
+
+@inner
+def largest_move(model: Any, pose: Pose, other: Pose) -> float:
+    """No point within the object's bounds is farther apart at two poses than this [m]."""
+    (R, p), (Q, q) = pose, other
+    low, high = vector(model.bounds[0]), vector(model.bounds[1])
+    middle = scale(add(low, high), 0.5)
+    shift, turn = sub(add(mul(R, middle), p), add(mul(Q, middle), q)), 0.0
+    for i in range(3):
+        for j in range(3):
+            turn += (R[i][j] - Q[i][j]) * (R[i][j] - Q[i][j])
+    # A turn moves what is at an arm's end by 2 sin(θ/2) arms, and |R - Q|² = 8 sin²(θ/2).
+    return norm(shift) + np.sqrt(turn / 2) * norm(sub(high, middle))
+
+
+@inner
+def nearby(evidence: Any, field: Any, pose: Pose, last: tuple[Pose, int], near: Any) -> tuple[Pose, int]:
+    """Where the points were looked at, and how many rows of `near` there are: what can matter at a pose is not `far`.
+
+    A point that was farther from the object than any part of the object has moved since is outside. So each point's
+    `clearance` is taken once and again only when the object has moved by LOOK_REACH; those beyond it are left out of
+    `near` until then. The cost is that of all points (as long as a grid's distance rises by at most LOOK_SLOPE a
+    metre). Planes always count.
+    """
+    looked, count = last
+    move, reach = largest_move(evidence.model, pose, looked), LOOK_REACH * evidence.model.radius
+    if not move <= reach:
+        looked, count, move = pose, look(evidence, field, pose, reach, near), 0.0
+    pass_over(near[:count], move)
+    return looked, count
+
+
+@inner
+def pass_over(near: Any, move: float) -> None:
+    """Marks as far what no part of the object can have reached, which has moved so far since it was looked at."""
+    for i in range(len(near)):
+        near[i].far = near[i].clearance > move
+
+
+@inner
+def look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
+    """How many rows are nearer than a reach; fills `near` with them."""
+    R, p = pose
+    count = 0
+    for i in range(len(evidence.outside)):
+        row, clearance = evidence.outside[i], 0.0
+        if not row.is_plane:
+            place = tmul(R, sub(vector(row.point), p))
+            clearance = _beyond_bounds(evidence.model, place)
+            if clearance == 0.0:
+                clearance = field_at(evidence.nodes, field, place)[0] / LOOK_SLOPE
+        if clearance <= reach:
+            near[count] = row
+            near[count].clearance = clearance
+            count += 1
+    return count
+
+
+@inner
+def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
+    """Adds each link's row: the norm ρ of its points' depths u, and dρ = Σ (u / ρ)^(POWER - 1) du."""
+    outside, model = evidence.outside, evidence.model
+    (R, p), (center, radius) = pose, frame
+    n, link, total = len(outside), 0, 0.0
+    by_shift, by_turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(n + 1):  # one more, for the last link's row
+        u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
+        if i < n:
+            if point.far or point.is_plane:
+                continue
+            place = tmul(R, sub(vector(point.point), p))
+            if _beyond_bounds(model, place) > 0:
+                continue
+            distance, g, _ = field_at(evidence.nodes, field, place)
+            u = -(distance + point.slack) / point.sigma
+            if u <= 0:
+                continue
+        if total > 0 and (i == n or point.link != link):
+            rho = total ** (1 / POWER)
+            down = rho / total
+            accumulate((1.0,), (scale(by_shift, down) + scale(by_turn, down) + (rho,),), equations)
+            by_shift, by_turn, total = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
+        if u > 0:
+            power = u**POWER
+            slope = scale(mul(R, g), power / (u * point.sigma))
+            lever = scale(sub(vector(point.point), center), 1 / radius)
+            by_shift, by_turn = add(by_shift, slope), add(by_turn, cross(lever, slope))
+            total, link = total + power, point.link
+
+
+@inner
+def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
+    """Squared residuals of all links."""
+    outside, model = evidence.outside, evidence.model
+    (R, p), cost, total, link = pose, 0.0, 0.0, 0
+    for i in range(len(outside)):
+        point = outside[i]
+        if point.far or point.is_plane:
+            continue
+        place = tmul(R, sub(vector(point.point), p))
+        if _beyond_bounds(model, place) > 0:
+            continue
+        distance, _, _ = field_at(evidence.nodes, field, place)
+        u = -(distance + point.slack) / point.sigma
+        if u > 0:
+            if point.link != link:
+                cost, total, link = cost + total ** (2 / POWER), 0.0, point.link
+            total += u**POWER
+    return cost + total ** (2 / POWER)

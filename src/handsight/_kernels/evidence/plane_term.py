@@ -1,0 +1,101 @@
+"""Planes that the object cannot cross, such as a table: one-sided evidence, a row from the lowest point of each."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.math.simd import accumulate, scan
+from handsight._kernels.math.vec3 import Vec3, add, cross, dot, mul, scale, sub, tmul, vector
+from handsight._kernels.mesh.field import field_at
+from handsight._kernels.records import BOX, CYLINDER, SPHERE
+from handsight._kernels.runtime.compilation import inner
+
+STEPS, STEP, GROWTH = 10, 0.25, 3.0
+"""Of the search for the lowest point: how many, how far the first goes down [radii], and how each that was lower
+lengthens the next. On scans, whose fields are round at edges, it ends a little high."""
+
+
+@inner
+def lowest_point(evidence: Any, up: Vec3) -> Vec3:
+    """The point of the surface that is lowest along a unit direction, both in the object's frame."""
+    field = evidence.model.fine
+    half = vector(field.origin)
+    if field.kind == BOX:
+        return -np.copysign(half[0], up[0]), -np.copysign(half[1], up[1]), -np.copysign(half[2], up[2])
+    if field.kind == CYLINDER:
+        side = -half[0] / max(np.sqrt(up[0] * up[0] + up[1] * up[1]), 1e-300)
+        return side * up[0], side * up[1], -np.copysign(half[1], up[2])
+    if field.kind == SPHERE:
+        return scale(up, -half[0])
+    return _followed_down(evidence, field, up)
+
+
+@inner
+def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
+    """As `lowest_point`, of a grid.
+
+    From the lowest sample on to the closest point of what lies a step below, as long as that is lower: on a convex body
+    these are steps of the proximal point algorithm, which ends at a polyhedron's lowest corner after finitely many.
+    """
+    model, none = evidence.model, np.float32(0.0)
+    query = none, np.float32(up[0]), np.float32(up[1]), np.float32(up[2]), none, none, none
+    low, step = vector(model.samples[scan(model.scan, query), 0]), STEP * model.radius
+    for _ in range(STEPS):
+        lower = sub(low, scale(up, step))
+        for _ in range(2):  # once would do, were a grid's distance exact as far out as that
+            d, g, _ = field_at(evidence.nodes, field, lower)
+            lower = sub(lower, scale(g, d))
+        if dot(lower, up) < dot(low, up):
+            low = lower
+            step *= GROWTH
+        else:
+            step *= 0.5
+    return low
+
+
+@inner
+def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
+    """How far the object stays above a plane [m], or less where it does; below zero, its lowest point in the palm."""
+    (R, p), bounds = pose, evidence.model.bounds
+    normal = vector(plane.normal)
+    up, height = tmul(R, normal), dot(normal, sub(p, vector(plane.point)))
+    corner = 0.0
+    for k in range(3):
+        corner += min(bounds[0, k] * up[k], bounds[1, k] * up[k])
+    if height + corner >= 0:
+        return height + corner, p
+    low = lowest_point(evidence, up)
+    return height + dot(up, low), add(mul(R, low), p)
+
+
+@inner
+def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
+    """Adds `min(0, height) / sigma` of each plane.
+
+    A plane that is `sigma` off along its normal is off for the whole object: one row, however much of it is below.
+    The lowest point may change with the pose, yet the height changes as that point does (the envelope theorem).
+    """
+    center, radius = frame
+    for i in range(len(evidence.outside)):
+        plane = evidence.outside[i]
+        if plane.is_plane:
+            height, point = _height(evidence, pose, plane)
+            if height < 0:
+                by_shift = vector(plane.normal)
+                lever = scale(sub(point, center), 1 / radius)
+                weight = (1 / (plane.sigma * plane.sigma),)
+                accumulate(weight, (by_shift + cross(lever, by_shift) + (height,),), equations)
+
+
+@inner
+def plane_cost(evidence: Any, pose: Pose) -> float:
+    """Squared residuals of all planes."""
+    total = 0.0
+    for i in range(len(evidence.outside)):
+        plane = evidence.outside[i]
+        if plane.is_plane:
+            height, _ = _height(evidence, pose, plane)
+            deep = min(height, 0.0) / plane.sigma
+            total += deep * deep
+    return total

@@ -1,0 +1,206 @@
+"""Depth points as evidence for a pose in the camera: each lies on the object's surface, or on something else.
+
+Residual of a point P: `d(Rᵀ(P - p))`, with Tukey's weight, so that what is farther off than a bound counts nothing.
+The object moves by (τ, ω), about its centre; the residual's derivative is `-(g, (P - c) × g)`, g the field's gradient
+in the camera.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.prior_term import rotation_log
+from handsight._kernels.image.depth_covariance import covariance_of
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of, store_pose
+from handsight._kernels.math.vec3 import Vec3, add, cross, dot, matmul, mul, sub, tmul, transpose, vector
+from handsight._kernels.mesh.field import field_at
+from handsight._kernels.records import UNCERTAINTY
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.damped import damped_step
+
+AGREES = 0.3
+"""The least cosine of a point's normal with the surface's."""
+LONGEST_SHIFT, LONGEST_TURN = 0.15, 0.5
+"""Of one step [diameters, rad]."""
+PAIRED = 100
+"""Points whose errors are compared with each other's, for the others too."""
+
+
+@inner
+def _point(surface: Any, seen: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
+    """Weight and residual of a SEEN, where it is, and the surface's normal there in the camera."""
+    nodes, field = surface
+    R, p = pose
+    P = vector(seen.point)
+    distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
+    ratio, g, normal = distance / bound, mul(R, gradient), vector(seen.normal)
+    if not ratio * ratio < 1 or (dot(normal, g) < AGREES and normal != (0.0, 0.0, 0.0)):
+        return 0.0, distance, P, g
+    return (1 - ratio * ratio) ** 2, distance, P, g
+
+
+@inner
+def _equations(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, u: Any) -> float:
+    """The sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω). surface: nodes, field."""
+    total = 0.0
+    u.matrix[:] = 0.0
+    u.values[:] = 0.0
+    for n in range(len(seen)):
+        weight, distance, P, g = _point(surface, seen[n], pose, bound)
+        if not weight > 0:
+            continue
+        row = g + cross(sub(P, about), g)
+        for i in range(6):
+            u.values[i] += weight * distance * row[i]
+            for j in range(i + 1):
+                u.matrix[i, j] += weight * row[i] * row[j]
+        total += weight
+    return total
+
+
+@inner
+def _hold(expected: tuple[Pose, Any], center: Vec3, pose: Pose, u: Any) -> None:
+    """Adds to normal equations what is known of a pose beforehand; expected: it, and its information by (τ, ω)."""
+    (R, p), known = expected
+    shift = sub(add(mul(R, center), p), add(mul(pose[0], center), pose[1]))
+    off = shift + rotation_log(matmul(R, transpose(pose[0])))
+    for i in range(6):
+        for j in range(6):
+            u.values[i] += known[i, j] * off[j]
+            if j <= i:
+                u.matrix[i, j] += known[i, j]
+
+
+@inner
+def settle(model: Any, nodes: Any, seen: Any, rung: Any, expected: tuple[Pose, Any], pose: Pose) -> Pose:
+    """The pose after Gauss-Newton steps to where points lie on the surface; rung: as of `settle_all`, the third not
+    below the look's own bound; expected: as of `_hold`."""
+    field = model.fine if rung[0] else model.coarse
+    u, center, steps = local(UNCERTAINTY), vector(model.center), int(rung[3])
+    longest = LONGEST_SHIFT * 2 * model.radius, LONGEST_TURN
+    for step in range(steps):
+        bound = max(rung[1] + (rung[2] - rung[1]) * (step / max(steps - 1, 1)), rung[4])
+        about = add(mul(pose[0], center), pose[1])
+        if not _equations((nodes, field), seen, pose, about, bound, u) > 0:
+            break
+        _hold(expected, center, pose, u)
+        pose = damped_step(u, model.radius, longest, center, pose)
+    return pose
+
+
+@entry
+def settle_all(model: Any, nodes: Any, seen: Any, rung: Any, looks: Any) -> None:
+    """Moves LOOK (k,) to where SEEN (n,) lie on the surface.
+
+    rung: whether on the fine field, Tukey's bound at first and at last [m], steps; no bound is less than a look's own.
+    """
+    nothing = np.zeros((6, 6))
+    for k in range(len(looks)):
+        start = pose_of(looks[k].pose)
+        bounded = rung[0], rung[1], rung[2], rung[3], looks[k].bound
+        store_pose(settle(model[0], nodes, seen, bounded, (start, nothing), start), looks[k].pose)
+
+
+@entry
+def settle_near(model: Any, nodes: Any, seen: Any, rungs: Any, known: Any, look: Any) -> None:
+    """Moves LOOK (1,) by rungs (r, 5) as of `settle_all`, each on every so manieth point.
+
+    known (6, 6): information of its pose by (τ, ω), such that a point's residual counts 1 a metre.
+    """
+    start = pose_of(look[0].pose)
+    pose = start
+    for k in range(len(rungs)):
+        bounded = rungs[k, 0], rungs[k, 1], rungs[k, 2], rungs[k, 3], look[0].bound
+        pose = settle(model[0], nodes, seen[:: int(rungs[k, 4])], bounded, (start, known), pose)
+    store_pose(pose, look[0].pose)
+
+
+@entry
+def closeness(model: Any, nodes: Any, seen: Any, within: Any, looks: Any) -> None:
+    """Fills in how many of SEEN (n,) lie on the surface of LOOK (k,), each by how near, within so far (k,) [m]."""
+    for k in range(len(looks)):
+        R, p = pose_of(looks[k].pose)
+        close = 0.0
+        for n in range(len(seen)):
+            point = tmul(R, sub(vector(seen[n].point), p))
+            ratio = field_at(nodes, model[0].fine, point)[0] / within[k]
+            close += max(1 - ratio * ratio, 0.0)
+        looks[k].close = close
+
+
+@inner
+def _pulls(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, told: tuple[Any, Any]) -> int:
+    """How many points count, and how their depths pull the object by (τ, ω).
+
+    told: `values`, the sum of pulls, `wider`, of their squares; (m, 8) slopes x/z and y/z and pull of those first.
+    """
+    u, rows = told
+    count = 0
+    u.values[:] = 0.0
+    u.wider[:] = 0.0
+    for n in range(len(seen)):
+        weight, _, P, g = _point(surface, seen[n], pose, bound)
+        if not weight > 0:
+            continue
+        pull, lever = weight * dot(g, P) / P[2], g + cross(sub(P, about), g)
+        for i in range(6):
+            u.values[i] += pull * lever[i]
+            for j in range(6):
+                u.wider[i, j] += pull * lever[i] * pull * lever[j]
+        if count < len(rows):
+            rows[count, 0], rows[count, 1] = P[0] / P[2], P[1] / P[2]
+            for i in range(6):
+                rows[count, 2 + i] = pull * lever[i]
+        count += 1
+    return count
+
+
+@inner
+def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
+    """The covariance of the sum of all points' pulls; what neighbours share by a few. error: as of `inform_all`."""
+    u, rows = told
+    few = min(count, len(rows))
+    pairs = count * (count - 1) / max(few * (few - 1), 1)
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = (error[0] + error[1] + error[2]) * u.wider[i, j] + error[3] * u.values[i] * u.values[
+                j
+            ]
+    for n in range(few):
+        u.values[:] = 0.0
+        for m in range(n):
+            du, dv = rows[n, 0] - rows[m, 0], rows[n, 1] - rows[m, 1]
+            apart = du * du + dv * dv
+            shared = pairs * (error[1] * np.exp(-apart * error[4]) + error[2] * np.exp(-apart * error[5]))
+            for i in range(6):
+                u.values[i] += shared * rows[m, 2 + i]
+        for i in range(6):
+            for j in range(6):
+                out[i, j] += rows[n, 2 + i] * u.values[j] + u.values[i] * rows[n, 2 + j]
+
+
+@entry
+def inform_all(model: Any, nodes: Any, seen: Any, errors: Any, looks: Any, out: Any) -> None:
+    """Fills in what SEEN (n,) say of each LOOK (k,) by (δp, δθ) of the object's centre along the camera's axes.
+
+    `out` (k, 3, 6, 6): the information of independent points of a standard deviation of 1 m, by their weights, the
+    covariance of their pulls, and that of the pose, by (δp, δθ) of the object's *origin*. errors (k, 11) of depth:
+    variances of a pixel's own noise, of what neighbours share, of a smooth bias and of the whole image's [m²], one over
+    the squared lengths of the second and the third [slopes], and Tukey's least bound [m]; then the variance of what an
+    image is off aside [m²], half of that of the model's normals [rad²], and what is known without any point of a shift
+    and of radius times a turn [1/m²].
+    """
+    u, rows = local(UNCERTAINTY), np.empty((PAIRED, 8))
+    for k in range(len(looks)):
+        pose, bound = pose_of(looks[k].pose), max(errors[k, 6], looks[k].bound)
+        arm = mul(pose[0], vector(model[0].center))
+        surface, about = (nodes, model[0].fine), add(arm, pose[1])
+        looks[k].weight = _equations(surface, seen, pose, about, bound, u)
+        for i in range(6):
+            for j in range(6):
+                out[k, 0, i, j] = u.matrix[max(i, j), min(i, j)]
+        count = _pulls(surface, seen, pose, about, bound, (u, rows))
+        _spread((u, rows), count, errors[k], out[k, 1])
+        covariance_of(out[k], errors[k], arm, model[0].radius, looks[k].weight, u)

@@ -1,0 +1,179 @@
+"""A hand laid onto a depth image: each of its points lies on what is seen at its pixel, or is hidden, or not there.
+
+Residual of a hand's point P with normal n, where the image has Q: `n·(Q - P)`, with Tukey's weight by |Q - P|. The hand
+moves by (τ, ω), about its middle; the residual's derivative is `-(n, (P - c) × n)` (point to plane, Chen and Medioni).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.image.palm_scan import AGREES, FACING
+from handsight._kernels.image.pinhole import project
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import pose_of, store_pose
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add,
+    cross,
+    dot,
+    mul,
+    norm,
+    sub,
+    vector,
+)
+from handsight._kernels.records import UNCERTAINTY
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.damped import damped_step
+
+LONGEST_SHIFT, LONGEST_TURN = 0.03, 0.3
+"""Of one step [m, rad]."""
+LEAST_WEIGHT = 5.0
+"""Points that a step takes."""
+ALIKE, UNALIKE, UNSURE = 0.8, 0.2, 0.6
+"""Cosines of normals from which a pixel is explained wholly and not at all; and how much is without a normal."""
+PASSED, HIDDEN, TURNED, POWER = 1.5, 0.1, 0.2, 0.7
+"""What pixels weigh against explained ones that the camera sees past, that are hidden, that have another normal."""
+FARTHER, UNKNOWN, LEAST_EXPECTED = 3.0, 0.5, 100.0
+"""Bounds along the ray; what a pixel without depth counts; [pixels]"""
+
+
+@inner
+def _look(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
+    """Row, column and depth of a point's pixel; depth below 0: out of the image."""
+    u, v = project(camera, P)
+    if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
+        return 0, 0, -1.0
+    row, column = int(v + 0.5), int(u + 0.5)
+    z = depth[row, column]
+    return row, column, float(z) if z > 0 else 0.0
+
+
+@inner
+def _cosine(cells: Any, corner: Any, P: Vec3, n: Vec3) -> float:
+    """Of a normal with that of the cell that a point is in; above 1 where none is known."""
+    row = int((P[1] / P[2] - corner[1]) / corner[2] + 0.5)
+    column = int((P[0] / P[2] - corner[0]) / corner[2] + 0.5)
+    if not (0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]):
+        return 2.0
+    cell = cells[row, column]
+    if cell[1] == 0.0 and cell[2] == 0.0 and cell[3] == 0.0:
+        return 2.0
+    return n[0] * cell[1] + n[1] * cell[2] + n[2] * cell[3]
+
+
+@inner
+def row_of(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[float, float]:
+    """Weight and residual of a point in the camera; image: depth (h, w), rays (h, w, 2), cells and their corner."""
+    depth, rays, cells, corner = image
+    if not -dot(n, P) > FACING * norm(P):
+        return 0.0, 0.0
+    row, column, z = _look(camera, depth, P)
+    if not z > 0:
+        return 0.0, 0.0
+    away = sub((float(rays[row, column, 0]) * z, float(rays[row, column, 1]) * z, z), P)
+    ratio = norm(away) / bound
+    if not ratio < 1 or _cosine(cells, corner, P, n) < AGREES:
+        return 0.0, 0.0
+    return (1 - ratio * ratio) ** 2, dot(n, away)
+
+
+@inner
+def _equations(
+    camera: Any, image: Any, hand: Any, pose: tuple[Mat33, Vec3, Vec3], bound: float, u: Any
+) -> float:
+    """The sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω) about `pose[2]`."""
+    R, p, about = pose
+    total = 0.0
+    u.matrix[:] = 0.0
+    u.values[:] = 0.0
+    for k in range(hand.shape[1]):
+        P, n = add(mul(R, vector(hand[0, k])), p), mul(R, vector(hand[1, k]))
+        weight, residual = row_of(camera, image, P, n, bound)
+        if weight > 0:
+            line = n + cross(sub(P, about), n)
+            for i in range(6):
+                u.values[i] += weight * residual * line[i]
+                for j in range(i + 1):
+                    u.matrix[i, j] += weight * line[i] * line[j]
+            total += weight
+    return total
+
+
+@entry
+def settle_all(camera: Any, image: Any, hand: Any, middle: Any, rung: Any, looks: Any) -> None:
+    """Moves LOOK (k,) by Gauss-Newton steps to where the hand's points (2, m, 3: with normals) lie on the image.
+
+    image: as of `row_of`. middle (3,) of the hand. rung: Tukey's bound at first and at last [m], steps, radius [m].
+    """
+    u, steps, radius, longest = local(UNCERTAINTY), int(rung[2]), rung[3], (LONGEST_SHIFT, LONGEST_TURN)
+    for k in range(len(looks)):
+        R, p = pose_of(looks[k].pose)
+        for step in range(steps):
+            bound = rung[0] + (rung[1] - rung[0]) * (step / max(steps - 1, 1))
+            about = add(mul(R, vector(middle)), p)
+            if not _equations(camera[0], image, hand, (R, p, about), bound, u) > LEAST_WEIGHT:
+                break
+            R, p = damped_step(u, radius, longest, vector(middle), (R, p))
+        store_pose((R, p), looks[k].pose)
+
+
+@inner
+def _add(camera: Any, image: Any, P: Vec3, n: Vec3, limits: Any, look: Any) -> None:
+    """Adds what the image says of one point."""
+    way = norm(P)
+    cosine, bound = -dot(n, P) / way, limits[1]
+    if not cosine > FACING:
+        return
+    _, _, z = _look(camera, image[0], P)
+    if z < 0:
+        return
+    pixels = limits[0] * camera.fx * camera.fy * cosine / (P[2] * P[2])
+    look.expected += pixels if z > 0 else UNKNOWN * pixels
+    if z == 0:
+        return
+    along = (z - P[2]) * way / P[2]
+    off = along * cosine
+    if off > bound or along > FARTHER * bound:
+        look.passed += pixels
+    elif off < -bound or along < -FARTHER * bound:
+        look.hidden += pixels
+    else:
+        alike = _cosine(image[2], image[3], P, n)
+        share = UNSURE if alike > 1.5 else min(max((alike - UNALIKE) / (ALIKE - UNALIKE), 0.0), 1.0)
+        worth = pixels * (1 - (off / bound) ** 2) * share
+        look.explained += worth
+        look.unexplained += pixels * (1 - share)
+        look.rms += worth * off * off
+
+
+@entry
+def judge_all(camera: Any, image: Any, hand: Any, limits: Any, looks: Any) -> None:
+    """Fills in the score of LOOK (k,), and what it is made of; `unexplained`: pixels that have another normal.
+
+    hand: points and normals (2, m, 3) that are seen from there. limits: area of a point [m²], bound of what is
+    explained [m].
+    """
+    for k in range(len(looks)):
+        look = looks[k]
+        R, p = pose_of(look.pose)
+        look.expected = look.explained = look.passed = look.hidden = look.unexplained = look.rms = 0.0
+        for m in range(hand.shape[1]):
+            P, n = add(mul(R, vector(hand[0, m])), p), mul(R, vector(hand[1, m]))
+            _add(camera[0], image, P, n, limits, look)
+        look.rms = np.sqrt(look.rms / look.explained) if look.explained > 0 else np.inf
+        cost = PASSED * look.passed + HIDDEN * look.hidden + TURNED * look.unexplained
+        look.score = (look.explained - cost) / max(look.expected, LEAST_EXPECTED) ** POWER
+
+
+@entry
+def rows_of(camera: Any, image: Any, hand: Any, pose: Any, bound: float, rows: Any) -> None:
+    """Fills in `rows` (m, 8) at a POSE (1,): the weight, the residual [m], and (n, P × n) in the camera."""
+    R, p = pose_of(pose[0])
+    for k in range(hand.shape[1]):
+        P, n = add(mul(R, vector(hand[0, k])), p), mul(R, vector(hand[1, k]))
+        rows[k, 0], rows[k, 1] = row_of(camera[0], image, P, n, bound)
+        line = n + cross(P, n)
+        for i in range(6):
+            rows[k, 2 + i] = line[i]

@@ -1,0 +1,134 @@
+"""What a depth image says of an object at a pose: pixels that it explains, that see past it, that hide it.
+
+Surface samples stand for the object, those of them that can be seen from about the camera's side, each worth the pixels
+that its area covers.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.image.pinhole import project
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.math.vec3 import add, dot, mul, norm, scale, tmul, vector
+from handsight._kernels.mesh.field import field_at
+from handsight._kernels.runtime.compilation import entry, inner
+
+FACING = 0.12
+"""Least cosine between a sample's normal and the way to the camera for it to be seen."""
+BEYOND, MARCHES = 2.2, 60
+"""How far the way to the camera is followed [radii], and steps at most."""
+PASSED, HIDDEN, UNEXPLAINED, MOST_UNEXPLAINED, POWER = 2.0, 0.3, 0.5, 2.0, 0.7
+"""What pixels weigh against explained ones. Sums prefer what is big and near, shares what is tiny."""
+UNKNOWN = 0.5
+"""What a pixel without depth counts for that the object would fill."""
+LEAST_EXPECTED = 30.0
+"""[pixels]"""
+TABLE, HAND, OUT = -3, -2, -1
+"""Labels of pixels that are the table's, the hand's, and of no part that is looked at."""
+
+
+@entry
+def visible_sets(model: Any, nodes: Any, points: Any, normals: Any, directions: Any, visible: Any) -> None:
+    """Fills in which samples (m,) are seen from far along each direction (k, 3): `visible` (k, m).
+
+    The way is followed through the fine field, in steps of its distance, so that nothing is drawn.
+    """
+    radius, field = model[0].radius, model[0].fine
+    for k in range(len(directions)):
+        way = vector(directions[k])
+        for m in range(len(points)):
+            place, normal = vector(points[m]), vector(normals[m])
+            visible[k, m] = dot(normal, way) > FACING
+            if not visible[k, m]:
+                continue
+            along, start = 0.0, add(place, scale(normal, 0.02 * radius))
+            for _ in range(MARCHES):
+                distance, _, _ = field_at(nodes, field, add(start, scale(way, along)))
+                if distance < -0.01 * radius:
+                    visible[k, m] = False
+                    break
+                along += max(distance, 0.03 * radius)
+                if along > BEYOND * radius:
+                    break
+
+
+@inner
+def _nearest(directions: Any, way: tuple[float, float, float]) -> int:
+    best, most = 0, -np.inf
+    for k in range(len(directions)):
+        cosine = directions[k, 0] * way[0] + directions[k, 1] * way[1] + directions[k, 2] * way[2]
+        if cosine > most:
+            best, most = k, cosine
+    return best
+
+
+@inner
+def _add(
+    image: Any, sample: tuple[float, float, float, float], bound: float, look: Any, explained: Any
+) -> None:
+    """Adds what the image says of a sample at (column, row, depth) that is worth so many pixels."""
+    depth, labels = image
+    column, row, z, pixels = int(sample[0] + 0.5), int(sample[1] + 0.5), sample[2], sample[3]
+    seen, label = depth[row, column], labels[row, column]
+    if not seen > 0:
+        look.expected += UNKNOWN * pixels
+        return
+    off = seen - z
+    if off < -bound and label == HAND:
+        return
+    look.expected += pixels
+    if off > bound or (off < -bound and label == TABLE):  # nothing is under the table
+        look.passed += pixels
+    elif off < -bound:
+        look.hidden += pixels
+    elif label >= 0:
+        worth = pixels * (1 - (off / bound) ** 2)
+        look.explained += worth
+        look.rms += worth * off * off
+        explained[label] += pixels
+
+
+@inner
+def _score(sizes: Any, explained: Any, look: Any) -> None:
+    """Finishes what `_add` has added up; unexplained are pixels of the parts that it lies on, by share."""
+    unexplained = total = 0.0
+    for part in range(len(sizes)):
+        unexplained += explained[part] * max(sizes[part] - explained[part], 0.0)
+        total += explained[part]
+    look.unexplained = unexplained / total if total > 0 else 0.0
+    look.rms = np.sqrt(look.rms / look.explained) if look.explained > 0 else np.inf
+    size = max(look.expected, LEAST_EXPECTED)
+    cost = PASSED * look.passed + HIDDEN * look.hidden
+    cost += UNEXPLAINED * min(look.unexplained, MOST_UNEXPLAINED * size)
+    look.score = (look.explained - cost) / size**POWER
+
+
+@entry
+def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, looks: Any) -> None:
+    """Fills in the score of LOOK (k,), and what it is made of.
+
+    image: depth (h, w) [m] and labels (h, w) of parts, `TABLE`, `HAND` or `OUT`. sides: samples and normals (2, m, 3),
+    directions (d, 3), visible (d, m). sizes: pixels of each part (p,). limits: area of a sample [m²], least bound of
+    what is explained [m], the object's centre (3).
+    """
+    samples, directions, visible = sides
+    height, width = image[0].shape
+    explained, center = np.empty(len(sizes)), (limits[2], limits[3], limits[4])
+    density = limits[0] * camera[0].fx * camera[0].fy
+    for k in range(len(looks)):
+        look = looks[k]
+        R, p = pose_of(look.pose)
+        middle = add(mul(R, center), p)
+        side = _nearest(directions, scale(tmul(R, middle), -1 / max(norm(middle), 1e-9)))
+        explained[:], bound = 0.0, max(limits[1], look.bound)
+        look.expected = look.explained = look.passed = look.hidden = look.rms = 0.0
+        for m in range(samples.shape[1]):
+            if visible[side, m]:
+                P = add(mul(R, vector(samples[0, m])), p)
+                u, v = project(camera[0], P)
+                cosine = -dot(mul(R, vector(samples[1, m])), P) / norm(P)
+                if cosine > 0 and -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
+                    sample = u, v, P[2], density * cosine / (P[2] * P[2])
+                    _add(image, sample, bound, look, explained)
+        _score(sizes, explained, look)

@@ -1,0 +1,102 @@
+"""Depth images of triangles, by a depth buffer.
+
+Along a triangle one over the depth is linear in the image, and what is nearest is drawn. Edges are drawn straight:
+through a lens that bends rays, of triangles that are small in the image.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.image.pinhole import project
+from handsight._kernels.math.vec3 import Vec3, add, scale, sub, vector
+from handsight._kernels.runtime.compilation import entry, inner
+
+NEAR = 0.01
+"""What of a triangle is nearer to the camera is not drawn [m]."""
+
+
+@inner
+def _corner(camera: Any, point: Vec3) -> Vec3:
+    """Column, row and one over the depth."""
+    u, v = project(camera, point)
+    return u, v, 1 / point[2]
+
+
+@inner
+def _span(v: float, a: Vec3, b: Vec3, left: float, right: float) -> tuple[float, float]:
+    """A row's stretch, grown by where an edge crosses it."""
+    if not min(a[1], b[1]) <= v <= max(a[1], b[1]):
+        return left, right
+    if a[1] == b[1]:
+        return min(left, min(a[0], b[0])), max(right, max(a[0], b[0]))
+    u = a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+    return min(left, u), max(right, u)
+
+
+@inner
+def _fill(depth: Any, drawn: Any, label: int, a: Vec3, b: Vec3, c: Vec3) -> None:
+    """Draws one triangle of corners (column, row, one over depth)."""
+    height, width = depth.shape
+    ab, ac = sub(b, a), sub(c, a)
+    twice = ab[0] * ac[1] - ab[1] * ac[0]
+    if not 0 < abs(twice) < np.inf:
+        return
+    by_u, by_v = (ab[2] * ac[1] - ac[2] * ab[1]) / twice, (ac[2] * ab[0] - ab[2] * ac[0]) / twice
+    top = int(np.ceil(max(min(a[1], min(b[1], c[1])), 0.0)))
+    below = int(np.floor(min(max(a[1], max(b[1], c[1])), height - 1.0)))
+    for v in range(top, below + 1):
+        left, right = _span(v, a, b, np.inf, -np.inf)
+        left, right = _span(v, b, c, left, right)
+        left, right = _span(v, c, a, left, right)
+        if not left <= right:
+            continue
+        first, last = int(np.ceil(max(left, 0.0))), int(np.floor(min(right, width - 1.0)))
+        inverse = a[2] + (first - a[0]) * by_u + (v - a[1]) * by_v
+        for u in range(first, last + 1):
+            if inverse > 0 and inverse * depth[v, u] > 1:
+                depth[v, u] = 1 / inverse
+                drawn[v, u] = label
+            inverse += by_u
+
+
+@inner
+def _cut(inside: Vec3, outside: Vec3) -> Vec3:
+    """Where an edge crosses the plane at `NEAR`."""
+    t = (inside[2] - NEAR) / (inside[2] - outside[2])
+    x, y, _ = add(inside, scale(sub(outside, inside), t))
+    return x, y, NEAR
+
+
+@inner
+def _clipped(camera: Any, depth: Any, drawn: Any, label: int, corners: tuple[Vec3, Vec3, Vec3]) -> None:
+    """Draws what of a triangle in the camera lies beyond `NEAR`."""
+    a, b, c = corners
+    for _ in range(2):  # a and b beyond, if any are
+        if not a[2] > NEAR:
+            a, b, c = b, c, a
+    if not a[2] > NEAR:
+        return
+    if not b[2] > NEAR and c[2] > NEAR:
+        a, b, c = c, a, b
+    if not b[2] > NEAR:
+        ab, ac = _cut(a, b), _cut(a, c)
+        _fill(depth, drawn, label, _corner(camera, a), _corner(camera, ab), _corner(camera, ac))
+        return
+    if c[2] > NEAR:
+        _fill(depth, drawn, label, _corner(camera, a), _corner(camera, b), _corner(camera, c))
+        return
+    bc, ac = _cut(b, c), _cut(a, c)
+    _fill(depth, drawn, label, _corner(camera, a), _corner(camera, b), _corner(camera, bc))
+    _fill(depth, drawn, label, _corner(camera, a), _corner(camera, bc), _corner(camera, ac))
+
+
+@entry
+def draw(camera: Any, vertices: Any, faces: Any, labels: Any, depth: Any, drawn: Any) -> None:
+    """Draws faces (m, 3) of vertices (k, 3) in the camera over `depth` (h, w) [m], infinite where nothing is yet.
+
+    `drawn` (h, w): the label (m,) of the face that is nearest.
+    """
+    for m in range(len(faces)):
+        a, b, c = vector(vertices[faces[m, 0]]), vector(vertices[faces[m, 1]]), vector(vertices[faces[m, 2]])
+        _clipped(camera[0], depth, drawn, labels[m], (a, b, c))

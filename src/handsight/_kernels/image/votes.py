@@ -1,0 +1,144 @@
+"""First poses by votes of point pairs (Drost, Ulrich, Navab and Ilic, CVPR 2010).
+
+Two oriented points have four numbers that no motion changes: their distance, each normal's angle with the line
+between them, and the normals' angle with each other. A pair of the scene looks up the pairs of the model that are
+alike, each of which says which model point the scene's first one is, and by which spin about its normal.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.prior_term import rotation_exp
+from handsight._kernels.math.symmetry import store_pose
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    dot,
+    matmul,
+    mul,
+    norm,
+    scale,
+    sub,
+    transpose,
+    vector,
+)
+from handsight._kernels.runtime.compilation import entry, inner
+
+DISTANCES, ANGLES, SPINS = 20, 13, 30
+"""Steps in which a pair's distance, its angles and a spin are counted; a box's right angles are in a step's middle."""
+CELLS = DISTANCES * ANGLES**3
+PEAKS = 4
+"""Poses that each reference point gives."""
+POINT_BITS = 16
+"""A pair of the model is one whole number: its first point, and in so many bits below it the spin, of a turn."""
+TURN = 1 << POINT_BITS
+
+
+@inner
+def about_normal(n: Vec3) -> Mat33:
+    """A rotation that brings a unit normal to +x, the same for the same normal (Duff and others, JCGT 2017)."""
+    sign = 1.0 if n[2] >= 0 else -1.0
+    a = -1 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return n, (1 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+
+
+@inner
+def _angle(cosine: float) -> int:
+    return int((ANGLES - 1) / np.pi * np.arccos(min(max(cosine, -1.0), 1.0)) + 0.5)
+
+
+@inner
+def cell_of(first: Vec3, n1: Vec3, second: Vec3, n2: Vec3, diameter: float) -> int:
+    """Which of the cells a pair of points and unit normals falls into; below 0: none."""
+    d = sub(second, first)
+    length = norm(d)
+    step = int(length * (DISTANCES / diameter))
+    if step >= DISTANCES or not length > 1e-9 * diameter:
+        return -1
+    d = scale(d, 1 / length)
+    return ((step * ANGLES + _angle(dot(n1, d))) * ANGLES + _angle(dot(n2, d))) * ANGLES + _angle(dot(n1, n2))
+
+
+@inner
+def spin_of(frame: Mat33, first: Vec3, second: Vec3) -> float:
+    """The angle of a pair's second point about the first one's normal, which the frame brings to +x."""
+    d = mul(frame, sub(second, first))
+    return np.arctan2(d[2], d[1])
+
+
+@entry
+def pairs_of(points: Any, normals: Any, diameter: float, cells: Any, spins: Any) -> None:
+    """Fills in the cell (m, m) and the spin (m, m) of each pair of model points (m, 3)."""
+    for i in range(len(points)):
+        first, n1 = vector(points[i]), vector(normals[i])
+        frame = about_normal(n1)
+        for j in range(len(points)):
+            second = vector(points[j])
+            cells[i, j] = cell_of(first, n1, second, vector(normals[j]), diameter) if i != j else -1
+            spins[i, j] = spin_of(frame, first, second)
+
+
+@inner
+def _count(table: Any, seen: Any, r: int, diameter: float, most: int, votes: Any) -> None:
+    """Counts in `votes` (m, 2 SPINS) the model's pairs alike to those of a reference point and up to so many others."""
+    starts, pairs = table
+    first, n1 = vector(seen[r].point), vector(seen[r].normal)
+    frame, partners = about_normal(n1), 0
+    for j in range(len(seen)):
+        n2 = vector(seen[j].normal)
+        if j == r or n2 == (0.0, 0.0, 0.0):
+            continue
+        second = vector(seen[j].point)
+        cell = cell_of(first, n1, second, n2, diameter)
+        if cell < 0:
+            continue
+        spin = int(TURN * (spin_of(frame, first, second) / (2 * np.pi) + 1))
+        for k in range(starts[cell], starts[cell + 1]):
+            # Turns as whole numbers begin anew by themselves: the point's bits are cut off with the full turns.
+            away = (spin - pairs[k]) & (TURN - 1)
+            votes[pairs[k] >> POINT_BITS, away * 2 * SPINS >> POINT_BITS] += 1
+        partners += 1
+        if partners == most:
+            break
+
+
+@inner
+def _best_spins(votes: Any, most: Any, spins: Any) -> None:
+    """Of each model point (m,) the most votes of a spin, and that spin; half steps vote by half for the step beside."""
+    for i in range(len(votes)):
+        most[i] = -1.0
+        for s in range(SPINS):
+            before, after = (2 * s - 1) % (2 * SPINS), (2 * s + 2) % (2 * SPINS)
+            total = votes[i, 2 * s] + votes[i, 2 * s + 1] + 0.5 * (votes[i, before] + votes[i, after])
+            if total > most[i]:
+                most[i], spins[i] = total, s
+
+
+@entry
+def vote(table: Any, model: Any, seen: Any, references: Any, limits: Any, looks: Any) -> None:
+    """Fills in the LOOK (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
+
+    table: starts of cells (CELLS + 1,), the model's pairs in them. model: points and normals (2, m, 3). limits:
+    diameter [m], most partners of a reference point.
+    """
+    points, normals, most = model[0], model[1], int(limits[1])
+    votes = np.empty((len(points), 2 * SPINS), np.int32)
+    best, spins = np.empty(len(points)), np.empty(len(points), np.int64)
+    for n in range(len(references)):
+        votes[:] = 0
+        _count(table, seen, references[n], limits[0], most, votes)
+        _best_spins(votes, best, spins)
+        reference = seen[references[n]]
+        back = transpose(about_normal(vector(reference.normal)))
+        for peak in range(PEAKS):
+            i = np.argmax(best)
+            look = looks[n, peak]
+            look.votes = best[i]
+            angle = 2 * np.pi * (spins[i] + 0.5) / SPINS
+            spun = matmul(back, rotation_exp((angle, 0.0, 0.0)))
+            R = matmul(spun, about_normal(vector(normals[i])))
+            p = sub(vector(reference.point), mul(R, vector(points[i])))
+            store_pose((R, p), look.pose)
+            best[i] = -1.0

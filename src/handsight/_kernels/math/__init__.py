@@ -1,0 +1,1 @@
+"""Small linear algebra, kinematic chains and symmetry groups for kernels."""

@@ -1,0 +1,96 @@
+"""Linear algebra of six unknowns: symmetric matrices, factored and solved."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.runtime.compilation import inner
+
+TINY = 1e-300
+
+
+@inner
+def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
+    """Whether there is a Cholesky factor of the (n, n) matrix, its lower triangle read, plus a `ridge`; writes it.
+
+    The diagonal of `out` holds the factor's reciprocals.
+    """
+    for i in range(n):
+        for j in range(i):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= out[i, k] * out[j, k]
+            out[i, j] = value * out[j, j]
+        value = matrix[i, i] + ridge
+        for k in range(i):
+            value -= out[i, k] * out[i, k]
+        if not value > TINY:
+            return False
+        out[i, i] = 1.0 / np.sqrt(value)
+    return True
+
+
+@inner
+def solve(factored: Any, n: int, right: Any, out: Any) -> None:
+    """`out` (n): the solution for the right side (n)."""
+    for i in range(n):
+        value = right[i]
+        for k in range(i):
+            value -= factored[i, k] * out[k]
+        out[i] = value * factored[i, i]
+    for i in range(n - 1, -1, -1):
+        value = out[i]
+        for k in range(i + 1, n):
+            value -= factored[k, i] * out[k]
+        out[i] = value * factored[i, i]
+
+
+@inner
+def eigen(matrix: Any, values: Any, vectors: Any) -> None:
+    """Eigenvalues (6), not in order, and eigenvectors as columns of a symmetric (6, 6), which is used up (Jacobi)."""
+    for i in range(6):
+        for j in range(6):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    for _ in range(40):
+        clean = True
+        for p in range(5):
+            for q in range(p + 1, 6):
+                entry = matrix[p, q]
+                # Relative to the two it joins: eigenvalues of very different size keep their digits.
+                if entry * entry > 1e-31 * abs(matrix[p, p] * matrix[q, q]):
+                    clean = False
+                    _rotate(matrix, p, q, vectors)
+        if clean:
+            break
+    for i in range(6):
+        values[i] = matrix[i, i]
+
+
+@inner
+def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
+    """One rotation that clears entry (p, q)."""
+    entry = matrix[p, q]
+    theta = (matrix[q, q] - matrix[p, p]) / (2 * entry)
+    t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    if theta < 0:
+        t = -t
+    c = 1.0 / np.sqrt(t * t + 1.0)
+    s = t * c
+    matrix[p, p] -= t * entry
+    matrix[q, q] += t * entry
+    matrix[p, q] = matrix[q, p] = 0.0
+    for k in range(6):
+        if k != p and k != q:
+            a, b = matrix[k, p], matrix[k, q]
+            matrix[k, p] = matrix[p, k] = c * a - s * b
+            matrix[k, q] = matrix[q, k] = s * a + c * b
+        a, b = vectors[k, p], vectors[k, q]
+        vectors[k, p], vectors[k, q] = c * a - s * b, s * a + c * b
+
+
+@inner
+def in_metres(information: Any, radius: float, out: Any) -> None:
+    """`out` (6, 6): an information by (δp, δθ) as one by (δp, radius δθ) [1/m²]."""
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = information[i, j] * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))

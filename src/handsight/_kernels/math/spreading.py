@@ -1,0 +1,86 @@
+"""Points spread evenly over many."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.runtime.compilation import entry, inner
+
+WIDE = 6
+"""Numbers for each point: its place and its normal's share."""
+
+
+@inner
+def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
+    """The squared distance of each of the columns (6, n) to the k-th row of p."""
+    x, y, z, u, v, w = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    for j in range(columns.shape[1]):
+        a, b, c = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
+        d, e, f = columns[3, j] - u, columns[4, j] - v, columns[5, j] - w
+        out[j] = a * a + b * b + c * c + d * d + e * e + f * f
+
+
+@inner
+def _least(numbers: Any) -> int:
+    """Where the least of the numbers is, of equals the first."""
+    best, least = -1, np.inf
+    for j in range(len(numbers)):
+        if numbers[j] < least:
+            best, least = j, numbers[j]
+    return best
+
+
+@inner
+def _farthest(features: Any, columns: Any, chosen: Any) -> None:
+    """Fills `chosen` with rows, each the farthest from those before it; the first from the middle."""
+    middle, gap, now = np.zeros((1, WIDE)), np.empty(len(features)), np.empty(len(features))
+    for i in range(len(features)):
+        for k in range(WIDE):
+            middle[0, k] += features[i, k] / len(features)
+    _gaps2(columns, middle, 0, gap)
+    for j in range(len(chosen)):
+        chosen[j] = features[np.argmax(gap)]
+        _gaps2(columns, chosen, j, now)
+        for i in range(len(features)):
+            # The middle itself was not chosen.
+            gap[i] = now[i] if j == 0 else min(gap[i], now[i])
+
+
+@entry
+def spread_out(features: Any, n: int, steps: int) -> Any:
+    """(n, 6) places spread evenly over the features (m, 6): the farthest ones, then Lloyd's steps."""
+    chosen, gap = np.empty((n, WIDE)), np.empty(n)
+    _farthest(features, features.T.copy(), chosen)
+    for _ in range(steps):
+        columns = chosen.T.copy()
+        sums, count = np.zeros((n, WIDE)), np.zeros(n)
+        for i in range(len(features)):
+            _gaps2(columns, features, i, gap)
+            owner = _least(gap)
+            count[owner] += 1
+            for k in range(WIDE):
+                sums[owner, k] += features[i, k]
+        for j in range(n):
+            # One that stands for nothing stays where it is.
+            if count[j] > 0:
+                for k in range(WIDE):
+                    chosen[j, k] = sums[j, k] / count[j]
+    return chosen
+
+
+@entry
+def snapped(features: Any, middles: Any) -> Any:
+    """(n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
+    columns, gap = features.T.copy(), np.empty(len(features))
+    index = np.empty(len(middles), np.int64)
+    for j in range(len(middles)):
+        _gaps2(columns, middles, j, gap)
+        index[j] = _least(gap)
+        columns[0, index[j]] = np.inf
+    return index
+
+
+def warm() -> None:
+    """Compiles every kernel, or loads it."""
+    one = np.zeros((1, WIDE))
+    snapped(one, spread_out(one, 1, 1))

@@ -1,0 +1,116 @@
+"""Equivalent poses of a symmetric object."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.prior_term import IDENTITY, rotation_log
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add,
+    add33,
+    dot,
+    matmul,
+    matrix,
+    mul,
+    outer,
+    scale33,
+    skew,
+    store,
+    store33,
+    sub,
+    sub33,
+    transpose,
+    vector,
+)
+from handsight._kernels.records import AXIS, MOST_ROTATIONS, NO_SYMMETRY
+from handsight._kernels.runtime.compilation import inner
+
+
+@inner
+def pose_of(record: Any) -> Pose:
+    """Of a POSE record."""
+    return matrix(record.rotation), vector(record.position)
+
+
+@inner
+def store_pose(pose: Pose, record: Any) -> None:
+    """Writes a POSE record."""
+    store33(pose[0], record.rotation)
+    store(pose[1], record.position)
+
+
+@inner
+def transform_of(T: Any) -> Pose:
+    """Of a transform (4, 4)."""
+    return matrix(T), (T[0, 3], T[1, 3], T[2, 3])
+
+
+@inner
+def store_transform(pose: Pose, T: Any) -> None:
+    """Writes a transform (4, 4)."""
+    store33(pose[0], T)
+    T[0, 3], T[1, 3], T[2, 3] = pose[1]
+    T[3, 0] = T[3, 1] = T[3, 2] = 0.0
+    T[3, 3] = 1.0
+
+
+@inner
+def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
+    """The pose after the k-th element of the group, spun about the axis, if there is one, to be near the reference."""
+    element, (R, p) = symmetry.rotation[k], pose
+    shift = element[0, 3], element[1, 3], element[2, 3]
+    turned = matmul(R, matrix(element))
+    if symmetry.kind == AXIS:
+        turned = _spun(vector(symmetry.axis[0]), turned, reference[0])
+    return turned, add(p, mul(R, shift))
+
+
+@inner
+def _spun(axis: Vec3, R: Mat33, reference: Mat33) -> Mat33:
+    """R turned about the object's own axis, which goes through the origin, to be nearest to the reference."""
+    Q = matmul(transpose(reference), R)
+    # The trace of Q exp(φ a) is c cos φ - s sin φ and what does not depend on φ.
+    s = dot(axis, (Q[2][1] - Q[1][2], Q[0][2] - Q[2][0], Q[1][0] - Q[0][1]))
+    c = Q[0][0] + Q[1][1] + Q[2][2] - dot(axis, mul(Q, axis))
+    length = np.sqrt(c * c + s * s)
+    if not length > 1e-12:
+        return R
+    c, s = c / length, -s / length
+    turn = add33(scale33(outer(axis, axis), 1 - c), add33(scale33(IDENTITY, c), scale33(skew(axis), s)))
+    return matmul(R, turn)
+
+
+@inner
+def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
+    """The equivalent of a pose nearest to the reference in |δp|² + radius² |δθ|²; of equals the first."""
+    symmetry, radius = model.symmetry, model.radius
+    if symmetry.kind == NO_SYMMETRY:
+        return pose
+    costs, least = np.empty(MOST_ROTATIONS), np.inf
+    for k in range(symmetry.rotations):
+        R, p = _equivalent(symmetry, k, pose, reference)
+        shift, turn = sub(p, reference[1]), rotation_log(matmul(R, transpose(reference[0])))
+        costs[k] = dot(shift, shift) + radius * radius * dot(turn, turn)
+        least = min(least, costs[k])
+    chosen = 0
+    # A tie to rounding goes to the earlier element, so that the answer does not flicker.
+    while chosen < symmetry.rotations and not costs[chosen] <= least * (1 + 1e-9) + 1e-18:
+        chosen += 1
+    if chosen == symmetry.rotations:
+        return pose
+    return _equivalent(symmetry, chosen, pose, reference)
+
+
+@inner
+def are_apart(model: Any, a: Pose, b: Pose, limits: Any) -> bool:
+    """Whether two poses differ by more than a shift of the object's center [m] or a turn [rad], modulo symmetry."""
+    R, p = nearest(model, a, b)
+    center = vector(model.center)
+    gap = add(sub(p, b[1]), mul(sub33(R, b[0]), center))
+    if dot(gap, gap) > limits[0] * limits[0]:
+        return True
+    turn = rotation_log(matmul(R, transpose(b[0])))
+    return dot(turn, turn) > limits[1] * limits[1]

@@ -1,0 +1,1 @@
+"""Surfaces: distance fields, closest triangles, winding numbers, and quadrics through points."""

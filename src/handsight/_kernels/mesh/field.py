@@ -1,0 +1,208 @@
+"""Distance [m], gradient and Hessian [1/m] of an object's field at a point of the object's frame.
+
+A grid is interpolated by cubic B-splines and continued beyond its edge; boxes, cylinders and spheres are exact. A sheet
+is a grid around a surface without an inside, its distances negative behind it: where this side gives way to the other
+with no surface between them, the sign jumps and the distance does not pass through zero.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.math.simd import local, spline
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add,
+    add33,
+    dot,
+    mul,
+    norm,
+    outer,
+    scale,
+    scale33,
+    sub,
+    sub33,
+    vector,
+)
+from handsight._kernels.records import BOX, CYLINDER, GRID, NODES, SHEET
+from handsight._kernels.runtime.compilation import entry, inner
+
+Values = tuple[float, Vec3, Mat33]
+Ten = tuple[float, float, float, float, float, float, float, float, float, float]
+FLAT: Mat33 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+APART = 1.02
+"""Two places whose distances to a surface add up to more than this much of what is between them, and what the surface
+itself is unsure of (`blur`), are on one side."""
+
+
+@inner
+def field_at(nodes: Any, field: Any, place: Vec3) -> Values:
+    """Distance, gradient and Hessian of one field; `nodes`: those of all the object's grids."""
+    if field.kind == GRID:
+        return _grid(nodes, field, place)
+    if field.kind == BOX:
+        return _box(field, place)
+    if field.kind == CYLINDER:
+        return _cylinder(field, place)
+    if field.kind == SHEET:
+        return _sheet(nodes, field, place)
+    return _sphere(field, place)
+
+
+@inner
+def _grid(nodes: Any, field: Any, place: Vec3) -> Values:
+    first, past, beyond = _cell(field, place)
+    nz = field.shape[2]
+    return _in_metres(field, spline(nodes, first, field.shape[1] * nz, nz, past), beyond)
+
+
+@inner
+def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
+    """As `_grid`; nodes with no surface between them and the nearest one get its sign.
+
+    On its own, for within `_grid` it costs every grid a fifth.
+    """
+    first, past, beyond = _cell(field, place)
+    step_x, step_y, own = field.shape[1] * field.shape[2], field.shape[2], local(NODES)
+    x, y, z = 2 if past[0] > 0.5 else 1, 2 if past[1] > 0.5 else 1, 2 if past[2] > 0.5 else 1
+    nearest = nodes[first + x * step_x + y * step_y + z]
+    for i in range(4):
+        for j in range(4):
+            for k in range(4):
+                value = nodes[first + i * step_x + j * step_y + k]
+                gap2 = (APART * field.cell) ** 2 * ((i - x) ** 2 + (j - y) ** 2 + (k - z) ** 2)
+                over = abs(value - nearest) - field.blur
+                if value * nearest < 0 and over > 0 and over * over > gap2:
+                    value = -value
+                own.values[16 * i + 4 * j + k] = value
+    return _in_metres(field, spline(own.values, 0, 16, 4, past), beyond)
+
+
+@inner
+def _cell(field: Any, place: Vec3) -> tuple[int, Vec3, Vec3]:
+    """The first of the 4 x 4 x 4 nodes around a place, how far past the second it is, and past the grid [cells]."""
+    u = scale(sub(place, vector(field.origin)), field.inverse_cell)
+    nx, ny, nz = field.shape[0], field.shape[1], field.shape[2]
+    inside = _clamped(u[0], nx - 2.0), _clamped(u[1], ny - 2.0), _clamped(u[2], nz - 2.0)
+    i, j, k = int(min(inside[0], nx - 3.0)), int(min(inside[1], ny - 3.0)), int(min(inside[2], nz - 3.0))
+    first = field.nodes + ((i - 1) * ny + j - 1) * nz + k - 1
+    return first, (inside[0] - i, inside[1] - j, inside[2] - k), sub(u, inside)
+
+
+@inner
+def _in_metres(field: Any, ten: Ten, beyond: Vec3) -> Values:
+    """Values of a spline as the field's, a way beyond the grid [cells]."""
+    d, gx, gy, gz, xx, xy, xz, yy, yz, zz = ten
+    inverse = field.inverse_cell
+    hessian = scale33(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), inverse * inverse)
+    edge = d, scale((gx, gy, gz), inverse), hessian
+    if beyond[0] == 0 and beyond[1] == 0 and beyond[2] == 0:
+        return edge
+    return _beyond(edge, scale(beyond, field.cell))
+
+
+@inner
+def _clamped(u: float, most: float) -> float:
+    """Between 1 and `most`; a NaN reads no memory beyond the grid either, and `_beyond` passes it on."""
+    low = u if u > 1.0 else 1.0
+    return low if low < most else most
+
+
+@inner
+def _where_zero(way: Vec3, v: Vec3) -> Vec3:
+    """`v` along the axes on which the way is zero."""
+    return (
+        v[0] if way[0] == 0 else 0.0,
+        v[1] if way[1] == 0 else 0.0,
+        v[2] if way[2] == 0 else 0.0,
+    )
+
+
+@inner
+def _beyond(edge: Values, way: Vec3) -> Values:
+    """The field a way outside the grid, from its values at the edge."""
+    # Behind a sheet all of it is negative.
+    side = -1.0 if edge[0] < 0 else 1.0
+    m, g, H = side * edge[0], scale(edge[1], side), scale33(edge[2], side)
+    slope = dot(g, way)
+    # Along what is free of the grid's edge the gradient there counts; across it, the way itself.
+    p = add(g, _where_zero(way, mul(H, way)))
+    if way[0] == 0 and way[1] == 0 and way[2] == 0:
+        return edge
+    if not m > 0:
+        return m + slope, p, H  # a NaN, passed on
+    f = np.sqrt(max(m * m + 2 * m * slope + dot(way, way), 1e-300))
+    h = scale(add(add(scale(p, m), _where_zero(way, scale(g, slope))), way), 1 / f)
+    bend = _around(scale(h, 1 / np.sqrt(max(dot(h, h), 1e-12))), side / f)
+    return side * f, scale(h, side), bend
+
+
+@inner
+def _around(n: Vec3, curvature: float) -> Mat33:
+    """The Hessian of a ball's distance: (1 - n nᵀ) times its curvature."""
+    return scale33(sub33(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), outer(n, n)), curvature)
+
+
+@inner
+def _sphere(field: Any, place: Vec3) -> Values:
+    r = norm(place)
+    g = scale(place, 1 / r) if r > 0 or r != r else (0.0, 0.0, 1.0)
+    return r - field.origin[0], g, _around(g, 1 / max(r, field.least_radius))
+
+
+@inner
+def _box(field: Any, place: Vec3) -> Values:
+    x, y, z = place
+    qx, qy, qz = abs(x) - field.origin[0], abs(y) - field.origin[1], abs(z) - field.origin[2]
+    sx, sy, sz = -1.0 if x < 0 else 1.0, -1.0 if y < 0 else 1.0, -1.0 if z < 0 else 1.0
+    largest = max(qx, max(qy, qz))
+    if not largest > 0:
+        fx = 1.0 if qx == largest else 0.0
+        fy = 1.0 if qy == largest and fx == 0 else 0.0
+        return largest, (fx * sx, fy * sy, (1.0 - fx - fy) * sz), FLAT
+    # Scaled by the largest, so that the direction survives a distance of 1e-170.
+    e = max(qx, 0.0) / largest, max(qy, 0.0) / largest, max(qz, 0.0) / largest
+    size = norm(e)
+    g = e[0] / size * sx, e[1] / size * sy, e[2] / size * sz
+    outside = size * largest
+    dx, dy, dz = 1.0 if qx > 0 else 0.0, 1.0 if qy > 0 else 0.0, 1.0 if qz > 0 else 0.0
+    free = (dx, 0.0, 0.0), (0.0, dy, 0.0), (0.0, 0.0, dz)
+    return outside, g, scale33(sub33(free, outer(g, g)), 1 / max(outside, field.least_radius))
+
+
+@inner
+def _cylinder(field: Any, place: Vec3) -> Values:
+    x, y, z = place
+    r = np.sqrt(x * x + y * y)
+    qr, qz = r - field.origin[0], abs(z) - field.origin[1]
+    up = -1.0 if z < 0 else 1.0
+    cosine, sine = 1.0, 0.0
+    if r > 0 or r != r:
+        cosine, sine = x / r, y / r
+    er, ez = max(qr, 0.0), max(qz, 0.0)
+    outside = np.sqrt(er * er + ez * ez)
+    distance, gr, gz = max(qr, qz), 1.0 if qr >= qz else 0.0, 0.0 if qr >= qz else 1.0
+    if outside > 0:
+        distance, gr, gz = outside, er / outside, ez / outside
+    gz = gz * up
+    over = 1 / max(outside, field.least_radius) if qr > 0 and qz > 0 else 0.0
+    round_it = (-sine, cosine, 0.0)
+    rim = (-gz * cosine, -gz * sine, gr)  # across the edge
+    H = add33(
+        scale33(outer(round_it, round_it), gr / max(r, field.least_radius)), scale33(outer(rim, rim), over)
+    )
+    return distance, (gr * cosine, gr * sine, gz), H
+
+
+@entry
+def evaluate(nodes: Any, field: Any, points: Any, values: Any) -> None:
+    """`values` (n, 13): distance, gradient and Hessian at points (n, 3)."""
+    for k in range(len(points)):
+        d, g, H = field_at(nodes, field[0], vector(points[k]))
+        row = values[k]
+        row[0] = d
+        for i in range(3):
+            row[1 + i] = g[i]
+            for j in range(3):
+                row[4 + 3 * i + j] = H[i][j]

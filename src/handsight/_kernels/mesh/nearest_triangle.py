@@ -1,0 +1,155 @@
+"""The closest point of many triangles, by a tree of boxes around them.
+
+The tree (`handsight.objects.meshes.box_tree`) is complete and lies in an array: the children of box k are 2k + 1 and
+2k + 2, and the last row of boxes, the leaves, holds the triangles from `starts[i]` to `starts[i + 1]` each. Closest
+points are where the surface is seen head on, and a box along the axes is thick there where the surface is oblique; so
+each leaf's own boxes stand in a frame of its own, along its normal.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, store, sub, tmul, vector
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.runtime.threads import in_parts
+
+FLAT = 1e-14
+"""A triangle whose doubled area squared is below this part of its sides' product is taken for its edges."""
+DEPTH = 64
+"""More boxes than ever wait: one for each level of the tree."""
+RESULT = 8
+"""Numbers for each closest point: distance, point (3), weights of the corners (3), triangle."""
+_LEAST = 1000
+
+
+@inner
+def _gap2(boxes: Any, k: int, p: Vec3) -> float:
+    """The squared distance from p to box k, which is its least and its greatest corner."""
+    x = max(max(boxes[k, 0] - p[0], p[0] - boxes[k, 3]), 0.0)
+    y = max(max(boxes[k, 1] - p[1], p[1] - boxes[k, 4]), 0.0)
+    z = max(max(boxes[k, 2] - p[2], p[2] - boxes[k, 5]), 0.0)
+    return x * x + y * y + z * z
+
+
+@inner
+def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
+    """Weights of the corners in the point of triangle abc closest to p; an exact 0 off an edge."""
+    u, v, w = sub(b, a), sub(c, a), sub(p, a)
+    uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
+    # Which corner, edge or the inside it is: Ericson, Real-Time Collision Detection, 5.1.5, one division at most.
+    if wu <= 0 and wv <= 0:
+        return 1.0, 0.0, 0.0
+    bu, bv = wu - uu, wv - uv
+    if bu >= 0 and bv <= bu:
+        return 0.0, 1.0, 0.0
+    cu, cv = wu - uv, wv - vv
+    if cv >= 0 and cu <= cv:
+        return 0.0, 0.0, 1.0
+    # The weights times the doubled area squared.
+    area2, second, third = uu * vv - uv * uv, vv * wu - uv * wv, uu * wv - uv * wu
+    first = area2 - second - third
+    if third <= 0 and wu > 0 and bu <= 0:
+        s = wu / uu
+        return 1 - s, s, 0.0
+    if second <= 0 and wv > 0 and cv <= 0:
+        s = wv / vv
+        return 1 - s, 0.0, s
+    if first <= 0 and bv > bu and cu >= cv:
+        s = (bv - bu) / ((bv - bu) + (cu - cv))
+        return 0.0, 1 - s, s
+    if area2 <= FLAT * uu * vv or min(first, min(second, third)) < 0:
+        return _on_edges(uu, uv, vv, wu, wv)
+    return scale((first, second, third), 1 / area2)
+
+
+@inner
+def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
+    """As `_weights`, of the edges alone, by what each squared distance has above that to the first corner."""
+    s = min(wu / uu, 1.0) if wu > 0 else 0.0
+    t = min(wv / vv, 1.0) if wv > 0 else 0.0
+    along, size = wv - wu + uu - uv, uu - 2 * uv + vv
+    r = min(along / size, 1.0) if along > 0 and size > 0 else 0.0
+    ab, ac = s * (s * uu - 2 * wu), t * (t * vv - 2 * wv)
+    bc = (1 - r) * ((1 - r) * uu - 2 * wu) + r * (r * vv - 2 * wv) + 2 * r * (1 - r) * uv
+    if ab <= ac and ab <= bc:
+        return 1 - s, s, 0.0
+    if ac <= bc:
+        return 1 - t, 0.0, t
+    return 0.0, 1 - r, r
+
+
+@inner
+def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
+    """Puts the closest point on a leaf's triangles, in its frame, into `found` where it is closer.
+
+    `found[0]` is the squared distance here.
+    """
+    starts, _, frames, triangles, around = tree
+    p = mul(matrix(frames[leaf]), point)
+    for t in range(starts[leaf], starts[leaf + 1]):
+        if _gap2(around, t, p) < found[0]:
+            a, b, c = vector(triangles[t, 0]), vector(triangles[t, 1]), vector(triangles[t, 2])
+            weights = _weights(a, b, c, p)
+            closest = add(add(scale(a, weights[0]), scale(b, weights[1])), scale(c, weights[2]))
+            gap = sub(p, closest)
+            if dot(gap, gap) < found[0]:
+                found[0], found[7] = dot(gap, gap), t
+                store(closest, found[1:4])
+                store(weights, found[4:7])
+
+
+@entry
+def closest(points: Any, within: float, tree: Any, out: Any) -> None:
+    """`out` (n, 8): see RESULT; of points (n, 3) that are nowhere within [m], the distance is infinite.
+
+    `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 3, 3); in the leaves' frames `triangles` (m, 3, 3) and
+    the box `around` each (m, 6).
+    """
+    starts, boxes, frames, _, _ = tree
+    leaves = len(starts) - 1
+    waiting, gaps = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    last = 0
+    for i in range(len(points)):
+        p, found = vector(points[i]), out[i]
+        found[0], found[7] = within * within, -1.0
+        # Neighbours in space follow each other: the last one's leaf leaves little to search.
+        _try_leaf(tree, last, p, found)
+        waiting[0], gaps[0], count = 0, _gap2(boxes, 0, p), 1
+        while count:
+            count -= 1
+            k = waiting[count]
+            if gaps[count] >= found[0]:
+                continue
+            leaf = k - leaves + 1
+            if leaf >= 0:
+                before = found[0]
+                _try_leaf(tree, leaf, p, found)
+                if found[0] < before:
+                    last = leaf
+                continue
+            near, far = 2 * k + 1, 2 * k + 2
+            near_gap, far_gap = _gap2(boxes, near, p), _gap2(boxes, far, p)
+            if far_gap < near_gap:
+                near, far, near_gap, far_gap = far, near, far_gap, near_gap
+            waiting[count], gaps[count] = far, far_gap
+            waiting[count + 1], gaps[count + 1] = near, near_gap
+            count += 2
+        if found[7] < 0:
+            found[0] = np.inf
+        else:
+            found[0] = np.sqrt(found[0])
+            store(tmul(matrix(frames[last]), vector(found[1:4])), found[1:4])
+
+
+def closest_points(points: Any, within: float, tree: Any) -> Any:
+    """As `closest` (n, 8), on several threads."""
+    out = np.zeros((len(points), RESULT))
+    in_parts(lambda some, there: closest(some, within, tree, there), (points, out), _LEAST)
+    return out
+
+
+def warm() -> None:
+    """Compiles every kernel, or loads it."""
+    tree = np.array([0, 1]), np.zeros((1, 6)), np.zeros((1, 3, 3)), np.zeros((1, 3, 3)), np.zeros((1, 6))
+    closest(np.zeros((1, 3)), np.inf, tree, np.zeros((1, RESULT)))

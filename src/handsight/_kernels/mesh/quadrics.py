@@ -1,0 +1,285 @@
+"""Quadrics fitted to noisy points, each in a window that widens as long as what it tells stays the same."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.math.dense6 import factor, solve
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, store, sub, vector
+from handsight._kernels.mesh.patches import PATCH, gradient, level_set
+from handsight._kernels.runtime.compilation import entry, inner
+
+MOST = 1500
+"""Points of one window; beyond them what comes in the order of cells is left out."""
+LEAST = 7.5
+"""Points, by weight, that six numbers are fitted to."""
+PASSES = 2
+"""Of a fit in each window, the frame moved to the surface after each."""
+FACING = float(np.cos(np.deg2rad(35.0)))
+"""Normals further than this from a patch's are of another face; those turned further than BEHIND, of another side."""
+BEHIND = -0.5
+OUTLYING = 3.0
+"""Residuals of more deviations than this are left out."""
+REJECTED = 0.1
+"""A window of which more than this is left out ends beyond the patch."""
+CHANCE = 3.0
+"""Deviations of its own by which residuals may exceed the noise."""
+DRIFT = 1.5
+"""Deviations of any smaller window that a wider one may be off (Lepski 1991)."""
+MIXED = 3.0
+"""The squared length of a bend's error, all four terms of the tensor, in variances of one of its own terms."""
+
+LEVEL = np.dtype(
+    [
+        ("place", "i8"),  # which of the windows it is
+        ("window", "f8"),  # radius [m]
+        ("origin", "f8", (3,)),  # of the cells, as wide as that
+        ("shape", "i8", (3,)),
+        ("variance", "f8"),  # of a point's noise [m²]
+        ("together", "f8"),  # how many points share one noise
+        ("tolerance", "f8"),  # a shape's own residual that no window can do without, squared [m²]
+        ("bend", "f8"),  # one standard deviation of curvatures before anything is measured [1/m]
+        ("free", "i8"),  # whether every window counts and no point is left out
+    ],
+    align=True,
+)
+ROOM = np.dtype(
+    [
+        ("trial", PATCH),
+        ("many", "f8"),  # points, by weight
+        ("matrix", "f8", (6, 6)),
+        ("factor", "f8", (6, 6)),
+        ("right", "f8", (6,)),
+        ("solution", "f8", (6,)),
+        ("x", "f8", (6,)),
+        ("powers", "f8", (6,)),
+        ("tensor", "f8", (6,)),
+    ],
+    align=True,
+)
+SEEN = 16
+"""Numbers kept of each window: point, normal, the bends' tensor along the object's axes, variances, the spread."""
+
+
+@inner
+def _gathered(cloud: Any, keys: Any, level: Any, place: Vec3, index: Any) -> int:
+    """How many points are within the window; fills `index` with them."""
+    ny, nz = level.shape[1], level.shape[2]
+    cell = scale(sub(place, vector(level.origin)), 1 / level.window)
+    ix, iy, iz = int(cell[0]), int(cell[1]), int(cell[2])
+    count = 0
+    for x in range(ix - 1, ix + 2):
+        for y in range(iy - 1, iy + 2):
+            first = (x * ny + y) * nz + iz - 1
+            for i in range(np.searchsorted(keys, first), np.searchsorted(keys, first + 3)):
+                away = sub(vector(cloud[i]), place)
+                if dot(away, away) < level.window * level.window and count < len(index):
+                    index[count] = i
+                    count += 1
+    return count
+
+
+@inner
+def _fill(x: Any, u: float, v: float) -> None:
+    x[0], x[1], x[2], x[3], x[4], x[5] = 1.0, u, v, 0.5 * u * u, u * v, 0.5 * v * v
+
+
+@inner
+def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> int:
+    """Whether a point is none of the patch: 1 beside it, 2 behind it."""
+    u, v, z = place
+    ahead = gradient(patch, u, v, z)
+    facing = dot(ahead, normal) / max(norm(ahead), 1e-9)
+    if facing < FACING:
+        return 2 if facing < BEHIND else 1
+    if patch.fits == 0:
+        return 0
+    off, predicted = level_set(patch, u, v, z), 0.0
+    _fill(x, u, v)
+    for i in range(6):
+        for j in range(6):
+            predicted += x[i] * patch.covariance[i, j] * x[j]
+    return 1 if off * off > OUTLYING * OUTLYING * (level.variance + predicted) else 0
+
+
+@inner
+def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
+    """Sums of weights, of their squares, of those left out, and of squared heights; fills matrix and right side."""
+    patch, h = room.trial, level.window
+    n, a, b, origin = (
+        vector(patch.normal),
+        vector(patch.along[0]),
+        vector(patch.along[1]),
+        vector(patch.point),
+    )
+    room.matrix[:], room.right[:] = 0.0, 0.0
+    total, squares, rejected, heights = 0.0, 0.0, 0.0, 0.0
+    for i in index:
+        offset = sub(vector(cloud[i]), origin)
+        u, v, z = dot(a, offset), dot(b, offset), dot(n, offset)
+        # By the way along the surface: a weight that falls with the height would call thick noise thin.
+        w = max(1 - (u * u + v * v) / (h * h), 0.0)
+        w *= w
+        if not level.free:
+            why = _is_left_out(patch, level, (cloud[i, 3], cloud[i, 4], cloud[i, 5]), (u, v, z), room.x)
+            if why:
+                rejected += w if why == 1 else 0.0
+                continue
+        y = z + 0.5 * patch.bend * z * z
+        _fill(room.x, u / h, v / h)
+        for r in range(6):
+            room.right[r] += w * y * room.x[r]
+            for c in range(r + 1):
+                room.matrix[r, c] += w * room.x[r] * room.x[c]
+        total, squares, heights = total + w, squares + w * w, heights + w * y * y
+    return total, squares, rejected, heights
+
+
+@inner
+def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
+    """The share of weight left out, above 1 where there is no fit; moves the trial patch to its fit."""
+    patch, h = room.trial, level.window
+    total, squares, rejected, heights = _normal_equations(cloud, index, level, room)
+    if total * total < LEAST * squares or not total > 0:
+        return 2.0
+    ridge = level.variance / (level.bend * h * h) ** 2
+    for k in range(3, 6):
+        room.matrix[k, k] += ridge
+    if not factor(room.matrix, 6, 1e-12 * total, room.factor):
+        return 2.0
+    solve(room.factor, 6, room.right, room.solution)
+    residual, many = heights, total * total / squares
+    for k in range(6):
+        residual -= room.solution[k] * room.right[k]
+        room.powers[k] = 1.0 if k == 0 else (1 / h if k < 3 else 1 / (h * h))
+    patch.spread, room.many = max(residual, 0.0) / total * many / (many - 6), many
+    _move(patch, room.solution, room.powers)
+    noise = level.variance * level.together * squares / total
+    for j in range(6):
+        for k in range(6):
+            room.x[k] = 1.0 if k == j else 0.0
+        solve(room.factor, 6, room.x, room.right)
+        for k in range(6):
+            patch.covariance[j, k] = noise * room.right[k] * (room.powers[j] * room.powers[k])
+    return rejected / (total + rejected)
+
+
+@inner
+def _move(patch: Any, solution: Any, powers: Any) -> None:
+    """The frame to the surface that was fitted, z + H z²/2 = X solution, and the bends there."""
+    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
+    height = solution[0]
+    z = 2 * height / (1 + np.sqrt(max(1 + 2 * patch.bend * height, 0.25)))
+    by_u, by_v = solution[1] * powers[1], solution[2] * powers[2]
+    ahead = add(scale(n, 1 + patch.bend * z), add(scale(a, -by_u), scale(b, -by_v)))
+    length = max(norm(ahead), 1e-9)
+    store(add(vector(patch.point), scale(n, z)), patch.point)
+    for k in range(3):
+        patch.bends[k] = -solution[3 + k] * powers[3 + k] / length
+    n = scale(ahead, 1 / length)
+    a = sub(a, scale(n, dot(a, n)))
+    a = scale(a, 1 / max(norm(a), 1e-9))
+    store(n, patch.normal)
+    store(a, patch.along[0])
+    store(cross(n, a), patch.along[1])
+    mean, half = 0.5 * (patch.bends[0] + patch.bends[2]), 0.5 * (patch.bends[0] - patch.bends[2])
+    apart = np.sqrt(half * half + patch.bends[1] * patch.bends[1])
+    k1, k2 = mean + apart, mean - apart
+    patch.bend = (k1 * abs(k1) + k2 * abs(k2)) / max(abs(k1) + abs(k2), 1e-300)
+
+
+@inner
+def _tensor(patch: Any, out: Any) -> None:
+    """The bends as a symmetric tensor along the object's axes: its diagonal, then xy, xz, yz."""
+    a, b = vector(patch.along[0]), vector(patch.along[1])
+    for k in range(6):
+        i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
+        mixed = a[i] * b[j] + b[i] * a[j]
+        out[k] = patch.bends[0] * a[i] * a[j] + patch.bends[1] * mixed + patch.bends[2] * b[i] * b[j]
+
+
+@inner
+def _has_drifted(patch: Any, seen: Any, windows: int, tensor: Any) -> bool:
+    """Whether a patch is further from that of a smaller window than that one's deviations allow."""
+    n, limit = vector(patch.normal), DRIFT * DRIFT
+    for j in range(windows):
+        row = seen[j]
+        height = dot(n, sub(vector(patch.point), vector(row)))
+        turn, bend = 0.0, 0.0
+        for k in range(3):
+            turn += (n[k] - row[3 + k]) ** 2
+        for k in range(6):
+            bend += (1.0 if k < 3 else 2.0) * (tensor[k] - row[6 + k]) ** 2
+        if height * height > limit * row[12] or turn > 2 * limit * row[13] or bend > MIXED * limit * row[14]:
+            return True
+    return False
+
+
+@inner
+def _copy(patch: Any, other: Any) -> None:
+    """Everything but the count of windows."""
+    for i in range(3):
+        other.point[i], other.normal[i], other.bends[i] = patch.point[i], patch.normal[i], patch.bends[i]
+        other.along[0, i], other.along[1, i] = patch.along[0, i], patch.along[1, i]
+    for i in range(6):
+        for j in range(6):
+            other.covariance[i, j] = patch.covariance[i, j]
+    other.bend, other.spread, other.window, other.fits = patch.bend, patch.spread, patch.window, patch.fits
+
+
+@inner
+def _note(patch: Any, tensor: Any, row: Any) -> None:
+    """What later windows are compared with."""
+    C = patch.covariance
+    for k in range(3):
+        row[k], row[3 + k] = patch.point[k], patch.normal[k]
+    for k in range(6):
+        row[6 + k] = tensor[k]
+    row[12], row[13], row[14] = C[0, 0], 0.5 * (C[1, 1] + C[2, 2]), 0.5 * (C[3, 3] + C[5, 5])
+    row[15] = patch.spread
+
+
+@entry
+def widen(cloud: Any, keys: Any, levels: Any, patches: Any, seen: Any) -> None:
+    """Fits each patch (m,) again in a wider window, and keeps that unless it tells something else.
+
+    `cloud` (n, 6): points and normals, in the order of their cells, whose `keys` (n,) are. `levels` (1,): LEVEL. `seen`
+    (m, windows, SEEN): what earlier windows told.
+    """
+    level, room, index = levels[0], local(ROOM), np.empty(MOST, np.int64)
+    for k in range(len(patches)):
+        patch, trial = patches[k], room.trial
+        if patch.ended:
+            continue
+        count = _gathered(cloud, keys, level, vector(patch.point), index)
+        _copy(patch, trial)
+        left_out = 0.0
+        for _ in range(PASSES):
+            if left_out <= 1:
+                left_out = _fitted(cloud, index[:count], level, room)
+        if left_out > 1:
+            continue
+        _tensor(trial, room.tensor)
+        if patch.fits > 0 and not level.free:
+            expected = (
+                level.variance * (1 + CHANCE * np.sqrt(2 * level.together / room.many)) + level.tolerance
+            )
+            if (
+                left_out > REJECTED
+                or trial.spread > expected
+                or _has_drifted(trial, seen[k], level.place, room.tensor)
+            ):
+                patch.ended = 1
+                continue
+        _copy(trial, patch)
+        patch.window = level.window
+        _note(patch, room.tensor, seen[k, level.place])
+        patch.fits += 1
+
+
+def warm() -> None:
+    """Compiles every kernel, or loads it."""
+    patches, levels = np.zeros(1, dtype=PATCH), np.zeros(1, dtype=LEVEL)
+    patches["normal"], levels["window"], levels["shape"] = [0.0, 0.0, 1.0], 1.0, 3
+    widen(np.zeros((1, 6)), np.zeros(1, dtype=np.int64), levels, patches, np.zeros((1, 1, SEEN)))

@@ -1,0 +1,1 @@
+"""The posterior around a mode: information, covariance, mean, and its propagation over time."""

@@ -1,0 +1,140 @@
+"""The posterior at a pose: its information, its cost, and what each contact gains by being left out."""
+
+from typing import Any
+
+from handsight._kernels.evidence.contact_term import (
+    Pose,
+    add_contact,
+    at_edge,
+    factored,
+    flattened,
+    invert_covariance,
+    log_determinant,
+    mahalanobis2,
+    residual_covariance,
+    surface_at,
+)
+from handsight._kernels.evidence.outside_term import outside_cost
+from handsight._kernels.evidence.plane_term import plane_cost
+from handsight._kernels.evidence.prior_term import add_prior, prior_cost
+from handsight._kernels.evidence.weight_term import add_weight, weight_cost
+from handsight._kernels.math.dense6 import factor, solve
+from handsight._kernels.math.vec3 import vector
+from handsight._kernels.posterior.spurious_information import add_lent, subtract_lent
+from handsight._kernels.records import NO_PRIOR, VISION_PRIOR
+from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.solve.levenberg import Evidence
+
+
+@inner
+def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[float, float]:
+    """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
+
+    Adds to `lent` those of what the model's bumps lend.
+    """
+    model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
+    chi2, log_spread = 0.0, 0.0
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        term.equations[:] = 0.0
+        if term.contact.used:
+            surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
+            has_normal = term.contact.has_normal != 0
+            factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
+            invert_covariance(factor4, has_normal, term.weight)
+            log_spread += log_determinant(factor4, has_normal)
+            add_lent(model, evidence.nodes, term, surface, pose, lent)
+            if at_edge(model, term.contact, surface):
+                square = mahalanobis2(term.contact, surface, factor4)
+                add_contact(term, flattened(term.contact, surface), frame, term.equations)
+                # What it pulls at is beyond the edge: only its own residuals count.
+                for k in range(6):
+                    term.equations[6, k] = 0.0
+                term.equations[6, 6] = square
+            else:
+                add_contact(term, surface, frame, term.equations)
+            chi2 += term.equations[6, 6]
+    return chi2, log_spread
+
+
+@inner
+def information(
+    evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
+) -> tuple[float, float]:
+    """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
+
+    Both are without what the model's bumps lend; the terms' equations, and in `equations` the weight's and the prior's,
+    are whole. The weight is touch.
+    """
+    equations[:] = 0.0
+    chi2, log_spread = contact_information(evidence, pose, equations)
+    model = evidence.model
+    for i in range(6):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(len(evidence.terms)):
+                value += evidence.terms[k].equations[i, j]
+            by_touch[i, j] = by_touch[j, i] = value
+    subtract_lent(by_touch, equations, model.radius)
+    # Walls: they cost, but say nothing of the way back.
+    chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, pose)
+    equations[:] = 0.0
+    add_weight(evidence.prior.weight, pose, (pose[1], 1.0), equations)
+    for i in range(6):
+        for j in range(i + 1):
+            total[i, j] = by_touch[i, j]
+            by_touch[i, j] = by_touch[j, i] = by_touch[i, j] + equations[i, j]
+    if evidence.prior.kind == VISION_PRIOR:
+        add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
+    for i in range(6):
+        for j in range(i + 1):
+            total[i, j] = total[j, i] = total[i, j] + equations[i, j]
+    chi2 += equations[6, 6]
+    return chi2, chi2 + log_spread
+
+
+@inner
+def posterior_cost(evidence: Evidence, pose: Pose) -> float:
+    """Minus two log of the posterior density at a pose, up to a constant."""
+    model, nodes, field = evidence.model, evidence.nodes, evidence.model.fine
+    total = outside_cost(evidence, field, pose) + plane_cost(evidence, pose)
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            surface = surface_at(nodes, field, vector(term.contact.point), pose)
+            factor4 = factored(residual_covariance(model, nodes, field, term, surface))
+            total += mahalanobis2(term.contact, surface, factor4)
+            total += log_determinant(factor4, term.contact.has_normal != 0)
+    if evidence.prior.kind != NO_PRIOR:
+        total += prior_cost(evidence.prior, pose)
+    return total + weight_cost(evidence.prior.weight, pose)
+
+
+@inner
+def largest_gain(evidence: Evidence, u: Any) -> float:
+    """The most that χ² falls, to first order, when one contact is left out and the pose gives way.
+
+    With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
+    prior's and the weight's share is in `u.equations`; what bumps lend is part of the cost, and stays.
+    """
+    total, most = u.wider, 0.0
+    for r in range(6):
+        for c in range(r + 1):
+            total[r, c] = u.equations[r, c]
+            for i in range(len(evidence.terms)):
+                total[r, c] += evidence.terms[i].equations[r, c]
+    ridge = 1e-12 * (total[0, 0] + total[1, 1] + total[2, 2])
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            for r in range(6):
+                for c in range(r + 1):
+                    u.matrix[r, c] = total[r, c] - term.equations[r, c]
+            gain = term.equations[6, 6]
+            if factor(u.matrix, 6, ridge, u.factor):
+                solve(u.factor, 6, term.equations[6], u.row)
+                for k in range(6):
+                    gain += u.row[k] * term.equations[6, k]
+            term.contact.gain = gain
+            most = max(most, gain)
+    return most

@@ -1,0 +1,222 @@
+"""Along what a mode is integrated: where its posterior is no Gaussian, and the lattice of places that is laid there.
+
+Coordinates are (s, radius θ) [m], straight along the object (`uncertainty.retract_body`).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.outside_term import largest_move, pass_over
+from handsight._kernels.evidence.prior_term import prior_cost
+from handsight._kernels.evidence.weight_term import weight_cost
+from handsight._kernels.math.dense6 import eigen, in_metres
+from handsight._kernels.math.vec3 import cross, mul, norm, scale, vector
+from handsight._kernels.posterior.density import information, posterior_cost
+from handsight._kernels.posterior.uncertainty import calibrated_information, retract_body
+from handsight._kernels.records import WEAK_PRIOR
+from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.solve.levenberg import Evidence
+from handsight._kernels.solve.settings import (
+    DEPARTS,
+    FAR,
+    MOST_OPEN,
+    NARROW,
+    OPEN,
+    PLACES,
+    PROBES,
+    RISE,
+    SPREAD,
+    STRIDE,
+    SWEEPS,
+)
+
+SPIN = 1e6
+"""What stands for a spin about a declared axis, in traces of a matrix, so that it is told from what is open."""
+TURN = np.array([
+    np.eye(3),
+    [[0.8960, -0.4440, 0.0], [0.4440, 0.8960, 0.0], [0.0, 0.0, 1.0]],
+    [[0.6816, -0.5834, 0.4416], [0.7267, 0.6105, -0.3150], [-0.0858, 0.5356, 0.8401]],
+])  # fmt: skip
+"""How lattices along one, two or three directions lie: turned, so that their rows do not end at a wall together."""
+
+
+@inner
+def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
+    """What eigenvalues of spins are above, after they were added to a matrix (6, 6) by (δp, radius δθ)."""
+    R, size = pose[0], 0.0
+    for i in range(6):
+        size += matrix[i, i]
+    for k in range(model.symmetry.axes):
+        axis = mul(R, vector(model.symmetry.axis[k]))
+        moved = cross(mul(R, vector(model.symmetry.pivot)), axis)
+        length = 1 / np.sqrt(norm(moved) ** 2 + model.radius**2)
+        spin = scale(moved, length) + scale(axis, model.radius * length)
+        for i in range(6):
+            for j in range(6):
+                matrix[i, j] += SPIN * size * (spin[i] * spin[j])
+    return 0.5 * SPIN * size
+
+
+@inner
+def choose(evidence: Evidence, pose: Pose, slide: Any, u: Any) -> None:
+    """Fills in what is along the slide, and what is across; where nothing departs from a Gaussian, the widest is along.
+
+    A spin about a declared axis is neither.
+    """
+    radius, departs = evidence.model.radius, np.zeros(6)
+    slopes, calibrated = np.empty(6), np.empty(6)
+    _departures(evidence, pose, slopes, calibrated, departs, u)
+    slide.count = slide.count_across = 0
+    for n in range(MOST_OPEN):
+        widest = -1
+        for k in range(6):
+            if departs[k] > (DEPARTS if n else -1.0) and (widest < 0 or _before(departs, slopes, k, widest)):
+                widest = k
+        if widest >= 0:
+            slide.along[:, n] = u.vectors[:, widest]
+            slide.spacing[n] = min(1 / np.sqrt(max(slopes[widest], 1 / radius**2)), radius / 2)
+            slide.count, departs[widest] = n + 1, -np.inf
+    blind, slide.proper = evidence.prior.kind == WEAK_PRIOR, True
+    for k in range(6):
+        slide.proper = slide.proper and not (blind and slopes[k] * (OPEN * radius) ** 2 < 1)
+        if departs[k] >= 0:
+            slide.across[:, slide.count_across] = u.vectors[:, k]
+            slide.stretch[slide.count_across] = np.sqrt(slopes[k] / calibrated[k]) if slopes[k] > 0 else 1.0
+            slide.count_across += 1
+
+
+@inner
+def _departures(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, departs: Any, u: Any) -> None:
+    """Fills in the eigenvalues [1/m²] of the information at a mode (its spins': infinite), as it is and as the cost has
+    it, and how the cost departs from a Gaussian's along its vectors, `u.vectors`; of spins below 0."""
+    model = evidence.model
+    information(evidence, pose, u.by_touch, u.wider, u.equations)
+    in_metres(u.wider, model.radius, u.matrix)
+    limit = mark_spins(model, pose, u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    for k in range(6):
+        slopes[k] = u.values[k]
+    for far in range(2):
+        for k in range(6):
+            u.values[k] = 0.0 if slopes[k] > limit else slopes[k]
+        calibrated_information(evidence, pose, FAR if far else STRIDE, u.values, u.vectors, u.row)
+        for k in range(6):
+            if slopes[k] * (NARROW * model.radius) ** 2 < 1:
+                departs[k] = max(departs[k], np.inf if u.values[k] == 0.0 else u.row[k])
+            calibrated[k] = calibrated[k] if far else u.values[k]
+    for k in range(6):
+        if slopes[k] > limit:
+            slopes[k], departs[k] = np.inf, -np.inf
+
+
+@inner
+def _before(departs: Any, slopes: Any, k: int, other: int) -> bool:
+    """Whether a direction is integrated along rather than another: one that departs, then the wider one."""
+    if (departs[k] > DEPARTS) != (departs[other] > DEPARTS):
+        return departs[k] > DEPARTS
+    return slopes[k] < slopes[other]
+
+
+@inner
+def at_coordinates(mode: Pose, radius: float, six: Any) -> Pose:
+    """The pose at coordinates (6) from a mode."""
+    return retract_body(mode, ((six[0], six[1], six[2]), scale((six[3], six[4], six[5]), 1 / radius)))
+
+
+@inner
+def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
+    """As `at_coordinates`; outside points, looked at from the mode, are passed over where they are too far."""
+    pose = at_coordinates(mode, evidence.model.radius, six)
+    if len(evidence.outside):
+        pass_over(evidence.outside, largest_move(evidence.model, pose, mode))
+    return pose
+
+
+@inner
+def undented(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
+    """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
+    explains is alike."""
+    if slide.give > 0.0:
+        by_prior = prior_cost(evidence.prior, pose) + weight_cost(evidence.prior.weight, pose)
+        cost = by_prior + max(cost - by_prior, slide.level)
+    return cost
+
+
+@inner
+def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
+    """Brings the places of a slide as close as they need be, by how far its cost, `here` at the mode, lets each
+    direction go.
+
+    Between where it has risen by RISE on one side and on the other there are 2.8 deviations of a Gaussian and 3.5 of
+    an interval; all along several directions spreads wider than what is along one. A mode may lie in a corner, so each
+    is followed from the middle of the one before, twice.
+    """
+    radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
+    for m in range(slide.count * (SWEEPS if slide.count > 1 else 1)):
+        n, ends = m % slide.count, (0.0, 0.0)
+        for side in range(2):
+            length, near, far = slide.spacing[n], 0.0, 2 * radius
+            for _ in range(PROBES):
+                for i in range(6):
+                    six[i] = middle[i] + slide.along[i, n] * (-length if side else length)
+                pose = moved_to(evidence, mode, six)
+                rise = undented(evidence, slide, pose, posterior_cost(evidence, pose)) - here
+                if 0.5 * RISE < rise < 2 * RISE:
+                    break
+                if rise > RISE:
+                    far = length
+                else:
+                    near = length
+                length = min(2 * length, 0.5 * (near + far))
+            ends = ends[1], length
+        for i in range(6):
+            middle[i] += 0.5 * slide.along[i, n] * (ends[0] - ends[1])
+        slide.spacing[n] = 0.5 * (ends[0] + ends[1])
+    for n in range(slide.count):
+        slide.spacing[n] *= SPREAD[slide.count - 1] / PLACES[slide.count - 1]
+
+
+@inner
+def lay_lattice(slide: Any) -> float:
+    """Log of the lattice's cell [m^count]; fills in its steps."""
+    cell = 0.0
+    for n in range(slide.count):
+        cell += np.log(slide.spacing[n])
+        for i in range(6):
+            value = 0.0
+            for m in range(slide.count):
+                value += slide.along[i, m] * (slide.spacing[m] * TURN[slide.count - 1, m, n])
+            slide.lattice[i, n] = value
+    return cell
+
+
+@inner
+def coordinates_at(slide: Any, place: Any, out: Any) -> None:
+    """`out` (6): the coordinates of a place."""
+    for i in range(6):
+        value = 0.0
+        for n in range(slide.count):
+            value += slide.lattice[i, n] * place.index[n]
+        for n in range(slide.count_across):
+            value += slide.across[i, n] * place.aside[n]
+        out[i] = value
+
+
+@inner
+def fine_enough(slide: Any, sums: Any, radius: float) -> bool:
+    """Whether deviations along the slide have places enough; else brings these closer together."""
+    fine, wanted = True, PLACES[slide.count - 1]
+    for k in range(slide.count):
+        mean = square = 0.0
+        for i in range(6):
+            a = slide.along[i, k] * (1.0 if i < 3 else radius)
+            mean += a * sums.first[i] / sums.total
+            for j in range(6):
+                square += a * sums.second[i, j] / sums.total * slide.along[j, k] * (1.0 if j < 3 else radius)
+        spread = np.sqrt(max(square - mean * mean, 0.0))
+        if slide.spacing[k] * (0.8 * wanted) > spread:
+            slide.spacing[k] = max(spread / wanted, slide.spacing[k] / 4)
+            fine = False
+    return fine

@@ -1,0 +1,185 @@
+"""A mode's mean and covariance where it is no Gaussian: a slide that contacts bound and do not fix, or an edge.
+
+Coordinates are (s, radius θ) [m], straight along the object (`retract_body`). Along the few directions in which the
+posterior departs from a Gaussian a lattice is flooded from the mode on, as far as there is density. At each of its
+places a Gauss-Newton step leads to the best of the other directions, which count as Gaussian there (Laplace):
+
+    weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the slide, walls in it
+
+Along a slide over a scan's bumps the mode is in the deepest dent: there touch's cost counts from what dents explain on.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.outside_term import look
+from handsight._kernels.evidence.prior_term import prior_cost, rotation_log
+from handsight._kernels.evidence.weight_term import weight_cost
+from handsight._kernels.math.dense6 import eigen
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import nearest, pose_of
+from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
+from handsight._kernels.posterior.density import posterior_cost
+from handsight._kernels.posterior.flat_directions import choose, fine_enough, lay_lattice, mark_spins, measure
+from handsight._kernels.posterior.lattice import cover, visit
+from handsight._kernels.posterior.spurious_information import wavering
+from handsight._kernels.posterior.uncertainty import retract_body
+from handsight._kernels.records import (
+    OUTSIDE,
+    PLACE,
+    PRIOR_TERM,
+    SLIDE,
+    SUMS,
+    TERM,
+    UNCERTAINTY,
+    WEAK_PRIOR,
+)
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.batch import fill_prior, load_terms
+from handsight._kernels.solve.levenberg import Evidence
+from handsight._kernels.solve.settings import (
+    DEPARTS,
+    DEPTH,
+    GIVE,
+    LIGHT,
+    MOST_MEANS,
+    MOST_PLACES,
+    REACH,
+    ROUNDS,
+)
+
+
+@inner
+def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -> bool:
+    """Whether all that has density was visited, from the mode on."""
+    u, places, reach = local(UNCERTAINTY), np.zeros(MOST_PLACES, PLACE), REACH[slide.count - 1]
+    side = 2 * reach + 1
+    seen = np.zeros(side**slide.count, np.bool_)
+    sums.total, sums.best = 0.0, -np.inf
+    sums.first[:], sums.second[:], sums.within[:] = 0.0, 0.0, 0.0
+    count, done, middle = 1, 0, len(seen) // 2
+    seen[middle] = True
+    while done < count:
+        place = places[done]
+        done += 1
+        log_weight = visit(evidence, mode, slide, place, sums, u)
+        if not log_weight > sums.best - 0.5 * DEPTH:
+            continue
+        cover(slide, others, u)
+        where = middle
+        for k in range(slide.count):
+            where += place.index[k] * side**k
+        for k in range(slide.count):
+            for direction in range(2):
+                step = 2 * direction - 1
+                next_to = where + step * side**k
+                if abs(place.index[k] + step) > reach or seen[next_to]:
+                    continue
+                if count == MOST_PLACES:
+                    return False
+                seen[next_to] = True
+                added = places[count]
+                for n in range(3):
+                    added.index[n] = place.index[n] + (step if n == k else 0)
+                for n in range(6):
+                    added.aside[n] = place.aside[n]
+                count += 1
+    return True
+
+
+@inner
+def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
+    """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
+    choose(evidence, mode, slide, local(UNCERTAINTY))
+    rows = np.empty(len(evidence.outside), OUTSIDE)
+    look(evidence, evidence.model.fine, mode, np.inf, rows)
+    near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
+    slide.give, here = GIVE * wavering(evidence, mode), posterior_cost(evidence, mode)
+    by_prior = prior_cost(evidence.prior, mode) + weight_cost(evidence.prior.weight, mode)
+    slide.level = here - by_prior + slide.give
+    measure(near, mode, slide, here + slide.give)
+    for _ in range(ROUNDS):
+        cell = lay_lattice(slide)
+        others[:, 6] = 0.0
+        if not _flood(near, mode, slide, others, sums):
+            for k in range(slide.count):
+                slide.spacing[k] *= 1.5
+        elif not sums.total > 0:
+            return False
+        elif fine_enough(slide, sums, evidence.model.radius):
+            sums.best += cell - 0.5 * slide.count * np.log(2 * np.pi)
+            return True
+    return False
+
+
+@inner
+def _store_mean(model: Any, mode: Pose, slide: Any, sums: Any, row: Any) -> None:
+    """The answer's pose, covariance and information; those of a direction that is not known, blind, stay the mode's."""
+    u, radius = local(UNCERTAINTY), model.radius
+    for i in range(6):
+        u.row[i] = sums.first[i] / sums.total
+    mean = u.row
+    R, _ = retract_body(mode, ((0.0, 0.0, 0.0), (mean[3], mean[4], mean[5])))
+    for i in range(3):
+        for j in range(3):
+            row.T_palm_object[i, j] = R[i][j]
+        row.T_palm_object[i, 3] = mode[1][i] + mean[i]
+    if not slide.proper:
+        return
+    for i in range(6):
+        for j in range(6):
+            value = (sums.second[i, j] + sums.within[i, j]) / sums.total - mean[i] * mean[j]
+            row.covariance[i, j] = value
+            u.matrix[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+    limit = mark_spins(model, (R, (0.0, 0.0, 0.0)), u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    for i in range(6):
+        for j in range(6):
+            value = 0.0
+            for k in range(6):
+                if u.values[k] < limit:
+                    value += u.vectors[i, k] * u.vectors[j, k] / u.values[k]
+            row.information[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+
+
+@inner
+def _coordinates(model: Any, pose: Pose, mode: Pose, out: Any) -> None:
+    """(s, radius θ) of a pose, or its nearest equivalent, from a mode."""
+    R, p = nearest(model, pose, mode)
+    E = matmul(R, transpose(mode[0]))
+    six = tmul(E, sub(p, mode[1])) + scale(rotation_log(E), model.radius)
+    for i in range(6):
+        out[i] = six[i]
+
+
+@entry
+def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+    """Makes means of the first of the answers (K,) that depart from a Gaussian; the first set of contacts counts.
+
+    Another mode that is reached along a slide is part of that mean: its weight becomes -1. `log_weight` becomes the
+    integral's logarithm, as `mode_weights` has it. An answer's `pose` remains the mode.
+    """
+    term, slide, sums = local(PRIOR_TERM), local(SLIDE), local(SUMS)
+    terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
+    floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
+    best = -np.inf
+    for k in range(min(len(answers), MOST_MEANS)):
+        row = answers[k]
+        if row.weight < 0 or not row.departure > DEPARTS or row.log_weight < best - LIGHT:
+            continue
+        mode = pose_of(row.pose)
+        for n in range(k + 1, len(answers)):
+            _coordinates(model[0], pose_of(answers[n].pose), mode, others[n])
+        evidence = Evidence(model[0], nodes, terms, outside, term, mode[1])
+        if _integrated(evidence, mode, others[k + 1 :], slide, sums):
+            _store_mean(model[0], mode, slide, sums, row)
+            spins = 6 - slide.count - slide.count_across
+            row.log_weight = np.log(sums.total) + sums.best - 0.5 * spins * np.log(floor)
+            for n in range(k + 1, len(answers)):
+                if others[n, 6] == 1.0:
+                    answers[n].weight = -1.0
+        best = max(best, row.log_weight)

@@ -1,0 +1,68 @@
+"""What a pose's uncertainty becomes as the object walks in the palm, and what it is at a point of the object."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.math.dense6 import eigen, in_metres
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.vec3 import add, cross, scale, vector
+from handsight._kernels.records import UNCERTAINTY
+from handsight._kernels.runtime.compilation import entry
+
+KNOWN = 1e-9
+"""Of the largest eigenvalue: below it a declared symmetry leaves the information at zero."""
+
+
+@entry
+def inflate(information: Any, variance: Any) -> None:
+    """An information (6, 6), which may be singular, after process noise (6): (I⁻¹ + Q)⁻¹, an axis at a time.
+
+    Of q along e that is I - q I e eᵀ I / (1 + q eᵀ I e) (Sherman and Morrison).
+    """
+    column = np.empty(6)
+    for k in range(6):
+        for i in range(6):
+            column[i] = information[i, k]
+        share = variance[k] / (1.0 + variance[k] * column[k])
+        for i in range(6):
+            for j in range(6):
+                information[i, j] -= share * column[i] * column[j]
+
+
+@entry
+def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> float:
+    """The largest eigenvalue of the `covariance` (3, 3), written, of where a point is that the object's origin carries
+    at the end of a `lever` (3).
+
+    What a declared symmetry leaves at zero in the information (6, 6) is no uncertainty.
+    """
+    u, arm, most = local(UNCERTAINTY), vector(lever), 0.0
+    in_metres(information, radius, u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    for i in range(6):
+        most = max(most, u.values[i])
+        for j in range(6):
+            u.matrix[i, j] = 0.0
+    for k in range(6):
+        if u.values[k] > KNOWN * most:
+            shift = u.vectors[0, k], u.vectors[1, k], u.vectors[2, k]
+            turn = scale((u.vectors[3, k], u.vectors[4, k], u.vectors[5, k]), 1 / radius)
+            moved = scale(add(shift, cross(turn, arm)), 1 / np.sqrt(u.values[k]))
+            for i in range(3):
+                for j in range(3):
+                    u.matrix[i, j] += moved[i] * moved[j]
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = u.matrix[i, j]
+    eigen(u.matrix, u.values, u.vectors)
+    largest = 0.0
+    for i in range(6):
+        largest = max(largest, u.values[i])
+    return largest
+
+
+def warm() -> None:
+    """Compiles every kernel, or loads it."""
+    inflate(np.eye(6), np.zeros(6))
+    at_point(np.eye(6), 1.0, np.zeros(3), np.empty((3, 3)))

@@ -1,0 +1,1 @@
+"""The solvers: matching, Levenberg-Marquardt, and the search from many starts."""

@@ -1,0 +1,246 @@
+"""What Python calls: one correction after another, or one stage of many descents, in one call.
+
+`model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
+problem, each set with its own `used`. `prior` is one PRIOR, or none where contacts are all there is. What ranges over
+descents or problems takes a slice of them, so that several threads share the work.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose, prepare_term, surface_at
+from handsight._kernels.evidence.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
+from handsight._kernels.evidence.weight_term import copy_weight
+from handsight._kernels.math.dense6 import eigen, in_metres
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import (
+    are_apart,
+    nearest,
+    pose_of,
+    store_pose,
+    store_transform,
+    transform_of,
+)
+from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, store, vector
+from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
+from handsight._kernels.posterior.uncertainty import summarize
+from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.levenberg import Evidence, descend
+from handsight._kernels.solve.match import match
+from handsight._kernels.solve.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
+
+LIMITS = COARSE_LIMITS, FINE_LIMITS
+
+
+@inner
+def load_terms(contacts: Any, terms: Any) -> Vec3:
+    """The centroid of the contacts; fills in their terms."""
+    center = (0.0, 0.0, 0.0)
+    for i in range(len(contacts)):
+        contact, term = contacts[i], terms[i]
+        # Field by field: numba assigns no record whole, and checks shapes at length where it assigns arrays.
+        store(vector(contact.point), term.contact.point)
+        store(vector(contact.normal), term.contact.normal)
+        term.contact.has_normal, term.contact.used = contact.has_normal, contact.used
+        term.contact.of_residual = contact.of_residual
+        for j in range(6):
+            for k in range(6):
+                term.contact.covariance[j, k] = contact.covariance[j, k]
+        prepare_term(contact, term)
+        center = add(center, scale(vector(contact.point), 1 / len(contacts)))
+    return center
+
+
+@inner
+def seen(prior: Any) -> bool:
+    """Whether vision says something of the pose."""
+    return len(prior) > 0 and not prior[0].unseen
+
+
+@inner
+def fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
+    """Vision's evidence, or the weak one in its place."""
+    if seen(prior):
+        vision_prior(model, prior[0], term, local(UNCERTAINTY))
+    else:
+        weak_position_prior(model, center, term)
+        if len(prior):
+            copy_weight(prior[0].weight, term.weight)
+
+
+@inner
+def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
+    """The minimum that both phases lead to from a pose, or the fine field alone; writes costs, steps, convergence."""
+    model, steps = evidence.model, 0
+    if not follows:
+        pose, steps = match(evidence, pose)
+    cost, converged = 0.0, False
+    for phase in range(1 if follows else 0, 2):
+        answer.coarse_cost = cost
+        field = model.fine if phase else model.coarse
+        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], phase >= 0)
+        steps += more
+    answer.cost, answer.iterations, answer.converged = cost, steps, converged
+    return pose
+
+
+@inner
+def _residual(evidence: Evidence, contact: Any, pose: Pose) -> tuple[float, float]:
+    """Distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
+    distance, _, facing, _, _ = surface_at(evidence.nodes, evidence.model.fine, vector(contact.point), pose)
+    if not contact.has_normal:
+        return distance, np.nan
+    normal = vector(contact.normal)
+    return distance, np.arctan2(norm(cross(facing, normal)), dot(facing, normal))
+
+
+@inner
+def _store_answer(pose: Pose, answer: Any) -> None:
+    store_pose(pose, answer.pose)
+    store_transform(pose, answer.T_palm_object)
+
+
+@entry
+def width(model: Any, prior: Any) -> float:
+    """As `prior_width`, of an object and a prior alone."""
+    return prior_width(model[0], prior[0])
+
+
+@entry
+def equivalent(model: Any, T: Any, T_reference: Any, out: Any) -> None:
+    """`out` (4, 4): the equivalent of a pose (4, 4) nearest to the reference (4, 4)."""
+    store_transform(nearest(model[0], transform_of(T), transform_of(T_reference)), out)
+
+
+@entry
+def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
+    """Answers every problem from its prior's own pose, where that is narrow enough for one start; else its width only.
+
+    A problem that `follows` begins at a pose near by that was right, however wide the prior is. `contacts` (n,) of all
+    problems one after another; `residuals` (n, 2) of each: distance [m], angle [rad].
+    """
+    prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
+    for k in range(len(problems)):
+        problem, answer = problems[k], problems[k].answer
+        answer.width = 0.0 if problem.follows else prior_width(model[0], problem.prior)
+        if not answer.width < WIDEST_OF_ONE:
+            continue
+        terms = np.empty(problem.last - problem.first, TERM)
+        center = load_terms(contacts[problem.first : problem.last], terms)
+        vision_prior(model[0], problem.prior, prior, room)
+        evidence = Evidence(model[0], nodes, terms, outside, prior, center)
+        prior_pose = pose_of(problem.prior.pose)
+        start = pose_of(problem.start) if problem.follows else prior_pose
+        pose = _solve(evidence, start, problem.follows != 0, answer)
+        pose = nearest(model[0], pose, prior_pose)
+        _store_answer(pose, answer)
+        answer.first_order, answer.weight = 0, 1.0
+        summarize(evidence, pose, answer)
+        for i in range(len(terms)):
+            row = residuals[problem.first + i]
+            row[0], row[1] = _residual(evidence, terms[i].contact, pose)
+
+
+@entry
+def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any) -> None:
+    """As `correct_all`, the poses alone: nothing of what an answer says beside it."""
+    prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
+    for k in range(len(problems)):
+        problem, answer = problems[k], problems[k].answer
+        terms = np.empty(problem.last - problem.first, TERM)
+        center = load_terms(contacts[problem.first : problem.last], terms)
+        vision_prior(model[0], problem.prior, prior, room)
+        evidence = Evidence(model[0], nodes, terms, outside, prior, center)
+        start = pose_of(problem.prior.pose)
+        pose = _solve(evidence, start, problem.follows != 0, answer)
+        store_pose(pose, answer.pose)
+
+
+@entry
+def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and what a contact gains at most.
+
+    Of the first set of contacts. Σ over the directions known better than the prior, or, without vision, than the
+    object's own size. With a prior the poses are replaced by their equivalents nearest to it.
+    """
+    term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
+    radius = model[0].radius
+    floor = (1e-9 if seen(prior) else 1.0) / (radius * radius)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    for k in range(len(descents)):
+        descent = descents[k]
+        pose = pose_of(descent.pose)
+        if seen(prior):
+            pose = nearest(model[0], pose, pose_of(prior[0].pose))
+            store_pose(pose, descent.pose)
+        _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)
+        if term.kind == WEAK_PRIOR:
+            cost += prior_cost(term, pose)
+        in_metres(u.wider, radius, u.matrix)
+        eigen(u.matrix, u.values, u.vectors)
+        volume = 0.0
+        for i in range(6):
+            volume -= 0.5 * np.log(max(u.values[i], floor))
+        descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
+        descent.gain = largest_gain(evidence, u)
+
+
+@entry
+def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+    """Completes answers (K,) whose pose is there; of the first set of contacts, with their gains at the first pose."""
+    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    for k in range(len(answers)):
+        pose = pose_of(answers[k].pose)
+        _store_answer(pose, answers[k])
+        summarize(evidence, pose, answers[k])
+        for i in range(len(terms) if k == 0 else 0):
+            contacts[0, i].gain = terms[i].contact.gain
+
+
+@entry
+def cost_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+    """Fills in minus two log of the posterior density of descents (K,), by the first set of contacts."""
+    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    center = load_terms(contacts[0], terms)
+    fill_prior(model[0], prior, center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    for k in range(len(descents)):
+        descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))
+
+
+@entry
+def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals: Any) -> None:
+    """Distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
+    nothing, terms = local(PRIOR_TERM), np.empty(0, TERM)
+    evidence = Evidence(model[0], nodes, terms, terms, nothing, (0.0, 0.0, 0.0))
+    for i in range(len(contacts)):
+        residuals[i, 0], residuals[i, 1] = _residual(evidence, contacts[i], pose_of(descent[0].pose))
+
+
+@entry
+def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) -> int:
+    """How many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them.
+
+    `limits` (2,): apart are poses that differ by more than a shift [m] or a turn [rad].
+    """
+    count = 0
+    for index in order:
+        if count == len(chosen):
+            break
+        new = True
+        for k in range(count):
+            pose, other = pose_of(descents[index].pose), pose_of(descents[chosen[k]].pose)
+            if not are_apart(model[0], pose, other, limits):
+                new = False
+                break
+        if new:
+            chosen[count] = index
+            count += 1
+    return count

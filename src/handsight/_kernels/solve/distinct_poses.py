@@ -1,0 +1,65 @@
+"""Which of many poses are apart from all better ones, modulo the object's symmetries."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.math.vec3 import Vec3, add, dot, matmul, matrix, mul, sub, transpose, vector
+from handsight._kernels.runtime.compilation import entry, inner
+
+
+@inner
+def _cosine(symmetries: Any, R: Any) -> float:
+    """Of the least angle that a rotation is by, spun about the continuous axes."""
+    axes = symmetries[1]
+    if len(axes) > 1:
+        return 1.0
+    trace = R[0][0] + R[1][1] + R[2][2]
+    if len(axes) == 1:
+        a = vector(axes[0])
+        along = dot(a, mul(R, a))
+        s = dot(a, (R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]))
+        trace = along + np.sqrt((trace - along) ** 2 + s * s)
+    return (trace - 1) / 2
+
+
+@inner
+def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tuple[Pose, Pose]) -> bool:
+    """Whether a symmetry brings the second pose to within the limit of the first, by shift and turn."""
+    (R, p), (R1, p1) = poses
+    place = add(mul(R, about), p)
+    for k in range(len(symmetries[0])):
+        S = symmetries[0][k]
+        moved = add(mul(matrix(S), about), (S[0, 3], S[1, 3], S[2, 3]))
+        off = sub(add(mul(R1, moved), p1), place)
+        left = limit * limit - dot(off, off)
+        if left > 0:
+            angle = np.sqrt(left) / radius
+            turn = matmul(transpose(R), matmul(R1, matrix(S)))
+            if angle >= np.pi or _cosine(symmetries, turn) > np.cos(angle):
+                return True
+    return False
+
+
+@entry
+def apart(symmetries: Any, limits: Any, looks: Any, order: Any, kept: Any) -> int:
+    """Fills in `kept` (most,) with those LOOK, in an order (k,), that are apart from all before; how many there are.
+
+    symmetries: discrete ones (r, 4, 4), directions of continuous axes (a, 3). limits: a point (3,) on these axes, or
+    any where there are none, the object's radius [m], how far apart [m]: that point's shift and radius times a turn.
+    """
+    about, count = (limits[0], limits[1], limits[2]), 0
+    for n in order:
+        new, pose = True, pose_of(looks[n].pose)
+        for k in range(count):
+            if _alike(symmetries, about, limits[3], limits[4], (pose_of(looks[kept[k]].pose), pose)):
+                new = False
+                break
+        if new:
+            kept[count] = n
+            count += 1
+            if count == len(kept):
+                break
+    return count

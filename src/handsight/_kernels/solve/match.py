@@ -1,0 +1,95 @@
+"""Phase 1: Gauss-Newton on the nearest surface samples in (point, w normal)."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.evidence.prior_term import add_prior
+from handsight._kernels.evidence.weight_term import add_weight
+from handsight._kernels.math.simd import accumulate, local, scan
+from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
+from handsight._kernels.records import NO_PRIOR, WORKSPACE
+from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.solve.levenberg import Evidence, damped_step, retract
+from handsight._kernels.solve.settings import MATCH_STEPS, MATCH_TOLERANCE
+
+
+@inner
+def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
+    """Point and normal, in the object's frame, of the sample nearest to a contact in (point, w normal)."""
+    R, p = pose
+    x = scale(tmul(R, sub(vector(contact.point), p)), -2.0)
+    n = scale(tmul(R, vector(contact.normal)), -2 * model.normal_weight2)
+    # |a - b|² without |a|², which is the same for every sample.
+    query = (
+        np.float32(1.0),
+        np.float32(x[0]),
+        np.float32(x[1]),
+        np.float32(x[2]),
+        np.float32(n[0]),
+        np.float32(n[1]),
+        np.float32(n[2]),
+    )
+    best = scan(model.scan, query)
+    sample = model.samples[best]
+    return vector(sample[0]), vector(sample[1])
+
+
+@inner
+def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -> None:
+    """Adds a contact against its sample's plane and normal, and against its place beyond a band around the sample."""
+    (R, p), (center, radius), contact = pose, frame, term.contact
+    place, normal = nearest_sample(model, contact, pose)
+    point, n = vector(contact.point), mul(R, normal)
+    offset = sub(sub(point, p), mul(R, place))
+    distance = dot(offset, n)
+    aside = sub(offset, scale(n, distance))
+    reach = norm(aside)
+    lever = scale(sub(point, center), 1 / radius)
+    by_distance, by_reach = neg(n), scale(aside, -1 / max(reach, 1e-300))
+    turned, error = skew(scale(n, -1 / radius)), sub(n, vector(contact.normal))
+    facing = 0.0
+    if contact.has_normal:
+        facing = 1 / max(term.variance_normal + model.sample_variance_normal, 1e-12)
+    weights = (
+        1 / (term.variance_point + model.sample_variance_distance),
+        model.tangential_weight if reach > model.band else 0.0,
+        facing,
+        facing,
+        facing,
+    )
+    still = (0.0, 0.0, 0.0)
+    rows = (
+        by_distance + cross(lever, by_distance) + (distance,),
+        by_reach + cross(lever, by_reach) + (reach - model.band,),
+        still + turned[0] + (error[0],),
+        still + turned[1] + (error[1],),
+        still + turned[2] + (error[2],),
+    )
+    accumulate(weights, rows, equations)
+
+
+@inner
+def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
+    """The pose after Gauss-Newton steps on nearest samples, and how many."""
+    workspace = local(WORKSPACE)
+    model, equations = evidence.model, workspace.now
+    frame = (evidence.center, model.radius)
+    for taken in range(1, MATCH_STEPS + 1):
+        equations[:] = 0.0
+        for i in range(len(evidence.terms)):
+            term = evidence.terms[i]
+            if term.contact.used:
+                add_match(model, term, pose, frame, equations)
+        if evidence.prior.kind != NO_PRIOR:
+            add_prior(evidence.prior, pose, frame, equations)
+        add_weight(evidence.prior.weight, pose, frame, equations)
+        step = damped_step(equations, model.radius, 1e-9, workspace)
+        pose = retract(pose, step, evidence.center, model.radius)
+        longest = 0.0
+        for k in range(3):
+            longest = max(longest, max(abs(step[0][k]), abs(step[1][k])))
+        if longest < MATCH_TOLERANCE * model.radius:
+            return pose, taken
+    return pose, MATCH_STEPS

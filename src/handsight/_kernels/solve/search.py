@@ -1,0 +1,226 @@
+"""Descents from many starts: where they begin, how promising each is, and the distinct minima that they lead to.
+
+Work comes in blocks: starts (B, M), each block for one set of contacts. What is a repeat is judged within a block and
+by nothing else, so that the answer is the same on any number of threads.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import Pose, surface_at
+from handsight._kernels.evidence.prior_term import prior_cost, rotation_exp
+from handsight._kernels.evidence.weight_term import copy_weight
+from handsight._kernels.math.dense6 import factor
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import are_apart, pose_of, store_pose
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add,
+    block,
+    cross,
+    dot,
+    matmul,
+    mul,
+    norm,
+    scale,
+    sub,
+    transpose,
+    vector,
+)
+from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.batch import fill_prior, load_terms
+from handsight._kernels.solve.levenberg import Evidence, descend
+from handsight._kernels.solve.match import match
+from handsight._kernels.solve.settings import CANDIDATE_APART, COARSE_LIMITS, FINE_LIMITS, MATCHED_APART
+
+LIMITS = COARSE_LIMITS, FINE_LIMITS
+COSINE = float(np.cos(MATCHED_APART[1]))
+WORST = 1e300
+"""The cost of what is no number: a descent all the same, where there is no better one."""
+
+
+@inner
+def _root(prior: Any, R: Mat33, u: Any) -> None:
+    """`u.factor`, `u.row`: the Cholesky factor of a prior's correlation along the object's axes; its deviations."""
+    for a in range(0, 6, 3):
+        for b in range(0, 6, 3):
+            turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
+            for i in range(3):
+                for j in range(3):
+                    u.matrix[a + i, b + j] = turned[i][j]
+    for i in range(6):
+        u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
+        for j in range(i + 1):
+            u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
+    factor(u.wider, 6, 1e-9, u.factor)
+
+
+@entry
+def draw(prior: Any, draws: Any, descents: Any) -> None:
+    """Puts descents (K,) where standard normal draws (K, 6) lead from a prior's pose, along the object's own axes."""
+    u, (R, p) = local(UNCERTAINTY), pose_of(prior[0].pose)
+    _root(prior[0], R, u)
+    for k in range(len(descents)):
+        for i in range(6):
+            value = draws[k, i] / u.factor[i, i]
+            for j in range(i):
+                value += u.factor[i, j] * draws[k, j]
+            u.column[i] = value * u.row[i]
+        turn = mul(R, (u.column[3], u.column[4], u.column[5]))
+        store_pose((matmul(rotation_exp(turn), R), add(p, mul(R, vector(u.column)))), descents[k].pose)
+
+
+@inner
+def _frame(z: Vec3, hint: Vec3) -> Mat33:
+    """A rotation whose third column is `z` and whose first points as far along `hint` as it can."""
+    x = sub(hint, scale(z, dot(hint, z)))
+    if not norm(x) > 1e-9 * norm(hint):
+        least = min(abs(z[0]), min(abs(z[1]), abs(z[2])))
+        x = 1.0 if abs(z[0]) == least else 0.0, 1.0 if abs(z[1]) == least else 0.0, 0.0
+        if x[0] == 0 and x[1] == 0:
+            x = 0.0, 0.0, 1.0
+        x = sub(x, scale(z, dot(x, z)))
+    x = scale(x, 1 / norm(x))
+    return transpose((x, cross(z, x), z))
+
+
+@entry
+def spin(model: Any, anchors: Any, descents: Any) -> None:
+    """Lays every surface sample on every anchor, spun about its normal: descents (anchors, spins, samples).
+
+    anchors (A,) POSE: a contact, and a frame whose third column is its normal.
+    """
+    samples, center = model[0].samples, vector(model[0].center)
+    for a in range(len(anchors)):
+        palm, point = pose_of(anchors[a])
+        for k in range(descents.shape[1]):
+            angle = 2 * np.pi * k / descents.shape[1]
+            c, s = np.cos(angle), np.sin(angle)
+            spun = matmul(palm, ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+            for i in range(descents.shape[2]):
+                place = vector(samples[i, 0])
+                R = matmul(spun, transpose(_frame(vector(samples[i, 1]), sub(place, center))))
+                store_pose((R, sub(point, mul(R, place))), descents[a, k, i].pose)
+
+
+@entry
+def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, costs: Any) -> None:
+    """Fills in what each contact (n,) says of each descent (K,): `costs` (K, n).
+
+    `sigmas`: of distance [m] and normal [rad], as coarse as the starts are.
+    """
+    field = model[0].coarse
+    by_distance, by_normal = 1 / sigmas[0] ** 2, 1 / sigmas[1] ** 2
+    for k in range(len(descents)):
+        pose = pose_of(descents[k].pose)
+        for i in range(len(contacts)):
+            contact = contacts[i]
+            distance, _, facing, _, _ = surface_at(nodes, field, vector(contact.point), pose)
+            cost = distance * distance * by_distance
+            if contact.has_normal:
+                error = sub(facing, vector(contact.normal))
+                cost += dot(error, error) * by_normal
+            costs[k, i] = cost
+
+
+@inner
+def _is_near(model: Any, a: Pose, b: Pose) -> bool:
+    """Whether two poses are the same, but for what another descent would hardly change; no symmetry is looked at."""
+    (R, p), (Q, q) = a, b
+    gap = add(sub(p, q), sub(mul(R, vector(model.center)), mul(Q, vector(model.center))))
+    trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
+    return dot(gap, gap) < MATCHED_APART[0] ** 2 and trace > 1 + 2 * COSINE
+
+
+@inner
+def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
+    """Whether phase 1 led to the pose before; `earlier` (M,) POSE: where it led those of the first k that went on."""
+    for j in range(k):
+        if rows[j, 0].cost < np.inf and _is_near(model, pose, pose_of(earlier[j])):
+            return True
+    store_pose(pose, earlier[k])
+    return False
+
+
+@inner
+def _select(model: Any, rows: Any, chosen: Any) -> int:
+    """How many descents are no repeats of cheaper ones, modulo symmetry; fills `chosen` with them, cheapest first."""
+    count, taken = 0, np.zeros(len(rows), np.bool_)
+    for _ in range(len(rows)):
+        best = -1
+        for k in range(len(rows)):
+            if (
+                not taken[k]
+                and rows[k, 0].cost < np.inf
+                and (best < 0 or rows[k, 0].cost < rows[best, 0].cost)
+            ):
+                best = k
+        if best < 0:
+            break
+        taken[best], new = True, True
+        for j in range(count):
+            if not are_apart(
+                model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), CANDIDATE_APART
+            ):
+                new = False
+                break
+        if new:
+            chosen[count] = best
+            count += 1
+        else:
+            rows[best, 0].cost = np.inf
+    return count
+
+
+@entry
+def search(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, blocks: Any) -> None:
+    """Moves starts (B, M, 1) to the minima that they lead to; what is a repeat in its block, or none, costs infinity.
+
+    Phase 1 and the coarse field for all but what was a minimum of other evidence, which has steps behind it; the fine
+    field for what is left. Without vision blocks are (B, M, 2): along a
+    slide any place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
+    """
+    term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    nothing.kind = NO_PRIOR
+    nothing.weight.known = 0
+    chosen, earlier = np.empty(blocks.shape[1], np.int64), np.empty(blocks.shape[1], POSE)
+    for b in range(len(blocks)):
+        rows = blocks[b]
+        center = load_terms(contacts[rows[0, 0].set], terms)
+        if b == 0:
+            fill_prior(model[0], prior, center, term)
+            copy_weight(term.weight, nothing.weight)
+        matching = Evidence(model[0], nodes, terms, outside, term, center)
+        # The weak prior keeps phase 1 from running away, and has no say in what fits.
+        weak = term.kind == WEAK_PRIOR
+        fitting = Evidence(model[0], nodes, terms, outside, nothing if weak else term, center)
+        count, ends = len(rows), 1
+        for phase in range(2):
+            if phase == 1:
+                count, ends = _select(model[0], rows, chosen), rows.shape[1]
+            for m in range(count * ends):
+                k, end = (chosen[m // ends], m % ends) if phase else (m, 0)
+                row = rows[k, end]
+                pose, steps = pose_of(rows[k, 0].pose), rows[k, 0].iterations
+                if phase == 0:
+                    if row.cost == np.inf:
+                        continue
+                    if row.iterations > 0:
+                        row.cost = 0.0
+                        store_pose(pose, earlier[k])
+                        continue
+                    pose, steps = match(matching, pose)
+                    if _repeats(model[0], rows, k, pose, earlier):
+                        row.cost = np.inf
+                        continue
+                evidence = matching if end else fitting
+                field = model[0].fine if phase else model[0].coarse
+                pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], end == 0)
+                if end:
+                    cost -= prior_cost(term, pose)
+                row.cost = min(cost, WORST) if cost == cost else WORST
+                row.iterations, row.converged = steps + (0 if end else more), phase == 1 and converged
+                store_pose(pose, row.pose)

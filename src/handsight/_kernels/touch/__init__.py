@@ -1,0 +1,1 @@
+"""Contact sensing: wrenches and joint positions to contacts in the palm."""

@@ -1,0 +1,55 @@
+"""What a surface under a contact says of the contact itself: of its point and its normal."""
+
+from typing import Any
+
+import numpy as np
+
+from handsight._kernels.evidence.contact_term import (
+    factored,
+    invert_covariance,
+    residual_covariance,
+    surface_at,
+)
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.math.vec3 import sub, vector
+from handsight._kernels.records import CONTACT, DESCENT, TERM
+from handsight._kernels.runtime.compilation import entry
+from handsight._kernels.solve.batch import load_terms
+
+
+@entry
+def information_by_contact(
+    model: Any, nodes: Any, contacts: Any, descent: Any, information: Any, gradient: Any
+) -> None:
+    """Normal equations of n contacts' residuals by the contacts themselves, the object being at a pose.
+
+    A contact whose point and normal change by c (6,) has the residuals r + A c, A = [gᵀ 0; N -I]; with their covariance
+    S, which is that of `contacts` (n,) and of the field: `information` (n, 6, 6) = Aᵀ S⁻¹ A, `gradient` (n, 6) = Aᵀ S⁻¹
+    r.
+    """
+    terms, pose, field = np.empty(len(contacts), TERM), pose_of(descent[0].pose), model[0].fine
+    load_terms(contacts, terms)
+    A, r = np.zeros((4, 6)), np.empty(4)
+    for k in range(len(contacts)):
+        term = terms[k]
+        surface = surface_at(nodes, field, vector(term.contact.point), pose)
+        S = residual_covariance(model[0], nodes, field, term, surface)
+        invert_covariance(factored(S), term.contact.has_normal != 0, term.weight)
+        d, g, n, N, _ = surface
+        error = sub(n, vector(term.contact.normal))
+        r[0] = d
+        for i in range(3):
+            r[1 + i] = error[i]
+            A[0, i] = g[i]
+            for j in range(3):
+                A[1 + i, j] = N[i][j]
+            A[1 + i, 3 + i] = -1.0
+        information[k] = A.T @ term.weight @ A
+        gradient[k] = A.T @ term.weight @ r
+
+
+def warm(model: Any, nodes: Any) -> None:
+    """Compiles the kernel, or loads it."""
+    contacts, descent = np.zeros(1, CONTACT), np.zeros(1, DESCENT)
+    contacts["covariance"] = np.eye(6)
+    information_by_contact(model, nodes, contacts, descent, np.empty((1, 6, 6)), np.empty((1, 6)))

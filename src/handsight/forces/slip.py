@@ -1,0 +1,126 @@
+"""Whether the object slips: how much of what friction holds each finger's load takes, over time.
+
+A finger's ratio is √(f_t² + (τ / e)²) / (μ f_n), 1 on its limit surface. One finger at its limit is no slip: fingers
+rest there, and one that sticks holds the object in all six directions. So the object slips where the *least* ratio is
+at the limit.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from handsight.checks import Array
+from handsight.forces.friction import PATCH, Friction, Vector
+from handsight.rig import Rig
+
+SLIPS, HOLDS, STICKS = 0.95, 0.93, 0.4
+"""Of the least ratio: a slip begins at the first, and ends where it has been below the second for `LASTS`, or is below
+the third."""
+LASTS = 0.03
+"""On the brink of slipping, ratios go to and fro [s]."""
+MEAN = 0.01
+"""Time constant of the mean of a load [s]: of steady readings as good as the mean of 20 ms."""
+GAP = 0.1
+"""Between two readings: after more the mean begins anew [s]."""
+LOADED, SURE = 0.2, 0.5
+"""Normal force from which on a finger has a say in whether the object slips, and in what friction holds [N]."""
+LOADED_SIGMAS, SURE_SIGMAS = 10.0, 40.0
+"""The same in standard deviations of a reading."""
+
+Load = list[float]
+"""Tangential force (3), normal force, torque about the normal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """How the object is held at one instant."""
+
+    slipping: bool = False
+    """Whether it slips."""
+    ratios: Mapping[str, float] = field(default_factory=dict)
+    """By finger that holds it: how much of what friction holds its load takes; empty before friction is known."""
+    friction: float | None = None
+    """Coefficient of friction, as far as it was learnt."""
+    began: float = -math.inf
+    """When the object began to slip, this time or last [s]."""
+    ended: float = -math.inf
+    """When it was last told to hold again [s]."""
+
+    @property
+    def least(self) -> float | None:
+        """The ratio of the finger that holds it best."""
+        return min(self.ratios.values(), default=None)
+
+
+class SlipDetector:
+    """The loads over time; `update` is the only thing that changes it, and binds anew what it changes."""
+
+    def __init__(self, rig: Rig, friction: Friction | None = None) -> None:
+        """Nothing is loaded at first; `friction`: what is known of it, else nothing."""
+        self.now = Slip()
+        """After the last update."""
+        self.friction = friction or Friction()
+        self.stamp = self._at_limit = -math.inf
+        """Of the last update, and of the last at the limit [s]."""
+        self._least = {
+            name: (max(LOADED, LOADED_SIGMAS * of.sigma_force), max(SURE, SURE_SIGMAS * of.sigma_force))
+            for name, of in rig.fingers.items()
+        }
+        self._means: Mapping[str, Load] = {}
+        """By finger, never changed in place."""
+
+    def update(self, stamp: float, fingers: tuple[str, ...], loads: Array | None) -> Slip:
+        """How the object is held at `stamp` [s]; an update that is not newer than the last one changes nothing.
+
+        `loads` (n, 5): of each of `fingers`, as `FingertipContacts` has them; NaN where a finger does not say it.
+        """
+        if not stamp > self.stamp:
+            return self.now
+        since, self.stamp = stamp - self.stamp, stamp
+        rows = () if loads is None else zip(fingers, loads.tolist(), strict=True)
+        weight = 1 - math.exp(-since / MEAN)
+        before = self._means if since <= GAP else {}
+        # Of a load without a normal force, or with NaN, there is nothing to say.
+        self._means = {
+            name: _mean(before.get(name, row), row, weight)
+            for name, row in rows
+            if row[3] > 0 and math.isfinite(sum(row))
+        }
+        vectors, mu = self._vectors(), self.friction.coefficient
+        ratios = {} if mu is None else {name: math.hypot(*vector) / mu for name, vector in vectors.items()}
+        self.now = self._judged(ratios, mu)
+        return self.now
+
+    def _vectors(self) -> dict[str, Vector]:
+        """The ratio vectors of fingers that are loaded; friction learns of those that are enough so."""
+        found, sure = dict[str, Vector](), dict[str, Vector]()
+        for name, (x, y, z, normal, torque) in self._means.items():
+            least, enough = self._least[name]
+            if normal > least:
+                found[name] = x / normal, y / normal, z / normal, torque / PATCH / normal
+            if normal > enough:
+                sure[name] = found[name]
+        self.friction.update(sure)
+        return found
+
+    def _judged(self, ratios: Mapping[str, float], friction: float | None) -> Slip:
+        """With hysteresis, in the ratio and in time."""
+        was, now, least = self.now, self.stamp, min(ratios.values(), default=0.0)
+        if least >= (HOLDS if was.slipping else SLIPS):
+            self._at_limit = now
+        slipping = least >= STICKS and now - self._at_limit <= (LASTS if was.slipping else 0.0)
+        began = now if slipping and not was.slipping else was.began
+        ended = now if was.slipping and not slipping else was.ended
+        return Slip(slipping, ratios, friction, began, ended)
+
+
+def _mean(before: Load, row: Load, weight: float) -> Load:
+    """A mean after another reading."""
+    a, b, c, d, e = before
+    return [
+        a + weight * (row[0] - a),
+        b + weight * (row[1] - b),
+        c + weight * (row[2] - c),
+        d + weight * (row[3] - d),
+        e + weight * (row[4] - e),
+    ]

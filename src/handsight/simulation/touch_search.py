@@ -1,0 +1,110 @@
+"""The whole task without a camera: a search by touch, then a grasp where the object is believed to be."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.observation import PoseMeasurement
+from handsight.rig import Camera, Rig, Table
+from handsight.search import Area, Belief, best_sweep
+from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.motion import Grasp
+from handsight.simulation.probe import RADIUS, Probe, nobody
+from handsight.simulation.robot import model_of, rig_of
+from handsight.simulation.scenario import Sample, Scenario
+from handsight.simulation.simulate import Sensors, samples
+from handsight.simulation.world import World
+
+TABLE_SIDE = 0.3
+"""Of the square that the object stands within [m]."""
+FELT_AT = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+"""Where the table is felt, outside of it (x, y) [m]."""
+FELT_SIGMA = 0.0025
+"""Of the table's height under the object, which is between these places [m]."""
+MOST_TOUCHES = 12
+BETWEEN = 0.5
+"""From the search to the open hand beside the object, which is not simulated [s]."""
+
+
+def blind_rig(scenario: Scenario) -> Rig:
+    """The rig as the robot knows it; raises as `rig_of`.
+
+    Its camera stands for the search, whose pose comes in the world and has no constant error of its own.
+    """
+    search = Camera(sigma_position_constant=0.0, sigma_rotation_constant=0.0)
+    return replace(rig_of(scenario), camera=search)
+
+
+def begun(
+    scenario: Scenario,
+    model: ObjectModel,
+    R_scene_object: Array | None = None,
+    see: Callable[[Sample], None] = nobody,
+) -> tuple[Probe, Belief]:
+    """The hand above the table, which it has felt, and what is believed before the first touch.
+
+    The object stands as `R_scene_object` (3, 3) has it (None: as in its file), where the scenario's seed says. `see` is
+    given every sample. Raises as `simulate`.
+    """
+    R = np.eye(3) if R_scene_object is None else R_scene_object
+    seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
+    half = TABLE_SIDE / 2 - min(sides[:2]) / 2
+    if not half > 0:
+        size = " x ".join(f"{1000 * side:.0f}" for side in sides)
+        raise InvalidInput(f"object: expected one within {1000 * TABLE_SIDE:.0f} mm, got {size} mm")
+    x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
+    at = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
+    probe = Probe(scenario, R, at)
+    table = Table(height=probe.feel_table(FELT_AT, see), sigma_height=FELT_SIGMA)
+    return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
+
+
+def simulate_blind(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
+    """Samples of a search by touch, until the object is found, and then of the scenario's own motion.
+
+    No sample has anything of a camera. The first one after the search has what that has found, as a pose in the world
+    with its covariance, in the place of vision's; the hand's way from there to the object is not simulated. `grasp`:
+    else the object's own, or the one that is found. Raises as `simulate`, and InvalidInput where `MOST_TOUCHES` find
+    nothing.
+    """
+    grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
+    R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
+    seen: list[Sample] = []
+    probe, belief = begun(scenario, model_of(scenario), R_scene_object, seen.append)
+    for _ in range(MOST_TOUCHES):
+        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, RADIUS), seen.append))
+        yield from seen
+        seen.clear()
+        if belief.modes[0].sure:
+            break
+    else:
+        raise InvalidInput(
+            f"object: expected to be sure of it after {MOST_TOUCHES} touches; another seed may be"
+        )
+    yield from _grasped(scenario, grasp, belief, probe)
+
+
+def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> Iterator[Sample]:
+    """Samples of the hand that closes where the object is believed to be, the object where it is."""
+    found, begins = belief.pose, probe.time + BETWEEN
+    T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
+    off = se3.inverse(found.T_palm_object @ T_object_middle) @ probe.T_world_object @ T_object_middle
+    T_palm_middle = grasp.T_palm_middle @ off
+    # The scene has the object upright at its origin, and the hand from the side on which its table ends.
+    R_scene_palm = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3] @ T_palm_middle[:3, :3].T
+    away = grasp.R_world_palm @ R_scene_palm.T
+    turn = np.arctan2(away[1, 0] - away[0, 1], away[0, 0] + away[1, 1])
+    R_scene_palm = se3.rotation_exp(np.array([0.0, 0.0, turn])) @ R_scene_palm
+    world = World(scenario, replace(grasp, T_palm_middle=T_palm_middle, R_world_palm=R_scene_palm))
+    sensors = Sensors(scenario, world)
+    sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
+    vision: PoseMeasurement | None = PoseMeasurement(found.T_palm_object, "world", found.covariance)
+    for sample in samples(scenario, world, sensors):
+        stamp = begins + sample.observation.stamp
+        yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))
+        vision = None

@@ -1,0 +1,57 @@
+"""What a slip does to what is known of the pose: more uncertain along the slip, and a reason to correct at once."""
+
+import numpy as np
+
+from handsight.forces import Slip, SlipDetector, slip_twist
+from handsight.forces.slip_motion import LENGTH
+from handsight.rig import Rig
+from handsight.tracking.fingertips import FingertipContacts
+from handsight.tracking.smoother import PoseBiasSmoother
+
+SPEED, FARTHEST = 0.05, 0.03
+"""Of slips: sigma [m/s]; how far one takes an object that is still in the hand [m]."""
+SIDEWAYS = 0.3
+"""Sigma of the motion across the direction that loads say, in parts of that along it: they are off by some 15°."""
+BEFORE = 0.03
+"""So long before it is noticed a slip may have begun [s]."""
+CORRECTED_EVERY = 0.02
+"""While it slips [s]."""
+EVERY_WAY = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
+"""Covariance (6, 6) of a motion of a metre whichever way."""
+
+
+class Slipping:
+    """Whether the object slips, over time, and what that does; what changes is bound anew."""
+
+    def __init__(self, rig: Rig) -> None:
+        """Nothing is felt yet."""
+        self.detector = SlipDetector(rig)
+        self._spread = 0.0
+
+    @property
+    def now(self) -> Slip:
+        """After the last observation."""
+        return self.detector.now
+
+    def update(self, stamp: float, felt: FingertipContacts, smoother: PoseBiasSmoother) -> PoseBiasSmoother:
+        """The smoother after loads were felt, the same one where the object holds.
+
+        A slip goes on in one direction, so its sigma, not its variance, grows with time.
+        """
+        now = self.detector.update(stamp, felt.fingers, felt.loads)
+        if not now.slipping or felt.contacts is None or felt.loads is None:
+            self._spread = 0.0
+            return smoother
+        before, self._spread = self._spread, min(SPEED * (stamp - now.began + BEFORE), FARTHEST)
+        more = max(self._spread**2 - before**2, 0.0)
+        state = smoother.now
+        twist = slip_twist(felt.contacts, felt.loads, state.T_palm_object[:3, 3])
+        along = EVERY_WAY if twist is None else np.outer(twist, twist) + SIDEWAYS**2 * EVERY_WAY
+        return smoother.restarted(state.spread(more * along))
+
+    def asks(self, corrected: float) -> bool:
+        """Whether a correction of that stamp [s] is no longer good: a slip has begun or ended since, or goes on."""
+        now = self.now
+        if now.slipping and self.detector.stamp - corrected >= CORRECTED_EVERY - 1e-9:
+            return True
+        return max(now.began, now.ended) > corrected

@@ -1,0 +1,183 @@
+"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, how depth differs beside.
+
+Needs matplotlib.
+"""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.recording.detections import Located
+from handsight.recording.frames import Frame
+from handsight.viewer.correction_figures import require_matplotlib, save
+from handsight.viewer.shapes import creases
+from handsight.viewer.silhouette import silhouette
+from handsight.vision.camera import Depth
+
+BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
+MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
+LEAST_WEIGHT = 0.01
+"""Of a second pose that is drawn."""
+MARGIN = 0.35
+"""Around the object, in parts of its size, of what is shown of a picture beside the object and the hand."""
+RESIDUAL = 15.0
+"""Of depth, at the ends of its colours [mm]."""
+BEHIND = 0.004
+"""How far behind the drawn surface an edge is still seen [m]."""
+SHORTEST, MOST_EDGES = 0.04, 2000
+"""Of the edges that are drawn [diameters]: shorter ones are a scan's; and how many at most."""
+MOST_SCORES = 3
+"""Objects whose probability is said."""
+WIDTH = 45
+"""Characters of a line beside a picture."""
+WIDE = 1.35
+"""Width of what is shown of a picture, in parts of its height."""
+
+
+def draw_located(rows: Sequence[Located], path: Path) -> None:
+    """Writes a row for each picture to an image file: the picture with the poses, and depth less the drawn object's.
+
+    Raises MissingExtra, HandsightError.
+    """
+    plt = require_matplotlib()
+    figure, axes = plt.subplots(
+        len(rows),
+        2,
+        figsize=(11.5, 4.6 * len(rows) + 0.5),
+        width_ratios=[1.5, 1],
+        squeeze=False,
+        layout="constrained",
+    )
+    for (left, right), row in zip(axes, rows, strict=True):
+        _draw(left, right, row)
+    save(figure, path)
+
+
+def _draw(left: Any, right: Any, row: Located) -> None:
+    frame, found = row.frame, row.found
+    left.imshow(_background(frame), interpolation="nearest")
+    for axes in (left, right):
+        axes.set_xticks([])
+        axes.set_yticks([])
+    if row.reason is not None:
+        said = f"{row.model.name} is not here" if row.recognition is None else "none of them is here"
+        left.set_title(f"{frame.name}: {said}{_scores(row)}", fontsize=11)
+        reason = textwrap.fill(row.reason, WIDTH)
+        right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
+        right.set_frame_on(False)
+        return
+    likely = found.weights[1:2].sum() >= LEAST_WEIGHT
+    shown = found.Ts_camera_object[: 2 if likely else 1]
+    for color, style, called in MODES[: len(shown)]:
+        left.plot([], [], color=color, linestyle=style, lw=2.5, label=called)
+    if frame.hand is not None and frame.hand.any():
+        left.plot([], [], color=HAND, lw=6, alpha=0.6, label="hand, masked")
+    for T, (color, style, _) in reversed(list(zip(shown, MODES, strict=False))):
+        _outline(left, row, T, color, style)
+    drawn = silhouette(frame.camera, row.model, shown[0])
+    _crop(left, drawn)
+    _residual(right, frame, drawn)
+    x, y, z = (1e3 * shown[0][:3, 3]).round() + 0.0  # no -0
+    left.set_title(
+        f"{frame.name}: {row.model.name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
+        f"{_scores(row)}",
+        fontsize=11,
+    )
+
+
+def _scores(row: Located) -> str:
+    """Of several objects a line of the likeliest ones' probabilities; empty of one."""
+    if row.recognition is None:
+        return ""
+    likeliest = list(row.recognition.scores.items())[:MOST_SCORES]
+    each = [*likeliest, ("none", row.recognition.none)]
+    return "\n" + ", ".join(f"{name} {share:.2f}" for name, share in each)
+
+
+def _background(frame: Frame) -> Array:
+    """Colour, else depth in grey, near ones light; the hand tinted. Red, green, blue (h, w, 3) from 0 to 1."""
+    if frame.color is not None:
+        image = frame.color / 255.0
+    else:
+        known = np.isfinite(frame.depth) & (frame.depth > 0)
+        z = np.where(known, frame.depth, 1)
+        near, far = np.percentile(z[known], [1, 95]) if known.any() else (0, 1)
+        grey = np.where(known, 0.9 - 0.75 * np.clip((z - near) / max(far - near, 1e-6), 0, 1), 0)
+        image = np.repeat(grey[..., None], 3, axis=2)
+    if frame.hand is not None:
+        image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
+    return np.asarray(image)
+
+
+def _outline(axes: Any, row: Located, T: Array, color: str, style: str) -> None:
+    """The silhouette's edge, and those edges within it that are seen."""
+    drawn = silhouette(row.frame.camera, row.model, T)
+    there = np.isfinite(drawn)
+    if not there.any():
+        return
+    axes.contour(there, [0.5], colors=[color], linewidths=1.8, linestyles=style)
+    if color == BEST:
+        tint = np.zeros((*there.shape, 4))
+        tint[there] = (1.0, 0.70, 0.0, 0.22)
+        axes.imshow(tint, interpolation="nearest")
+    edges = creases(row.model)
+    long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > SHORTEST * row.model.diameter
+    lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
+    for line in lines[(lines[..., 2] > 0).all(axis=1)][:MOST_EDGES]:
+        pixels = row.frame.camera.project(line)
+        if np.isfinite(pixels).all() and _seen(drawn, pixels.mean(axis=0), line[:, 2].mean()):
+            axes.plot(*pixels.T, color=color, lw=0.9)
+
+
+def _seen(drawn: Depth, pixel: Array, z: float) -> bool:
+    u, v = np.round(pixel).astype(int)
+    height, width = drawn.shape
+    if not (0 <= u < width and 0 <= v < height):
+        return False
+    around = drawn[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
+    return bool(z < np.nanmax(np.where(np.isfinite(around), around, -np.inf)) + BEHIND)
+
+
+def _crop(axes: Any, drawn: Depth) -> None:
+    """Shows the object with what is around it, as wide as the panel."""
+    rows, columns = np.nonzero(np.isfinite(drawn))
+    height, width = drawn.shape
+    if not len(rows):
+        return
+    across = max(float(np.ptp(rows)), float(np.ptp(columns)) / WIDE, 60.0)
+    tall = max((1 + 2 * MARGIN) * across, 0.45 * height)
+    tall = min(tall, height, width / WIDE)
+    sides = np.array([WIDE * tall, tall])
+    middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
+    low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
+    axes.set_xlim(low[0], low[0] + sides[0])
+    axes.set_ylim(low[1] + sides[1], low[1])
+
+
+def _residual(axes: Any, frame: Frame, drawn: Depth) -> None:
+    """How far measured depth is behind the drawn object's, around the object."""
+    there = np.isfinite(drawn)
+    axes.set_title("measured depth less the best pose's", fontsize=10)
+    known = there & np.isfinite(frame.depth) & (frame.depth > 0)
+    if not there.any():
+        return
+    off = np.full(drawn.shape, np.nan)
+    off[known] = 1e3 * (frame.depth[known] - drawn[known])
+    axes.set_facecolor("0.85")
+    shown = axes.imshow(off, cmap="RdBu", vmin=-RESIDUAL, vmax=RESIDUAL, interpolation="nearest")
+    if frame.hand is not None:
+        before = np.zeros((*drawn.shape, 4))
+        before[frame.hand & (off < -RESIDUAL)] = *HAND, 1.0
+        axes.imshow(before, interpolation="nearest")
+    axes.contour(there, [0.5], colors=[BEST], linewidths=1.5)
+    rows, columns = np.nonzero(there)
+    around = 0.12 * max(float(np.ptp(rows)), float(np.ptp(columns)), 20.0)
+    axes.set_xlim(columns.min() - around, columns.max() + around)
+    axes.set_ylim(rows.max() + around, rows.min() - around)
+    bar = axes.figure.colorbar(shown, ax=axes, shrink=0.8, extend="both")
+    bar.set_label("nearer  ←  [mm]  →  farther", fontsize=9)

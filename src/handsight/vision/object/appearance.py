@@ -1,0 +1,80 @@
+"""What an object looks like to a depth camera: pairs of its surface points, and which of them each side shows."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import se3
+from handsight._kernels.image import pose_score, votes
+from handsight.checks import Array
+from handsight.objects import ObjectModel, cache
+
+SAMPLES = 600
+"""Surface points by which a pose is judged; the model's own 256 vote."""
+DIRECTIONS = 200
+"""Sides from which it is known which of them are seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What is worked out of an object once."""
+
+    pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
+    """Where each cell's pairs begin, and the pairs: first point and spin of each in one number."""
+    voters: Array
+    """(2, 256, 3) points and normals of the pairs."""
+    sides: tuple[Array, Array, NDArray[np.bool_]]
+    """(2, SAMPLES, 3) points and normals by which a pose is judged; (DIRECTIONS, 3) unit, from the object's centre;
+    (DIRECTIONS, SAMPLES) which points are seen from far along each."""
+    sample_area: float
+    """That each sample stands for [m²]."""
+
+
+@lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
+def appearance_of(model: ObjectModel) -> Appearance:
+    """The appearance of an object; what takes long is kept on disk beside its fields."""
+    voters = np.stack([model.points_object, model.normals_object])
+    places, facing = model.sample(SAMPLES)
+    directions = se3.directions(DIRECTIONS)
+    surface = model.surface
+    # Sheets and exact fields differ where vertices and faces do not.
+    name = cache.key(
+        f"visible 1 {type(model.fine).__name__}", places, facing, surface.vertices, surface.faces
+    )
+
+    def visible_sets() -> NDArray[np.bool_]:
+        visible = np.empty((DIRECTIONS, SAMPLES), dtype=np.bool_)
+        pose_score.visible_sets(*model.record[:2], places, facing, directions, visible)
+        return visible
+
+    visible = cache.remembered_bits(name, (DIRECTIONS, SAMPLES), visible_sets)
+    sides = np.stack([places, facing]), directions, visible
+    return Appearance(_pairs(voters, model.diameter), voters, sides, model.area / SAMPLES)
+
+
+def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Of points and normals (2, m, 3) the pairs by cells, as `votes.vote` takes them; kept on disk."""
+    count = voters.shape[1]
+
+    def table() -> NDArray[np.int32]:
+        cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
+        votes.pairs_of(voters[0], voters[1], diameter, cells, spins)
+        cell, spin = cells.reshape(-1), spins.reshape(-1)
+        order = np.argsort(cell, kind="stable")
+        order = order[np.searchsorted(cell[order], 0) :]
+        starts = np.searchsorted(cell[order], np.arange(votes.CELLS + 1))
+        turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
+        return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
+
+    def fits(numbers: NDArray[np.int32]) -> bool:
+        starts, pairs = np.split(numbers, [votes.CELLS + 1])
+        points = pairs >> votes.POINT_BITS
+        whole = len(starts) > votes.CELLS and starts[0] == 0 and starts[-1] == len(pairs)
+        return bool(whole and (np.diff(starts) >= 0).all() and ((points >= 0) & (points < count)).all())
+
+    steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
+    name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
+    starts, pairs = np.split(cache.remembered_numbers(name, fits, table), [votes.CELLS + 1])
+    return starts, pairs

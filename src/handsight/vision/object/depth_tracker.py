@@ -1,0 +1,268 @@
+"""An object's pose followed from depth image to depth image, at the camera's rate.
+
+Each image is looked at near where the object is expected: it rides with the palm that grips it, else goes on about as
+it went. Depth settles the pose, and what depth does not see stays as expected, with a covariance that grows: a jug
+whose handle the hand hides fits at any turn, and only its covariance tells.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import checks, se3
+from handsight._kernels.image import depth_covariance
+from handsight._kernels.image.vision_records import LOOK
+from handsight.checks import Array, Mask
+from handsight.objects import ObjectModel
+from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.locate import locate
+from handsight.vision.object.pose_covariance import UNKNOWN
+from handsight.vision.object.pose_refiner import CloseLook, Looked
+
+State = Literal["tracking", "uncertain", "lost"]
+
+GOES_ON = 0.8
+"""Of its velocity, that an object in nobody's grip is expected to have until the next image."""
+WANDERS, WANDERS_IN_PALM = (0.15, 1.0), (0.02, 0.15)
+"""How far off that is, and how an object moves in the palm [m/s, rad/s]."""
+LONGEST = 0.5
+"""Between images, for a velocity to go on [s]."""
+LEAST_POINTS, LEAST_PIXELS = 15, 20.0
+"""Below so many near it, or explained by it, an image says nothing of a pose."""
+LEAST_AGAINST = 30.0
+"""Pixels that speak against a pose, at least, for an image to do so."""
+UNCERTAIN, GONE = 0.08, 0.12
+"""How far off its surface may be [diameters] for a pose to be known, and for it to be kept while nothing is seen."""
+TWIN = 0.05
+"""Weight of a pose that was found, of the likeliest's, for it to be taken where the object was turned like that."""
+HIDDEN = "hardly anything of it is seen"
+SEARCH_EVERY, LEAST_FOUND = 0.2, 0.6
+"""Between searches of all of the image [s]; share of the pixels that it would fill, for an object to be found."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What a depth image says of an object that is followed."""
+
+    stamp: float
+    """Of the image [s]."""
+    T_camera_object: Array | None
+    """(4, 4); None: lost."""
+    covariance: Array | None
+    """(6, 6) of (δp [m], δθ [rad]) of the object's origin along the camera's axes; None: lost."""
+    state: State
+    """`tracking`; `uncertain`: it fits, and might as well elsewhere; `lost`: it does not fit."""
+    reason: str
+    """Why it is not `tracking`; empty if it is."""
+    look: NDArray[np.void]
+    """LOOK (1,): the pose that was tried, and what the image says of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    stamp: float
+    depth: Depth
+    hand: Mask | None
+    table: Array | None
+    T_camera_palm: Array | None
+    gripped: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Belief:
+    """Where the object is thought to be in a frame."""
+
+    stamp: float
+    T_camera_object: Array
+    covariance: Array
+    velocity: Array
+    """(6,) of the object's centre [m/s, rad/s]."""
+    T_camera_palm: Array | None
+    lost: bool
+
+
+class DepthTracker:
+    """Follows an object in a camera's depth images; finds it by itself, at first and when it was lost."""
+
+    def __init__(
+        self,
+        model: ObjectModel,
+        camera: PinholeCamera,
+        *,
+        noise: DepthNoise = STRUCTURED_LIGHT,
+        start: Array | None = None,
+    ) -> None:
+        """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
+        self.model, self.camera = model, camera
+        self._middle, self._look = model.center_object, CloseLook(model, camera, noise)
+        self._start = None if start is None else se3.check(start, "start")
+        self._belief: _Belief | None = None
+        self._searched = -np.inf
+
+    def update(
+        self,
+        stamp: float,
+        depth: Depth,
+        *,
+        hand: Mask | None = None,
+        table: Array | None = None,
+        T_camera_palm: Array | None = None,
+        gripped: bool = False,
+        expected: Array | None = None,
+    ) -> Sighting:
+        """Where the object is in a depth image (h, w) [m], 0 or NaN where there is none.
+
+        hand: (h, w) its pixels. table: (4,) `n·P + offset = 0` in the camera, n towards it. gripped: the object moves
+        with the palm, where T_camera_palm is known. expected: T_camera_object from elsewhere, to begin from. An image
+        a little older than the last one is answered, and changes nothing. Raises InvalidInput for images of another
+        size than the camera's, InvalidTransform for poses that are none.
+        """
+        for name, image in (("depth", depth), ("hand", hand)):
+            if image is not None:
+                self.camera.check_size(image, name)
+        T_palm = None if T_camera_palm is None else se3.check(T_camera_palm, "T_camera_palm")
+        plane = None if table is None else checks.finite(table, "table", (4,))
+        hint = None if expected is None else se3.check(expected, "expected")
+        now = float(checks.finite(stamp, "stamp", ()))
+        frame = _Frame(now, depth, hand, plane, T_palm, gripped)
+        before = self._belief, self._searched
+        sighting = self._seen(frame, self._predicted(frame, hint))
+        if before[0] is not None and 0 < before[0].stamp - now <= LONGEST:
+            self._belief, self._searched = before
+        return sighting
+
+    def _seen(self, frame: _Frame, predicted: _Belief | None) -> Sighting:
+        looked, reason = None, "not found"
+        if predicted is not None:
+            looked = self._looked(frame, predicted)
+            reason = self._misfit(predicted, looked)
+            if not reason:
+                return self._followed(frame, predicted, looked)
+        found = self._found(frame)
+        if found is not None:
+            return self._followed(frame, *found)
+        self._belief = predicted and replace(predicted, lost=True)
+        look = np.zeros(1, dtype=LOOK) if looked is None else looked.look
+        return Sighting(frame.stamp, None, None, "lost", reason, look)
+
+    def _misfit(self, predicted: _Belief, looked: Looked) -> str:
+        """Why the object is lost; empty if it is not."""
+        look, enough = looked.look[0], _is_enough(looked)
+        against = look["passed"] + look["hidden"]
+        if against > max(look["explained"], LEAST_AGAINST):
+            share = look["explained"] / (look["explained"] + against)
+            return f"it explains {100 * share:.0f} % of what is seen there"
+        if enough or not (predicted.lost or self._unsure(predicted) > GONE * self.model.diameter):
+            return ""
+        return HIDDEN
+
+    def _predicted(self, frame: _Frame, hint: Array | None) -> _Belief | None:
+        """What is believed of this frame before it is looked at; None: nothing."""
+        last = self._belief
+        if last is None:
+            hint = self._start if hint is None else hint
+            return (
+                None
+                if hint is None
+                else _Belief(frame.stamp, hint, self._unknown(hint), np.zeros(6), frame.T_camera_palm, False)
+            )
+        dt = max(frame.stamp - last.stamp, 0.0)
+        T, P, wanders = last.T_camera_object, last.covariance, WANDERS
+        velocity = GOES_ON * last.velocity if dt <= LONGEST else np.zeros(6)
+        if frame.gripped and frame.T_camera_palm is not None and last.T_camera_palm is not None:
+            moved = frame.T_camera_palm @ se3.inverse(last.T_camera_palm)
+            T, P, wanders = moved @ T, se3.rotate_covariance(moved[:3, :3], P), WANDERS_IN_PALM
+        else:
+            T = self._of_center(se3.moved(self._center(T), velocity * dt))
+        P = P + self._about_origin(T, np.repeat([(dt * w) ** 2 for w in wanders], 3))
+        return _Belief(frame.stamp, T if hint is None else hint, P, velocity, frame.T_camera_palm, last.lost)
+
+    def _found(self, frame: _Frame) -> tuple[_Belief, Looked] | None:
+        """The object somewhere in the image, if it is time to search and it is there."""
+        if abs(frame.stamp - self._searched) < SEARCH_EVERY:
+            return None
+        self._searched = frame.stamp
+        found = locate(
+            self.model, self.camera, frame.depth, hand=frame.hand, table=frame.table, noise=self._look.noise
+        )
+        fits = found.looks["explained"] >= LEAST_FOUND * found.looks["expected"]
+        chosen = np.flatnonzero(fits & (found.weights >= TWIN * found.weights.max(initial=0.0)))
+        if not len(chosen):
+            return None
+        T = self._likeliest(found.Ts_camera_object[chosen])
+        belief = _Belief(frame.stamp, T, self._unknown(T), np.zeros(6), frame.T_camera_palm, True)
+        looked = self._looked(frame, belief)
+        return None if self._misfit(belief, looked) else (belief, looked)
+
+    def _likeliest(self, Ts: Array) -> Array:
+        """Of poses that an image supports about alike, the one turned least from where the object was."""
+        if self._belief is None:
+            return np.asarray(Ts[0])
+        turns = se3.rotation_log(Ts[:, :3, :3] @ self._belief.T_camera_object[:3, :3].T)
+        return np.asarray(Ts[np.linalg.norm(turns, axis=1).argmin()])
+
+    def _followed(self, frame: _Frame, predicted: _Belief, looked: Looked) -> Sighting:
+        enough = _is_enough(looked)
+        now = self._belief = self._updated(frame, predicted, looked) if enough else predicted
+        T, look, unsure = now.T_camera_object, looked.look, self._unsure(now)
+        look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+        reason = "" if enough else HIDDEN
+        if enough and unsure > UNCERTAIN * self.model.diameter:
+            reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
+        return Sighting(frame.stamp, T, now.covariance, "uncertain" if reason else "tracking", reason, look)
+
+    def _updated(self, frame: _Frame, predicted: _Belief, looked: Looked) -> _Belief:
+        """What was expected and what was seen, each as much as it knows (Kalman)."""
+        P, last = predicted.covariance, self._belief
+        gain = np.linalg.solve(P + looked.covariance, P).T
+        off = se3.difference(looked.T_camera_object, predicted.T_camera_object)
+        T, P = se3.moved(predicted.T_camera_object, gain @ off), P - gain @ P
+        velocity = predicted.velocity
+        if last is None or predicted.lost:
+            velocity = np.zeros(6)
+        elif 0 < frame.stamp - last.stamp <= LONGEST:
+            was, now = self._center(last.T_camera_object), self._center(T)
+            velocity = se3.difference(now, was) / (frame.stamp - last.stamp)
+        return _Belief(frame.stamp, T, (P + P.T) / 2, velocity, frame.T_camera_palm, False)
+
+    def _unsure(self, belief: _Belief) -> float:
+        """How far the object's surface may be off [m]: the most that a deviation along any of the three least known
+        directions leaves it. A turn that it looks the same after leaves it where it is."""
+        return depth_covariance.largest_shift(
+            *self.model.record[:2], belief.T_camera_object[:3, :3], belief.covariance
+        )
+
+    def _looked(self, frame: _Frame, predicted: _Belief) -> Looked:
+        """What an image says near where the object is expected."""
+        T = predicted.T_camera_object
+        J = np.eye(6)
+        J[:3, 3:] = -se3.skew(T[:3, :3] @ self._middle)
+        known = np.asarray(np.linalg.inv(J @ predicted.covariance @ J.T))
+        return self._look.at(T, known, frame.depth, frame.hand, frame.table)
+
+    def _unknown(self, T: Array) -> Array:
+        """The covariance of a pose that is as good as not known."""
+        D = self.model.diameter
+        return self._about_origin(
+            T, np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
+        )
+
+    def _about_origin(self, T: Array, variances: Array) -> Array:
+        """The covariance (6, 6) at the object's origin of variances (6,) at its centre."""
+        J = np.eye(6)
+        J[:3, 3:] = se3.skew(T[:3, :3] @ self._middle)
+        return (J * variances) @ J.T
+
+    def _center(self, T: Array) -> Array:
+        return se3.compose(T[:3, :3], T[:3, :3] @ self._middle + T[:3, 3])
+
+    def _of_center(self, T: Array) -> Array:
+        return se3.compose(T[:3, :3], T[:3, 3] - T[:3, :3] @ self._middle)
+
+
+def _is_enough(looked: Looked) -> bool:
+    """Whether as much is seen as a pose takes."""
+    return looked.points >= LEAST_POINTS and looked.look["explained"][0] >= LEAST_PIXELS

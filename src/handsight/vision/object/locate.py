@@ -1,0 +1,88 @@
+"""Where an object is in one depth image: the region, the table and the hand, then the pose."""
+
+import numpy as np
+
+from handsight._kernels.image.vision_records import LOOK
+from handsight.checks import Array, Mask
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.first_pose import Found, first_pose
+from handsight.vision.object.region import Scene, scene_of, table_plane
+
+WIDER_THAN_OBJECT = 1.5
+"""A plane that is so many of the object's diameters wide is no part of it."""
+LEAST_PROBABILITY = 0.02
+"""Of the best pose, for the object to be there: real cameras are less alike what was fitted than drawn pictures
+(`experiments/sight_recognition.py` prints what is kept and claimed)."""
+FARTHEST = 20.0
+"""An image half of which is beyond it [m] is in another unit."""
+
+
+def locate(
+    model: ObjectModel,
+    camera: PinholeCamera,
+    depth: Depth,
+    *,
+    wanted: Mask | None = None,
+    hand: Mask | None = None,
+    table: Array | None = None,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> Found:
+    """Where the object is in a depth image (h, w) [m], 0 or NaN where there is none; nowhere, and why, if it is not.
+
+    wanted, hand: (h, w) pixels it may be in (all), and those of the hand. table: (4,) `n·P + offset = 0` in the camera,
+    n towards it; else the widest plane. noise: of the depth. Raises InvalidInput for images of another size than the
+    camera's, and for depth that is not in metres.
+    """
+    extent = WIDER_THAN_OBJECT * model.diameter
+    scene = scene_in(camera, depth, extent, wanted=wanted, hand=hand, table=table)
+    if not len(scene.sizes):
+        return _nowhere(nothing_in(scene))
+    found = first_pose(model, scene, noise=noise)
+    if found.probability >= LEAST_PROBABILITY:
+        return found
+    if not len(found.looks):
+        return _nowhere("no surface there is large enough to tell its shape")
+    name = model.name or "the object"
+    return _nowhere(
+        f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
+    )
+
+
+def scene_in(
+    camera: PinholeCamera,
+    depth: Depth,
+    extent: float,
+    *,
+    wanted: Mask | None = None,
+    hand: Mask | None = None,
+    table: Array | None = None,
+) -> Scene:
+    """What of an image may be an object; a plane wider than `extent` [m] is a table. Raises as `locate` does."""
+    depth = camera.check_depth(depth)
+    for name, mask in (("wanted", wanted), ("hand", hand)):
+        if mask is not None:
+            camera.check_size(mask, name)
+    known = depth[np.isfinite(depth) & (depth > 0)]
+    if len(known) and np.median(known) > FARTHEST:
+        guess = f"a median of {np.median(known):.4g} (millimetres?)"
+        raise InvalidInput(f"depth: expected metres, got {guess}")
+    where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)
+    covered = None if hand is None else np.asarray(hand, dtype=bool)
+    if table is None:
+        clear = np.ones(depth.shape, dtype=bool) if covered is None else ~covered
+        table = table_plane(camera, depth, clear, extent=extent)
+    return scene_of(camera, depth, wanted=where, hand=covered, table=table)
+
+
+def nothing_in(scene: Scene) -> str:
+    """Why a scene without parts has none."""
+    if not (scene.depth > 0).any():
+        return "no pixel has a depth"
+    return "nothing is seen there but the table and the hand"
+
+
+def _nowhere(reason: str) -> Found:
+    return Found(np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros(0), np.zeros(0, dtype=LOOK), 0.0, reason)

@@ -1,0 +1,176 @@
+"""What a hand looks like to a depth camera: points of its skin, and triangles that tell which of them are seen."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from handsight import se3
+from handsight._kernels.math import chain
+from handsight.checks import Array, Indices, Mask
+from handsight.errors import InvalidInput
+from handsight.hand import Hand
+from handsight.hand.chains import Chains
+from handsight.hand.shape import HandShape
+from handsight.hand.surface import sample
+from handsight.vision.camera import Depth, PinholeCamera
+
+POINTS = 1200
+"""By which a hand is laid onto an image."""
+COARSE = 0.005
+"""Vertices nearer than this are one where it is only told which points are seen [m]."""
+FINER = 4
+"""Pixels of an image for each that is drawn for that."""
+BEHIND, LEAST_FACING = 0.006, 0.1
+"""What of a point may lie behind what is drawn [m], and the least cosine of its normal with the way to the camera."""
+
+BESIDE = 0.02
+"""Off its outline there is air, with a belief as rough as the steps of a search [m]."""
+GOES_ON = 0.015
+"""What is seen beside the outline goes on where it is no farther behind the hand than this [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandLook:
+    """A hand's points and triangles, each of which moves with one link; worked out once."""
+
+    chains: Chains
+    skin: tuple[Array, Array, Indices]
+    """Points (m, 3) and outward normals (m, 3) in the axes of their link, and the link of each, in random order."""
+    coarse: tuple[Array, Indices, Indices]
+    """Vertices (k, 3) in the axes of their link, the link of each, and faces (f, 3)."""
+    point_area: float
+    """That each point stands for [m²]."""
+
+    @classmethod
+    def of(cls, hand: Hand) -> "HandLook":
+        """Of the links that move with the palm or hang on it; raises InvalidInput where its file has no shapes."""
+        shape = hand.shape()
+        if not len(shape.faces):
+            raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
+        corners, link = shape.vertices_body[shape.faces], shape.body_of[shape.faces[:, 0]]
+        body, points, normals = sample([corners[link == b] for b in range(len(shape.bodies))], POINTS, 0)
+        order = np.random.default_rng(0).permutation(len(points))
+        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
+        skin = points[order], normals[order], body[order].astype(np.int64)
+        return cls(shape.chains, skin, _coarser(shape), area / len(points))
+
+    def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
+        """The hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m].
+
+        Raises InvalidInput as `Hand.Ts_palm_tip` does.
+        """
+        Ts, axes = self.chains.poses(joint_positions)
+        turns = Ts.copy()
+        turns[:, :3, 3] = 0
+        points, normals, bodies = self.skin
+        skin = np.empty((2, len(points), 3))
+        chain.carried(points, bodies, Ts, skin[0])
+        chain.carried(normals, bodies, turns, skin[1])
+        vertices = np.empty_like(self.coarse[0])
+        chain.carried(self.coarse[0], self.coarse[1], Ts, vertices)
+        return PlacedHand(self, skin, vertices, axes, float(sigma_joint))
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedHand:
+    """A hand in the palm's axes, with its joints at certain positions."""
+
+    look: HandLook
+    skin: Array
+    """(2, m, 3) points [m] and outward normals."""
+    vertices: Array
+    """(k, 3) of the coarse triangles [m]."""
+    axes: Array
+    """Of the joints, as `Chains.poses` has them."""
+    sigma_joint: float
+    """Constant error of each joint [rad, for slides m]."""
+
+    @cached_property
+    def middle(self) -> Array:
+        """(3,) of its points [m]."""
+        return np.asarray(self.skin[0].mean(axis=0))
+
+    @cached_property
+    def radius(self) -> float:
+        """Of its points about their middle [m]."""
+        return float(np.linalg.norm(self.skin[0] - self.middle, axis=1).max())
+
+    def by_joints(self, rows: Indices) -> Array:
+        """(k, 3, j) how the points `rows` (k,) move in the palm by each joint [m/rad]."""
+        bodies = self.look.skin[2][rows]
+        return self.look.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
+
+    def outline_continued(self, camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> float:
+        """Share of the pixels around the hand, as it would be drawn there, in which what is seen goes on as near as it.
+
+        Around a hand in the air most are far behind; a hand that was laid onto a table has none that are. Where
+        something hides the outline, or there is no depth, it does not count; all of it: 1.
+        """
+        drawn = _drawn(self, camera, T_camera_palm.tobytes())
+        near = minimum_filter(drawn, size=3)
+        around = np.isfinite(near) & ~np.isfinite(drawn)
+        rows, columns = (FINER * k + FINER // 2 for k in np.nonzero(around))
+        inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
+        seen, hand = depth[rows[inside], columns[inside]], near[around][inside]
+        counts = (seen > 0) & (seen > hand - GOES_ON)
+        return float((seen[counts] < hand[counts] + GOES_ON).mean()) if counts.any() else 1.0
+
+    def beside(self, camera: PinholeCamera, T_camera_palm: Array, most: int) -> Array:
+        """(k, 3) points in the air, in the palm's axes, `BESIDE` off the hand's outline and as near as it [m]."""
+        small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
+        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], BESIDE)
+        off = max(round(BESIDE * small.matrix[0, 0] / distance), 1)
+        near, nearer = (minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
+        rows, columns = np.nonzero(np.isfinite(near) & ~np.isfinite(nearer))
+        chosen = np.random.default_rng(0).permutation(len(rows))[:most]
+        rows, columns = rows[chosen], columns[chosen]
+        z = near[rows, columns].astype(np.float64)
+        points = np.c_[small.rays[rows, columns] * z[:, None], z]
+        return se3.apply(se3.inverse(T_camera_palm), points)
+
+    def seen_from(self, camera: PinholeCamera, T_camera_palm: Array) -> Mask:
+        """(m,) which points a camera there sees of the hand alone; out of its image all that face it."""
+        small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
+        points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
+        way = np.linalg.norm(points, axis=1)
+        facing = -np.einsum("mi,mi->m", points, normals) > LEAST_FACING * way
+        pixels = small.project(points)
+        columns, rows = np.round(np.where(np.isfinite(pixels), pixels, -1)).astype(np.int64).T
+        inside = (columns >= 0) & (rows >= 0) & (columns < small.size[0]) & (rows < small.size[1])
+        front = drawn[np.where(inside, rows, 0), np.where(inside, columns, 0)]
+        slack = BEHIND + points[:, 2] / (2 * small.matrix[0, 0])
+        return np.asarray(facing & (~inside | (points[:, 2] < front + slack)))
+
+
+@lru_cache(maxsize=8)
+def _smaller(camera: PinholeCamera) -> PinholeCamera:
+    K = camera.matrix.copy()
+    K[:2] /= FINER
+    K[:2, 2] -= 0.5 - 0.5 / FINER
+    return PinholeCamera(K, (-(-camera.size[0] // FINER), -(-camera.size[1] // FINER)), camera.lens)
+
+
+@lru_cache(maxsize=4)  # where a hand comes to lie it is drawn for its outline and for what is seen of it
+def _drawn(hand: PlacedHand, camera: PinholeCamera, T_camera_palm: bytes) -> Depth:
+    """The depth of its coarse triangles at a quarter of the size; inf beside them."""
+    T = np.frombuffer(T_camera_palm).reshape(4, 4)
+    return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.look.coarse[2]).depth
+
+
+def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
+    """Vertices, their links and faces, with those vertices of a link made one that share a cell."""
+    cells = np.c_[shape.body_of, np.floor(shape.vertices_body / COARSE)]
+    _, where = np.unique(cells, axis=0, return_inverse=True)
+    where = where.reshape(-1)
+    count = np.bincount(where)
+    middles = [np.bincount(where, shape.vertices_body[:, i]) / count for i in range(3)]
+    body = np.zeros(len(count), dtype=np.int64)
+    body[where] = shape.body_of
+    faces = where[shape.faces]
+    apart = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    _, first = np.unique(np.sort(faces[apart], axis=1), axis=0, return_index=True)
+    return np.stack(middles, axis=1), body, faces[apart][first].astype(np.int64)

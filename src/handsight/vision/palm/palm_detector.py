@@ -1,0 +1,211 @@
+"""Where the palm is in the camera, from the hand that is seen: no calibration of the camera has a say in it.
+
+The believed hand is laid onto the depth image: turned and shifted in steps as far as the belief may be off, the
+likeliest poses then moved to where the hand's points lie on what is seen (point to plane), and judged by what the image
+as a whole says of them: pixels that the hand explains, that the camera sees past, that are hidden, and whether what is
+seen goes on beside the hand. Where the last picture has had it, it is only moved.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import checks, se3
+from handsight._kernels.image import hand_term
+from handsight._kernels.image.vision_records import LOOK
+from handsight.checks import Array, Indices
+from handsight.errors import InvalidInput
+from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.first_pose import poses_of
+from handsight.vision.palm.hand_appearance import PlacedHand
+from handsight.vision.palm.palm_covariance import palm_covariance
+from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture_of, searched
+
+LIMIT, ON_THE_WAY = 4.0, 2.5
+"""Sigmas of the belief beyond which no answer is taken; times that, none goes on to become one."""
+RUNGS = ((300, (0.02, 0.010, 7, 0.015), 12, 0.010), (500, (0.012, 0.008, 6, 0.010), 5, 0.008))
+"""Points; Tukey's bound at first and at last [m], steps, what is explained within [m]; how many poses go on, and how
+far they are apart [m]. A wide bound lets what is held pull the hand away."""
+LAST = (0.015, 0.006, 8, 0.010)
+"""The same with all points."""
+FOLLOWED, NEXT = (0.010, float(np.deg2rad(3.0))), (0.02, 0.006, 10, 0.010)
+"""How far off a hand that is followed may be [m, rad], and as LAST for it."""
+FITS, PASSED = 0.65, 0.15
+"""Of a hand that is followed: the least share explained of what is neither hidden nor out of the picture, and the most
+that the camera sees past."""
+NEARLY = 0.6
+"""Share of the best score from which others are laid on with all points too."""
+
+LEAST_SCORE, LEAST_PIXELS, LEAST_FIT = 2.0, 400.0, 0.25
+"""Of an answer: LOOK's score, pixels that the hand explains, and their share of those that it should fill."""
+CONTINUED, MOST_CONTINUED = 0.3, 0.55
+"""What all of the hand's outline weighs, against the pixels that it should fill, where what is seen goes on beside it;
+and of how much of it no answer is taken: the hand was laid into a table or a wall."""
+APART, AS_GOOD = 0.025, 0.85
+"""Poses farther from each other than this [m] are others, and one whose score is so much of the best is as good."""
+
+Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandNotSeen:
+    """No pose, and why; falsy."""
+
+    reason: Reason
+    """outside: of the picture, wherever the belief may be off to; hardly_seen: too few pixels are the hand's, most of
+    it is hidden or far; no_fit: what is there is no such hand; ambiguous: another pose fits as well."""
+
+    def __bool__(self) -> bool:
+        return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenHand:
+    """The palm's pose at one instant, as a picture shows it."""
+
+    T_camera_palm: Array
+    """(4, 4)"""
+    covariance: Array
+    """(6, 6) of (δp [m], δθ [rad]) along the camera's axes."""
+    fit: float
+    """Of the pixels that the hand should fill, the share that it explains; what hides it takes from it."""
+    look: NDArray[np.void]
+    """(1,) LOOK: what the image says of it, in pixels."""
+
+
+def seen_hand(
+    camera: PinholeCamera,
+    depth: Depth,
+    hand: PlacedHand,
+    T_camera_palm: Array,
+    *,
+    sigma_position: float,
+    sigma_rotation: float,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> SeenHand | HandNotSeen:
+    """The palm's pose in the camera, or why a depth image (h, w) [m], 0 or NaN where there is none, does not tell it.
+
+    T_camera_palm: as believed, off by `sigma_position` [m] at the hand's middle and `sigma_rotation` [rad] per axis.
+    What is searched, and with it the time, grows with them. `noise` has a say in the covariance. Raises InvalidInput.
+    """
+    T = _checked(camera, depth, T_camera_palm)
+    sigmas = _positive(sigma_position, "sigma_position"), _positive(sigma_rotation, "sigma_rotation")
+    belief = Belief(hand, T, sigmas)
+    picture = picture_of(camera, depth, hand, T, sigmas[0])
+    if picture is None:
+        return HandNotSeen("outside")
+    there = hand.seen_from(camera, T)
+    looks = searched(picture, belief, there)
+    if not len(looks):
+        return HandNotSeen("outside")
+    rows = np.flatnonzero(there)
+    for count, rung, kept, apart in RUNGS:
+        looks = _laid(picture, hand, rows, (count, *rung), looks)
+        looks = distinct(hand, _believed(belief, looks, ON_THE_WAY * LIMIT), apart, kept)
+    looks = looks[looks["score"] > NEARLY * looks["score"].max(initial=0.0)]
+    looks = np.concatenate(
+        [looks[:0], *(_finished(picture, hand, looks[k : k + 1]) for k in range(len(looks)))]
+    )
+    return _answer(picture, hand, _believed(belief, looks), noise)
+
+
+def followed_hand(
+    camera: PinholeCamera,
+    depth: Depth,
+    hand: PlacedHand,
+    T_camera_palm: Array,
+    *,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> SeenHand | HandNotSeen:
+    """As `seen_hand`, near where the last picture has had the palm; nothing is searched, so that it takes a few ms.
+
+    T_camera_palm: off by about 10 mm and 3° per axis. Where too little of what should be seen is so: `no_fit`.
+    """
+    T = _checked(camera, depth, T_camera_palm)
+    picture = picture_of(camera, depth, hand, T, FOLLOWED[0])
+    if picture is None:
+        return HandNotSeen("outside")
+    look = np.zeros(1, dtype=LOOK)
+    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    look = _believed(Belief(hand, T, FOLLOWED), _finished(picture, hand, look, NEXT))
+    if len(look):
+        free = look["explained"] + look["passed"] + look["unexplained"]
+        if not (look["explained"] > FITS * free and look["passed"] < PASSED * free).all():
+            return HandNotSeen("no_fit")
+    return _answer(picture, hand, look, noise)
+
+
+def _checked(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> Array:
+    T = se3.check(T_camera_palm, "T_camera_palm")
+    camera.check_size(depth, "depth")
+    return T
+
+
+def _positive(value: float, name: str) -> float:
+    number = float(checks.finite(value, name, ()))
+    if not number > 0:
+        raise InvalidInput(f"{name}: expected a number above 0, got {number:g}")
+    return number
+
+
+def _laid(
+    picture: Picture, hand: PlacedHand, rows: Indices, rung: tuple[float, ...], looks: NDArray[np.void]
+) -> NDArray[np.void]:
+    """The looks moved to where points, some of `rows`, lie on the image, and judged by them; rung: see RUNGS."""
+    count, first, last, steps, bound = rung
+    few = rows[: int(count)]
+    skin, camera = np.ascontiguousarray(hand.skin[:, few]), picture.camera.record
+    limits = np.array([first, last, steps, hand.radius])
+    hand_term.settle_all(camera, picture.arrays, skin, hand.middle, limits, looks)
+    limits = np.array([hand.look.point_area * len(rows) / max(len(few), 1), bound])
+    hand_term.judge_all(camera, picture.arrays, skin, limits, looks)
+    return looks
+
+
+def _finished(
+    picture: Picture, hand: PlacedHand, look: NDArray[np.void], rung: tuple[float, ...] = LAST
+) -> NDArray[np.void]:
+    """A look (1,) laid on by all points that are seen; what goes on beside it is taken from its score."""
+    rows = np.flatnonzero(hand.seen_from(picture.camera, poses_of(look)[0]))
+    look = _laid(picture, hand, rows, (len(rows), *rung), look.copy())
+    expected, goes_on = (
+        look["expected"],
+        hand.outline_continued(picture.camera, picture.depth, poses_of(look)[0]),
+    )
+    look["score"] -= (
+        CONTINUED * goes_on * expected / np.maximum(expected, hand_term.LEAST_EXPECTED) ** hand_term.POWER
+    )
+    return look
+
+
+def _believed(belief: Belief, looks: NDArray[np.void], limit: float = LIMIT) -> NDArray[np.void]:
+    """Those that the belief can be off by, so many sigmas; the best first."""
+    hand, T, sigmas = belief.hand, belief.T, belief.sigmas
+    Ts = poses_of(looks)
+    off = np.linalg.norm(se3.apply(Ts, hand.middle[None])[:, 0] - se3.apply(T, hand.middle[None])[0], axis=1)
+    turned = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ T[:3, :3].T), axis=1)
+    looks = looks[(off < limit * sigmas[0]) & (turned < limit * sigmas[1])]
+    return looks[np.argsort(-looks["score"], kind="stable")]
+
+
+def _answer(
+    picture: Picture, hand: PlacedHand, looks: NDArray[np.void], noise: DepthNoise
+) -> SeenHand | HandNotSeen:
+    """The best, where it is good enough and no other is nearly as good."""
+    if not len(looks) or not looks["score"][0] > LEAST_SCORE:
+        return HandNotSeen("no_fit")
+    best, fits = looks[:1].copy(), looks["explained"] / np.maximum(looks["expected"], 1.0)
+    if best["explained"][0] < LEAST_PIXELS or fits[0] < LEAST_FIT:
+        return HandNotSeen("hardly_seen")
+    others = distinct(hand, looks, APART, 2)[1:]
+    if len(others) and others["score"][0] > AS_GOOD * best["score"][0]:
+        return HandNotSeen("ambiguous")
+    T = poses_of(best)[0]
+    if hand.outline_continued(picture.camera, picture.depth, T) > MOST_CONTINUED:
+        return HandNotSeen("no_fit")
+    rows = np.flatnonzero(hand.seen_from(picture.camera, T))
+    covariance = palm_covariance(picture, hand, best, (rows, LAST[1]), noise)
+    return SeenHand(T, covariance, float(fits[0]), best)

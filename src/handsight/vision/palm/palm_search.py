@@ -1,0 +1,166 @@
+"""Where in a depth image a hand may be, given a belief that is off: turns and shifts, tried in steps."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import se3
+from handsight._kernels.image import palm_scan
+from handsight._kernels.image.vision_records import LOOK
+from handsight.checks import Array, Indices, Mask
+from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.object.first_pose import poses_of
+from handsight.vision.palm.hand_appearance import PlacedHand
+
+CELL, MOST_CELLS = 0.005, 160
+"""Of the image as the search has it, at the hand [m]; how many there are to a side at most."""
+SHIFT, LAYER, TURN = 0.025, 0.10, float(np.deg2rad(12))
+"""Between poses that are tried: across and along the way to the camera [m], and turns [rad]."""
+WITHIN = 2.6
+"""Sigmas of the belief that are searched."""
+PRIOR = 0.01
+"""What a squared sigma that a pose is off the belief takes from the share of points that agree."""
+BIN = 0.010
+"""Distances that are told apart there [m]."""
+SCANNED, AROUND, KEPT, LOOKED_AT = 80, 48, 40, (300, 30)
+"""Points in the search; poses that are looked around of; that go on; how many of all, and around each, are compared."""
+COMPARED = 8
+"""Points of the hand by which poses are told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A depth image as the kernels take it, with the cells around where the hand may be."""
+
+    camera: PinholeCamera
+    depth: Depth
+    cells: NDArray[np.float32]
+    corner: Array
+
+    @property
+    def arrays(self) -> tuple[Depth, NDArray[np.float32], NDArray[np.float32], Array]:
+        return self.depth, self.camera.rays, self.cells, self.corner
+
+
+def picture_of(
+    camera: PinholeCamera, depth: Depth, hand: PlacedHand, T: Array, sigma: float
+) -> Picture | None:
+    """None where the hand cannot be in the image."""
+    middle, reach = se3.apply(T, hand.middle[None])[0], WITHIN * sigma + hand.radius
+    nearest = max(middle[2] - reach, 0.1)
+    if not middle[2] > -reach:
+        return None
+    known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    far = max(middle[2], 0.1)
+    size, half = CELL / far, reach / max(nearest, 0.5 * far)
+    count = min(int(2 * half / size) + 1, MOST_CELLS)
+    size = 2 * half / count
+    corner = np.array([middle[0] / far - half, middle[1] / far - half, size])
+    cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
+    palm_scan.cells_of(camera.record, camera.rays, known, corner, cells)
+    return Picture(camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """Where a hand is thought to be, and how far that is off."""
+
+    hand: PlacedHand
+    T: Array
+    """(4, 4) camera from palm."""
+    sigmas: tuple[float, float]
+    """Of the hand's middle and of a turn, per axis [m, rad]."""
+
+    def chi2(self, middles: Array, rotations: Array) -> Array:
+        """Of middles (..., 3) [m] and rotations (..., 3, 3) of the hand in the camera."""
+        off = middles - se3.apply(self.T, self.hand.middle[None])[0]
+        turned = se3.rotation_log(rotations @ self.T[:3, :3].T)
+        return np.asarray(
+            (off**2).sum(axis=-1) / self.sigmas[0] ** 2 + (turned**2).sum(axis=-1) / self.sigmas[1] ** 2
+        )
+
+
+def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
+    """LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around them."""
+    hand, rows = belief.hand, np.flatnonzero(there)
+    air = hand.beside(picture.camera, belief.T, SCANNED)
+    turns, shifts = _turns(WITHIN * belief.sigmas[1]), _shifts(WITHIN * belief.sigmas[0])
+    points = _scanned(hand, rows[:SCANNED], air[: SCANNED // 2])
+    looks = _tried(picture, belief, points, belief.T, (turns, shifts), (BIN, LOOKED_AT[0]))
+    looks = distinct(hand, looks, SHIFT, AROUND)
+    points = _scanned(hand, rows[: 2 * SCANNED], air)
+    finer = _turns(TURN / 2, TURN / 2), np.zeros((1, 3))
+    around = [
+        _tried(picture, belief, points, near, finer, (BIN / 2, LOOKED_AT[1])) for near in poses_of(looks)
+    ]
+    return distinct(hand, np.concatenate([looks[:0], *around]), SHIFT / 2, KEPT)
+
+
+def _scanned(hand: PlacedHand, rows: Indices, air: Array) -> Array:
+    """(2, k, 3) points of its skin about its middle with normals, and points in the air without."""
+    points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
+    return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
+
+
+def _tried(
+    picture: Picture,
+    belief: Belief,
+    points: Array,
+    T: Array,
+    steps: tuple[Array, Array],
+    fine: tuple[float, int],
+) -> NDArray[np.void]:
+    """LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points as of `_scanned`."""
+    hand = belief.hand
+    rotations = steps[0] @ T[:3, :3]
+    middles = se3.apply(T, hand.middle[None])[0] + steps[1]
+    found = np.empty((len(rotations), len(middles), 2))
+    palm_scan.scan(picture.cells, np.append(picture.corner, fine[0]), points, middles, rotations, found)
+    places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
+    scores = (found[..., 0] - PRIOR * belief.chi2(places, rotations[:, None])).reshape(-1)
+    best = np.argpartition(-scores, min(fine[1], len(scores) - 1))[: fine[1]]
+    best = best[np.isfinite(scores[best])]
+    r, s = np.divmod(best, len(middles))
+    looks = np.zeros(len(best), dtype=LOOK)
+    looks["score"], looks["pose"]["rotation"] = scores[best], rotations[r]
+    looks["pose"]["position"] = places[r, s] - rotations[r] @ hand.middle
+    return looks
+
+
+@lru_cache(maxsize=16)
+def _turns(reach: float, step: float = TURN) -> Array:
+    """(r, 3, 3) turns so far apart, up to `reach`; none but 0 where that is less than half a step."""
+    count = max(int(np.ceil(reach / step - 0.5)), 0)
+    steps = step * np.arange(-count, count + 1)
+    turns = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.linalg.norm(turns, axis=1) <= reach + 0.8 * step
+    return np.stack([se3.rotation_exp(turn) for turn in turns[inside]])
+
+
+def _shifts(reach: float, step: float = SHIFT) -> Array:
+    """(s, 3) shifts, so close together across the way to the camera, in layers along it."""
+    count, layers = (max(int(np.ceil(reach / each - 0.5)), 0) for each in (step, LAYER))
+    across, along = step * np.arange(-count, count + 1), LAYER * np.arange(-layers, layers + 1)
+    shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
+    # A cell counts where any of it is within reach: by its nearest corner, not by its middle.
+    nearest = np.maximum(np.abs(shifts) - np.array([step, step, LAYER]) / 2, 0.0)
+    return np.asarray(shifts[np.linalg.norm(nearest, axis=1) <= reach])
+
+
+def distinct(hand: PlacedHand, looks: NDArray[np.void], apart: float, most: int) -> NDArray[np.void]:
+    """The best first, each at least so far [m] from all better ones, by its points' root mean square."""
+    looks = looks[np.argsort(-looks["score"], kind="stable")]
+    places = se3.apply(poses_of(looks), hand.skin[0, :COMPARED]).reshape(len(looks), 3 * COMPARED)
+    taken = np.zeros(len(looks), dtype=bool)
+    kept = list[int]()
+    for k in range(len(looks)):
+        if taken[k]:
+            continue
+        kept.append(k)
+        if len(kept) == most:
+            break
+        away = places - places[k]
+        taken |= np.einsum("ki,ki->k", away, away) < COMPARED * apart**2
+    return looks[kept]

@@ -1,0 +1,1 @@
+"""Models of unknown objects, fused from depth images of many sides."""

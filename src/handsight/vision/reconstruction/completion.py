@@ -1,0 +1,257 @@
+"""What of an object no view has shown, guessed: by a symmetry that contradicts nothing seen, and down to the table.
+
+A guess is never taken for a measurement: each point says which it is.
+"""
+
+import contextlib
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label, map_coordinates
+from scipy.optimize import minimize
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from handsight import se3
+from handsight.checks import Array, Mask
+from handsight.vision.reconstruction.volume import SurfacePoints, Volume, thinned
+
+TRIED = 400
+"""Points that a symmetry is judged by."""
+TURNS = 24
+"""Of a whole turn, by which a body of revolution is judged and filled."""
+SIDES, STEP = 200, 2.0
+"""Directions of mirrors that are tried, and how far apart mirrors of one direction are [cells]."""
+UNKNOWN = 0.5
+"""What a place costs that nothing is known of [bounds]; one that is right costs 0, one that is wrong 1."""
+OFF, WRONG, SHOWN = 2.0, 0.1, 0.25
+"""Of the points that a symmetry takes to known places: they are wrong beyond this [cells]; as many may be; and of all
+points, at least so many must come to known places."""
+UPRIGHT = 0.2
+"""Cosine of the angle between two mirrors that are taken for upright on each other, at most."""
+CUT, BAND = 2.5, 3.0
+"""Above a table where the object's surface can be told from it, and how far its lowest part reaches [cells]."""
+CLOSED, OPEN = 4, 0.6
+"""Gaps in a foot's outline up to twice so wide are closed [cells]; what fills less than this of its hull is open."""
+GAP = 2
+"""Half of what parts of one object may be apart [cells]."""
+MEASURED, GUESSED = 5e-4, 1.5e-3
+"""What the points that were seen, and those that were guessed, may be off by together [m]: the first is mostly the
+camera's constant error, which no number of views takes away."""
+FAR = 1.5
+"""From any measured point, for a guess to be needed [cells]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructedModel:
+    """An object's surface as points, and which of them were seen."""
+
+    points: Array
+    """(n, 3) [m]."""
+    normals: Array
+    """(n, 3) unit, outward."""
+    measured: Mask
+    """(n,) whether views showed it; else it is guessed."""
+    guesses: tuple[str, ...]
+    """What was guessed, a sentence each."""
+
+    @property
+    def sigmas(self) -> Array:
+        """(n,) how far the points may be off, together with their neighbours [m]."""
+        return np.where(self.measured, MEASURED, GUESSED)
+
+    @property
+    def share_measured(self) -> float:
+        """Of the points."""
+        return float(self.measured.mean()) if len(self.measured) else 0.0
+
+
+def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePoints:
+    """The largest connected part of a surface, without a table, on which z is 0."""
+    points, normals = surface
+    if table:
+        above = points[:, 2] > CUT * volume.grid.cell
+        points, normals = points[above], normals[above]
+    if not len(points):
+        return SurfacePoints(points, normals)
+    occupied = np.zeros(volume.grid.shape, dtype=bool)
+    place = tuple(volume.places(points).T)
+    occupied[place] = True
+    # Edges are told by few views: faces may have gaps between them.
+    joined = binary_dilation(occupied, np.ones((3, 3, 3)), iterations=GAP)
+    parts = label(joined)[0][place]
+    mine = parts == np.bincount(parts).argmax()
+    return SurfacePoints(points[mine], normals[mine])
+
+
+def closed(surface: SurfacePoints, volume: Volume, table: bool) -> ReconstructedModel:
+    """An object's surface with guesses where no view showed it; `table`: it stands where z is 0, z up."""
+    points, normals, guesses = surface.points, surface.normals, list[str]()
+    count = len(points)
+    for said, maps in _symmetries(surface, volume, table):
+        new = _filled(SurfacePoints(points, normals), maps, volume, table)
+        if len(new.points) > 0.01 * count:
+            points, normals = np.concatenate([points, new.points]), np.concatenate([normals, new.normals])
+            guesses.append(said)
+    if table and count:
+        foot = _foot(SurfacePoints(points, normals), volume.grid.cell)
+        points, normals = np.concatenate([points, foot.points]), np.concatenate([normals, foot.normals])
+        guesses.append("its foot, straight down to the table")
+    return ReconstructedModel(points, normals, np.arange(len(points)) < count, tuple(guesses))
+
+
+def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tuple[str, Array]]:
+    """What may fill gaps: a name, and maps (k, 4, 4) of the object onto itself, mirrors among them."""
+    if len(surface.points) < TRIED:
+        return []
+    some = np.random.default_rng(0).permutation(len(surface.points))[:TRIED]
+    judge = _Judge(volume, surface.points[some])
+    axis = _revolution(surface)
+    if judge.allows(axis):
+        return [("a body of revolution", axis)]
+    found = list[tuple[str, Array]]()
+    for mirror in judge.mirrors(surface, table):
+        first = found[0][1][0] if found else None
+        # Two mirrors: the second upright on the first.
+        if first is None or abs(np.trace(first[:3, :3] @ mirror[:3, :3]) + 1) < 4 * UPRIGHT**2:
+            found.append(("a mirror image", mirror[None]))
+        if len(found) == 2:
+            break
+    return found
+
+
+class _Judge:
+    """What is known of the places that points would be taken to."""
+
+    def __init__(self, volume: Volume, points: Array) -> None:
+        self._volume, self._points = volume, points
+        distances = volume.distances(1)
+        known = np.isfinite(distances)
+        cost = np.where(known, np.minimum(np.abs(np.nan_to_num(distances)) / volume.bound, 1.0), UNKNOWN)
+        self._cost = np.where(volume.clear(), 1.0, cost)
+        self._told = known | volume.clear()
+
+    def _at(self, maps: Array) -> Array:
+        """(k, n, 3) places in the grid that maps (k, 4, 4) take the points to [cells]."""
+        grid = self._volume.grid
+        return np.asarray((se3.apply(maps, self._points) - grid.origin) / grid.cell)
+
+    def cost(self, maps: Array) -> Array:
+        """(k,) of each map, 0 to 1."""
+        at = np.moveaxis(self._at(maps), -1, 0)
+        return np.asarray(
+            map_coordinates(self._cost, at, order=1, mode="constant", cval=UNKNOWN).mean(axis=-1)
+        )
+
+    def allows(self, maps: Array) -> bool:
+        """Whether what maps (k, 4, 4) say fits to what is known, and enough is known."""
+        at = np.moveaxis(self._at(maps), -1, 0)
+        told = map_coordinates(self._told.astype(np.float32), at, order=1) > 0.9
+        wrong = map_coordinates(self._cost, at, order=1) * self._volume.bound > OFF * self._volume.grid.cell
+        return bool(told.mean() > SHOWN and (wrong & told).sum() < WRONG * told.sum())
+
+    def mirrors(self, surface: SurfacePoints, table: bool) -> list[Array]:
+        """Mirrors (4, 4) that fit, the best first."""
+        if table:
+            angle = np.linspace(0, np.pi, SIDES // 4, endpoint=False)
+            sides = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+        else:
+            sides = se3.directions(2 * SIDES)[:SIDES]
+        found = list[tuple[float, Array]]()
+        for side in sides:
+            along = surface.points @ side
+            reach, middle = np.ptp(along) / 4, (along.min() + along.max()) / 2
+            offsets = np.arange(middle - reach, middle + reach, STEP * self._volume.grid.cell)
+            costs = self.cost(np.stack([_mirror(np.append(side, d)) for d in offsets]))
+            found.append((float(costs.min()), np.append(side, offsets[costs.argmin()])))
+        found.sort(key=lambda each: each[0])
+        good = [self._settled(plane, table) for _, plane in found[: SIDES // 10]]
+        return [mirror for mirror in good if self.allows(mirror[None])]
+
+    def _settled(self, plane: Array, table: bool) -> Array:
+        """The mirror (4, 4) near a plane (4,) that fits best."""
+        free = [0, 1, 3] if table else [0, 1, 2, 3]
+
+        def moved(x: Array) -> Array:
+            turned = plane.copy()
+            turned[free] += x * np.where(np.array(free) == 3, 0.01, 0.1)
+            return turned
+
+        best = minimize(
+            lambda x: self.cost(_mirror(moved(x))[None])[0], np.zeros(len(free)), method="Nelder-Mead"
+        )
+        return _mirror(moved(best.x))
+
+
+def _mirror(plane: Array) -> Array:
+    """(4, 4) the reflection at the plane (4,): normal of any length, and the distance along it [m]."""
+    n = plane[:3] / np.linalg.norm(plane[:3])
+    T = np.eye(4)
+    T[:3, :3] -= 2 * np.outer(n, n)
+    T[:3, 3] = 2 * plane[3] * n
+    return T
+
+
+def _revolution(surface: SurfacePoints) -> Array:
+    """(TURNS - 1, 4, 4) turns about the line that the surface's normals come nearest to meeting.
+
+    A line of direction d and moment m meets that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
+    """
+    middle = surface.points.mean(axis=0)
+    p, n = surface.points - middle, surface.normals
+    moments = np.cross(p, n)
+    nn, nd, dd = n.T @ n, n.T @ moments, moments.T @ moments
+    lever = np.linalg.solve(nn + 1e-9 * np.trace(nn) * np.eye(3), nd)
+    d = np.linalg.eigh(dd - nd.T @ lever)[1][:, 0]
+    m = -lever @ d
+    through = middle + np.cross(d, m)
+    turns = se3.rotation_exp(2 * np.pi / TURNS * np.arange(1, TURNS)[:, None] * d)
+    return se3.compose(turns, through - turns @ through)
+
+
+def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) -> SurfacePoints:
+    """Where maps (k, 4, 4) take a surface to that nothing is known of, one point a cell."""
+    points = se3.apply(maps, surface.points).reshape(-1, 3)
+    normals = np.concatenate([surface.normals @ T[:3, :3].T for T in maps])
+    told = volume.among(volume.known(1) | volume.clear(), points)
+    far = cKDTree(surface.points).query(points)[0] > FAR * volume.grid.cell
+    low, high = volume.bounds_object
+    new = far & ~told & ((points > low) & (points < high)).all(axis=1)
+    if table:
+        new &= points[:, 2] > CUT * volume.grid.cell
+    cell = volume.grid.cell
+    if not new.any():
+        return SurfacePoints(points[new], normals[new])
+    at, facing = thinned(points[new] / cell, normals[new])
+    return SurfacePoints(at * cell, facing)
+
+
+def _foot(surface: SurfacePoints, cell: float) -> SurfacePoints:
+    """From the lowest that was seen straight down to the table, and what stands on it."""
+    points, normals = surface
+    lowest = (points[:, 2] < (CUT + BAND) * cell) & (np.abs(normals[:, 2]) < 0.5)
+    if not lowest.any():  # it narrows to its foot: what is above stands on all of it
+        lowest = points[:, 2] < (CUT + BAND) * cell
+    ring, outward = points[lowest, :2], normals[lowest] * [1, 1, 0]
+    outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    heights = cell * np.arange(0.5, CUT)
+    wall = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in heights])
+    walls, ways = thinned(wall / cell, np.tile(outward, (len(heights), 1)))
+    inside = _filled_in(ring, cell)
+    base = np.column_stack([inside, np.zeros(len(inside))])
+    down = np.tile([0.0, 0, -1], (len(base), 1))
+    return SurfacePoints(np.concatenate([walls * cell, base]), np.concatenate([ways, down]))
+
+
+def _filled_in(ring: Array, cell: float) -> Array:
+    """(m, 2) places a cell apart [m] that a ring of points (n, 2) goes around; if it is open, all between them."""
+    low = ring.min(axis=0) - (CLOSED + 1) * cell
+    at = np.rint((ring - low) / cell).astype(int)
+    image = np.zeros(tuple(at.max(axis=0) + CLOSED + 2), dtype=bool)
+    image[tuple(at.T)] = True
+    solid = binary_fill_holes(binary_closing(image, np.ones((3, 3)), iterations=CLOSED))
+    nodes = np.argwhere(np.ones_like(image))
+    with contextlib.suppress(QhullError):  # all on one line
+        hull = nodes[Delaunay(at).find_simplex(nodes) >= 0]
+        if solid.sum() < OPEN * len(hull):
+            return np.asarray(low + cell * hull)
+    return np.asarray(low + cell * np.argwhere(solid))

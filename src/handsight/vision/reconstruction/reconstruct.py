@@ -1,0 +1,139 @@
+"""An object's surface out of depth images of many sides of it, their poses given or found by the growing surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+
+from handsight import se3
+from handsight._kernels.image import depth_term
+from handsight._kernels.image.pose_score import OUT
+from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.records import MODEL
+from handsight.checks import Array, Mask
+from handsight.objects.record import field_record
+from handsight.vision.camera import Depth, PinholeCamera
+from handsight.vision.object.region import Scene, seen_points
+from handsight.vision.reconstruction.volume import Volume
+
+CELL, MOST_CELLS = 0.002, 160
+"""Of the volume [m]: finer is below what depth cameras resolve; of a large one, so many along its longest side."""
+COARSE = 4
+"""How much larger the cells are that a pose from farther away is laid on."""
+RUNGS = ((False, 1.0, 0.5, 6), (True, 1.0, 0.6, 8))
+"""Whether on the fine volume, Tukey's bound at first and at last [bounds], and steps."""
+SPACING, MOST_POINTS = 0.003, 3000
+"""Of the points that lay a view on the surface [m], and how many at most."""
+LEAST_FIT = 0.4
+"""Of a view's points, on the surface so far, or the view is left out."""
+LEAST_POINTS = 100
+NEAR = 0.5
+"""What fits is nearer than this [bounds]."""
+MOVED, TURNED = 0.02, np.deg2rad(3)
+"""A view that has not moved so far [m] or turned so much [rad] since the last one says nothing new."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A depth image of the object."""
+
+    depth: Depth
+    """(h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's."""
+    T_camera_object: Array
+    """(4, 4) as far as it is known; the object's frame is any that goes with the object."""
+
+
+class Reconstruction:
+    """A surface that grows view by view."""
+
+    def __init__(self, camera: PinholeCamera, bounds_object: Array) -> None:
+        """`bounds_object` (2, 3): the least and the largest coordinates of what is looked at [m]."""
+        self.camera, self.bounds_object = camera, bounds_object
+        cell = max(CELL, float((bounds_object[1] - bounds_object[0]).max()) / MOST_CELLS)
+        self.volume, self._coarse = (Volume(bounds_object, k * cell) for k in (1, COARSE))
+        self._surface: _Surface | None = None
+        self._fused: View | None = None
+        self._last: tuple[View, View] | None = None
+
+    def grow(self, view: View, *, estimate: bool = True) -> View | None:
+        """Fuses a view, and says at which pose; None, and nothing happened, where it does not fit the surface so far.
+
+        estimate: where it is the surface so far says, begun at the last one moved on as the views' own poses say; else
+        it is where its own pose says. A view that has hardly moved is fitted, and not fused.
+        """
+        found: View | None = view
+        if estimate and self._last is not None:
+            moved = view.T_camera_object @ se3.inverse(self._last[0].T_camera_object)
+            found = self.laid_on(View(view.depth, moved @ self._last[1].T_camera_object))
+        if found is None:
+            return None
+        self._last = view, found
+        if self._fused is None or _has_moved(self._fused.T_camera_object, found.T_camera_object):
+            for volume in (self.volume, self._coarse):
+                volume.fuse(self.camera, found.depth, found.T_camera_object)
+            self._fused, self._surface = found, None
+        return found
+
+    def laid_on(self, view: View) -> View | None:
+        """The view at the pose where its points lie on the surface so far; None where they do not."""
+        surface = self._surface = self._surface or _Surface(self._coarse, self.volume)
+        seen, T = seen_points(self._scene(view), SPACING, MOST_POINTS), view.T_camera_object
+        for fine, first, last, steps in RUNGS:
+            bound = (self.volume if fine else self._coarse).bound
+            known = seen[surface.tells(fine, se3.apply(se3.inverse(T), seen["point"]))]
+            T = surface.settled(known, T, np.array([fine, first * bound, last * bound, steps]))
+        off = surface.distances(se3.apply(se3.inverse(T), known["point"]))
+        fits = (np.abs(off) < NEAR * self.volume.bound).sum() > max(LEAST_FIT * len(known), LEAST_POINTS)
+        return View(view.depth, T) if fits else None
+
+    def _scene(self, view: View) -> Scene:
+        """The view's pixels that are in the bounds, as one part."""
+        inside = within(self.camera, view, self.bounds_object)
+        labels = np.where(inside, 0, OUT).astype(np.int32)
+        return Scene(self.camera, view.depth, labels, np.array([float(inside.sum())]))
+
+
+def within(camera: PinholeCamera, view: View, bounds_object: Array) -> Mask:
+    """(h, w) which pixels of a view show what lies in bounds (2, 3) [m]."""
+    points_camera = camera.points(view.depth).reshape(-1, 3).astype(np.float64)
+    points = se3.apply(se3.inverse(view.T_camera_object), points_camera).reshape(*view.depth.shape, 3)
+    low, high = bounds_object
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((points > low) & (points < high)).all(axis=-1) & (view.depth > 0))
+
+
+class _Surface:
+    """A growing surface as what views are laid on."""
+
+    def __init__(self, coarse: Volume, fine: Volume) -> None:
+        self._volumes = {False: coarse, True: fine}
+        self._told = {scale: binary_erosion(volume.told()) for scale, volume in self._volumes.items()}
+        self._fine = fine.field()
+        fields = [field_record(field) for field in (coarse.field(), self._fine)]
+        self._model, self._nodes = np.zeros(1, dtype=MODEL), np.concatenate([nodes for _, nodes in fields])
+        self._model["coarse"], self._model["fine"] = (record for record, _ in fields)
+        self._model["fine"]["nodes"] = len(fields[0][1])
+        low, high = fine.bounds_object
+        self._model["radius"], self._model["center"] = np.linalg.norm(high - low) / 2, (low + high) / 2
+
+    def tells(self, fine: bool, points_object: Array) -> Mask:
+        """(n,) whether any view told what is at points (n, 3): else what is new would be drawn onto what is known."""
+        return self._volumes[fine].among(self._told[fine], points_object)
+
+    def distances(self, points_object: Array) -> Array:
+        """(n,) [m] from the surface."""
+        return self._fine.evaluate(points_object).distance
+
+    def settled(self, seen: NDArray[np.void], T: Array, rung: Array) -> Array:
+        """T_camera_object (4, 4) where SEEN (n,) lie on the surface, begun at T; rung: as of `settle_all`."""
+        look = np.zeros(1, dtype=LOOK)
+        look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+        depth_term.settle_all(self._model, self._nodes, seen, rung, look)
+        return se3.compose(look["pose"]["rotation"][0], look["pose"]["position"][0])
+
+
+def _has_moved(T_camera_object: Array, to: Array) -> bool:
+    """Whether the camera has, seen from the object."""
+    shift, turn = np.split(se3.difference(se3.inverse(to), se3.inverse(T_camera_object)), 2)
+    return bool(np.linalg.norm(shift) > MOVED or np.linalg.norm(turn) > TURNED)

@@ -1,0 +1,144 @@
+"""A volume that depth images of an object are fused into, and the surface in it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight._kernels.image import volume as kernel
+from handsight._kernels.image.vision_records import VOXEL
+from handsight.checks import Array, Indices, Mask
+from handsight.objects.fields import Grid, GridField
+from handsight.vision.camera import Depth, PinholeCamera
+
+BOUND = 3.0
+"""How far from the surface its distance is kept [cells]."""
+LEAST_VIEWS = 2
+"""A node that one view alone has seen may be that view's noise."""
+
+
+class SurfacePoints(NamedTuple):
+    """Points of a surface, about a cell apart."""
+
+    points: Array
+    """(n, 3) [m]."""
+    normals: Array
+    """(n, 3) unit, outward."""
+
+
+class Volume:
+    """Distances to a surface on a grid in the object's frame, as far as depth images have told them."""
+
+    def __init__(self, bounds_object: Array, cell: float) -> None:
+        """`bounds_object` (2, 3): the least and the largest coordinates of what it holds [m]; `cell` [m]."""
+        shape = np.ceil((bounds_object[1] - bounds_object[0]) / cell).astype(int) + 1
+        self.grid = Grid(bounds_object[0], cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+        self.voxels = np.zeros(self.grid.shape, dtype=VOXEL)
+        self.views = 0
+
+    @property
+    def bound(self) -> float:
+        """The largest distance that is kept [m]."""
+        return BOUND * self.grid.cell
+
+    @property
+    def bounds_object(self) -> Array:
+        """(2, 3) [m]."""
+        return np.stack(
+            [self.grid.origin, self.grid.origin + self.grid.cell * (np.array(self.grid.shape) - 1)]
+        )
+
+    def fuse(self, camera: PinholeCamera, depth: Depth, T_camera_object: Array) -> None:
+        """Adds what a depth image (h, w) [m] says, 0 where it says nothing."""
+        R, p = T_camera_object[:3, :3], T_camera_object[:3, 3]
+        to_camera = np.column_stack([R * self.grid.cell, R @ self.grid.origin + p])
+        kernel.fuse(camera.record, depth, to_camera, self.bound, self.voxels)
+        self.views += 1
+
+    def known(self, least: int = LEAST_VIEWS) -> Mask:
+        """(nx, ny, nz) whether the distance is known: so many views had the surface near, no more looked through."""
+        views = self.voxels["views"]
+        return np.asarray((views >= least) & (self.voxels["passed"] <= views))
+
+    def distances(self, least: int = LEAST_VIEWS) -> Array:
+        """(nx, ny, nz) [m]; NaN where it is not known."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self.voxels["sum"] / self.voxels["weight"]
+        return np.where(self.known(least), mean, np.nan).astype(np.float64)
+
+    def field(self) -> GridField:
+        """The distances that any view tells, as a smooth field; elsewhere that of what is clear of a surface."""
+        return self.grid.field(np.nan_to_num(self.distances(1), nan=self.bound).reshape(-1))
+
+    def surface(self) -> SurfacePoints:
+        """The surface: where distances change their sign between neighbours."""
+        f = self.distances()
+        slopes = np.stack([_slope(f, axis) for axis in range(3)], axis=-1)
+        found = [_crossings(f, slopes, axis) for axis in range(3)]
+        points, normals = (np.concatenate(each) for each in zip(*found, strict=True))
+        at, facing = thinned(points, normals)
+        return SurfacePoints(self.grid.origin + self.grid.cell * at, facing)
+
+    def among(self, nodes: Mask, points_object: Array) -> Mask:
+        """(n,) whether the nodes nearest to points (n, 3) [m] are among some (nx, ny, nz)."""
+        place = self.places(points_object)
+        inside = np.asarray(((place >= 0) & (place < self.grid.shape)).all(axis=1))
+        inside[inside] = nodes[tuple(place[inside].T)]
+        return inside
+
+    def places(self, points_object: Array) -> Indices:
+        """(n, 3) the nodes nearest to points (n, 3) [m], some of them perhaps outside."""
+        return np.asarray(np.rint((points_object - self.grid.origin) / self.grid.cell).astype(np.int64))
+
+    def told(self) -> Mask:
+        """(nx, ny, nz) whether any view said anything."""
+        return np.asarray((self.voxels["views"] > 0) | (self.voxels["passed"] > 0))
+
+    def clear(self) -> Mask:
+        """(nx, ny, nz) whether more views looked through than had a surface near by."""
+        views, passed = self.voxels["views"], self.voxels["passed"]
+        return np.asarray((passed > views) & (passed >= min(LEAST_VIEWS, self.views)))
+
+
+def _slope(f: Array, axis: int) -> Array:
+    """(nx, ny, nz) the mean change of f to its neighbours along an axis that are known; 0 where none is.
+
+    Seen aslant a surface is a few nodes thick: often there is a neighbour on one side only.
+    """
+    change = np.diff(f, axis=axis, prepend=np.nan, append=np.nan)
+    n = f.shape[axis]
+    both = np.stack([change.take(range(n), axis), change.take(range(1, n + 1), axis)])
+    known = np.isfinite(both)
+    return np.asarray(np.where(known, both, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+
+
+def _crossings(f: Array, slopes: Array, axis: int) -> tuple[Array, Array]:
+    """Places (n, 3) [cells] and unit normals (n, 3) where f (nx, ny, nz) changes its sign along an axis."""
+    n = f.shape[axis]
+    a, b = f.take(range(n - 1), axis), f.take(range(1, n), axis)
+    with np.errstate(invalid="ignore"):
+        at = np.argwhere(a * b < 0)
+    here, next_ = tuple(at.T), tuple((at + np.eye(3, dtype=np.int64)[axis]).T)
+    share = (f[here] / (f[here] - f[next_]))[:, None]
+    normals = (1 - share) * slopes[here] + share * slopes[next_]
+    length = np.linalg.norm(normals, axis=1)
+    # Where the slope disagrees with the change of sign, or is not known, it is no surface.
+    with np.errstate(invalid="ignore"):
+        good = (length > 0) & (normals[:, axis] * (f[next_] - f[here]) > 0)
+    points = at + share * np.eye(3)[axis]
+    return points[good], np.asarray(normals[good] / length[good, None])
+
+
+def thinned(points: Array, normals: Array) -> SurfacePoints:
+    """The means of points (n, 3) [cells] of a cell that face the same way."""
+    facing = np.abs(normals).argmax(axis=1)
+    side = 2 * facing + (normals[np.arange(len(normals)), facing] > 0)
+    cells = np.column_stack([np.rint(points).astype(np.int64), side])
+    _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    mean = [means(each, which.reshape(-1), count) for each in (points, normals)]
+    length = np.linalg.norm(mean[1], axis=1, keepdims=True)
+    return SurfacePoints(mean[0], mean[1] / np.maximum(length, 1e-12))
+
+
+def means(values: Array, which: Indices, count: Indices) -> Array:
+    """(m, k) the means of the rows of values (n, k) that are the same of `which` (n,); `count` (m,) of each."""
+    return np.stack([np.bincount(which, column) / count for column in values.T], axis=1)

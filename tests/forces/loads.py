@@ -1,0 +1,54 @@
+"""Loads on fingertips made from the cone: for the tests of what loads say."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from handsight.forces.friction import PATCH
+
+RATE = 500.0
+FINGERS = ("ff", "mf", "th")
+
+
+def rig(sigma_force=0.01, fingers=FINGERS):
+    """As much of one as a detector asks for."""
+    return SimpleNamespace(fingers={name: SimpleNamespace(sigma_force=sigma_force) for name in fingers})
+
+
+def load(ratio, normal=2.0, angle=0.0, twist=0.0):
+    """(5,) of a contact with normal z: `ratio` of sideways to normal load, a share `twist` of it as torque."""
+    along = ratio * normal * np.sqrt(1 - twist**2)
+    return np.array(
+        [along * np.cos(angle), along * np.sin(angle), 0.0, normal, ratio * normal * twist * PATCH]
+    )
+
+
+def sliding(mu, seconds=1.0, turns=2.0, finger="th", others=0.3):
+    """Loads (t, n, 5) of a closing hand, one of whose fingers slides along the cone while the others stick."""
+    for k in range(round(seconds * RATE)):
+        angle = 2 * np.pi * turns * k / (seconds * RATE)
+        yield np.array(
+            [load(mu if name == finger else others * mu, angle=angle, twist=0.3) for name in FINGERS]
+        )
+
+
+def steady(loads, seconds):
+    """The same loads again and again."""
+    for _ in range(round(seconds * RATE)):
+        yield np.asarray(loads)
+
+
+class Clock:
+    """Gives a detector one array of loads after another."""
+
+    def __init__(self, detector, fingers=FINGERS, rate=RATE):
+        self.detector, self.fingers, self.rate, self.now = detector, fingers, rate, 0.0
+
+    def run(self, arrays, rng=None, sigma=0.0):
+        """What it said to each."""
+        said = []
+        for loads in arrays:
+            self.now += 1 / self.rate
+            noise = 0.0 if rng is None else sigma * rng.normal(size=loads.shape) * [1, 1, 1, 1, PATCH]
+            said.append(self.detector.update(self.now, self.fingers, loads + noise))
+        return said

@@ -1,0 +1,207 @@
+"""When every finger is at its limit the object slips, and only then."""
+
+import itertools
+import math
+import pickle
+
+import numpy as np
+import pytest
+from dynamics.loads import FINGERS, Clock, load, rig, sliding, steady
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handsight.forces import SlipDetector
+from handsight.forces.slip import GAP, LASTS
+
+MUS = st.floats(0.2, 1.5)
+
+
+def knowing(mu):
+    """A detector that has felt one finger slide."""
+    clock = Clock(SlipDetector(rig()))
+    clock.run(sliding(mu))
+    return clock
+
+
+@settings(deadline=None, max_examples=30)
+@given(MUS, st.floats(0, 0.94), st.floats(0.3, 20.0), st.floats(0, 1), st.integers(0, 2))
+def test_one_finger_within_the_cone_holds_the_object(mu, ratio, normal, twist, which):
+    """However the others are loaded, and however hard it presses."""
+    clock = knowing(mu)
+    loads = [load(mu, twist=twist) for _ in FINGERS]
+    loads[which] = load(ratio * mu, normal, twist=twist)
+    said = clock.run(steady(loads, 0.1))[-1]
+    assert not said.slipping
+    assert said.least == pytest.approx(ratio, rel=0.02, abs=1e-3)
+
+
+@settings(deadline=None, max_examples=30)
+@given(MUS, st.floats(0.3, 20.0), st.floats(0, 1), st.floats(0, 2 * math.pi))
+def test_all_fingers_on_the_cone_let_it_slip_within_some_milliseconds(mu, normal, twist, angle):
+    clock = knowing(mu)
+    clock.run(steady([load(0.3 * mu)] * 3, 0.2))
+    said = clock.run(steady([load(mu, normal, angle + k, twist) for k in range(3)], 0.06))
+    assert said[-1].slipping
+    assert said[-1].began == pytest.approx(clock.now - 0.03, abs=0.03)
+
+
+def test_before_friction_is_known_nothing_slips():
+    clock = Clock(SlipDetector(rig()))
+    said = clock.run(steady([load(0.8)] * 3, 1.0))
+    assert {each.friction for each in said} == {None}
+    assert not any(each.slipping or each.ratios for each in said)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1), MUS)
+def test_what_sticks_is_never_taken_for_more_friction_than_there_is(seed, mu):
+    """Loads anywhere within the cone, on the move: from below, noise and all."""
+    rng, clock = np.random.default_rng(seed), Clock(SlipDetector(rig()))
+    knots = rng.uniform(0, 1, (8, 3)), rng.uniform(0, 2 * np.pi, (8, 3)), rng.uniform(0.5, 4, (8, 3))
+    for k in np.arange(0, 7, 0.01):
+        ratio, angle, normal = (_between(each, k) for each in knots)
+        loads = np.array([load(mu * r, n, a) for r, a, n in zip(ratio, angle, normal, strict=True)])
+        said = clock.run([loads], rng, 0.01)[0]
+    assert said.friction is None or said.friction < 1.05 * mu
+
+
+def _between(knots, k):
+    first, share = int(k), k - int(k)
+    return (1 - share) * knots[first] + share * knots[first + 1]
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2))
+def test_friction_is_learnt_from_one_finger_that_slides(seed, mu):
+    rng, clock = np.random.default_rng(seed), Clock(SlipDetector(rig()))
+    friction = clock.run(sliding(mu), rng, 0.01)[-1].friction
+    assert friction == pytest.approx(mu, rel=0.03)
+
+
+def test_a_lower_limit_first_gives_way_to_the_real_one():
+    clock = Clock(SlipDetector(rig()))
+    assert clock.run(sliding(0.4))[-1].friction == pytest.approx(0.4, rel=0.03)
+    assert clock.run(sliding(0.8))[-1].friction == pytest.approx(0.8, rel=0.03)
+    assert clock.run(sliding(0.5))[-1].friction == pytest.approx(0.8, rel=0.03)
+
+
+def test_a_load_that_only_grows_or_rests_is_no_limit():
+    clock = Clock(SlipDetector(rig()))
+    grows = [np.array([load(0.6, normal, 0.3 * k) for k in range(3)]) for normal in np.linspace(0.1, 5, 1000)]
+    said = clock.run([*grows, *grows[::-1], *steady(grows[500], 2.0)])
+    assert {each.friction for each in said} == {None}
+
+
+def test_a_spike_above_the_cone_does_not_raise_it():
+    """As a tip feels that touches at two places for a moment: ratios all over, none for long."""
+    clock = knowing(0.6)
+    spike = [load(ratio, angle=k) for k, ratio in enumerate(np.linspace(0.9, 2.0, 15))]
+    clock.run([np.array([each, load(0.2), load(0.2)]) for each in spike])
+    assert clock.run(steady([load(0.3)] * 3, 0.05))[-1].friction == pytest.approx(0.6, rel=0.03)
+
+
+def test_on_the_brink_it_goes_on_and_well_below_it_ends_at_once():
+    mu, clock = 0.7, knowing(0.7)
+    assert clock.run(steady([load(mu)] * 3, 0.1))[-1].slipping
+    brink = [steady([load(ratio * mu)] * 3, LASTS / 2) for ratio in (0.95, 0.91, 0.97, 0.89, 0.96) * 2]
+    assert all(each.slipping for each in clock.run(itertools.chain(*brink)))
+    began = clock.detector.now.began
+    said = clock.run(steady([load(0.85 * mu)] * 3, 3 * LASTS))
+    assert said[int(0.8 * LASTS * clock.rate)].slipping
+    assert not said[-1].slipping
+    assert said[-1].ended > said[-1].began == began
+    clock.run(steady([load(mu)] * 3, 0.1))
+    assert not clock.run(steady([load(0.2 * mu)] * 3, 0.04))[-1].slipping
+
+
+def test_from_below_it_begins_at_the_higher_threshold_only():
+    clock = knowing(0.7)
+    assert not any(each.slipping for each in clock.run(steady([load(0.93 * 0.7)] * 3, 0.5)))
+    assert clock.run(steady([load(0.97 * 0.7)] * 3, 0.1))[-1].slipping
+
+
+def test_what_is_hardly_loaded_or_silent_has_no_say():
+    clock = knowing(0.7)
+    for quiet in (load(0.1, 0.05), np.zeros(5), np.full(5, np.nan), load(0.1) * [1, 1, 1, -1, 1]):
+        clock.run(steady([load(0.2)] * 3, 0.2))
+        said = clock.run(steady([load(0.7), load(0.7), quiet], 0.15))[-1]
+        assert said.slipping
+        assert set(said.ratios) == {"ff", "mf"}
+
+
+def test_nothing_is_held_where_nothing_is_touched():
+    clock = knowing(0.7)
+    clock.run(steady([load(0.7)] * 3, 0.1))
+    said = clock.detector.update(clock.now + 0.002, (), None)
+    assert not said.slipping
+    assert (said.least, said.friction) == (None, pytest.approx(0.7, rel=0.03))
+
+
+def test_a_dead_tip_reads_the_same_for_ever_and_teaches_nothing():
+    clock = Clock(SlipDetector(rig()))
+    dead = load(1.1, 3.0)
+    moving = [np.array([dead, load(0.2, angle=k / 50), load(0.3, angle=k / 70)]) for k in range(1000)]
+    said = clock.run(moving)[-1]
+    assert said.friction is None or said.friction < 0.35
+
+
+def test_an_update_that_is_not_newer_changes_nothing():
+    clock = knowing(0.7)
+    detector, loads = clock.detector, np.array([load(0.7)] * 3)
+    before = pickle.dumps((vars(detector), vars(detector.friction)))
+    for stamp in (clock.now, clock.now - 1.0, math.nan):
+        assert detector.update(stamp, FINGERS, loads) is detector.now
+    assert pickle.dumps((vars(detector), vars(detector.friction))) == before
+
+
+def test_the_order_of_fingers_does_not_matter():
+    one, other = Clock(SlipDetector(rig())), Clock(SlipDetector(rig()), FINGERS[::-1])
+    for a, b in zip(one.run(sliding(0.6)), other.run(x[::-1] for x in sliding(0.6)), strict=True):
+        assert (a.slipping, a.ratios, a.friction) == (b.slipping, b.ratios, b.friction)
+
+
+def test_after_a_pause_the_loads_begin_anew():
+    clock = knowing(0.7)
+    clock.run(steady([load(0.7)] * 3, 0.1))
+    clock.now += 2 * GAP
+    assert not clock.run(steady([load(0.1)] * 3, 0.002))[-1].slipping
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 1000.0])
+def test_the_same_at_any_rate(rate):
+    clock = Clock(SlipDetector(rig()), rate=rate)
+    clock.run(list(sliding(0.6))[:: max(1, round(500 / rate))])
+    assert clock.detector.now.friction == pytest.approx(0.6, rel=0.03)
+    assert clock.run([np.array([load(0.6)] * 3)] * round(0.06 * rate))[-1].slipping
+
+
+def test_a_noisy_sensor_learns_from_strong_loads_only():
+    rng, clock = np.random.default_rng(0), Clock(SlipDetector(rig(sigma_force=0.1)))
+    said = clock.run(steady([load(0.1, 2.0)] * 3, 2.0), rng, 0.1)[-1]
+    assert said.friction is None
+
+
+def test_memory_stays_flat():
+    rng, clock, sizes = np.random.default_rng(1), Clock(SlipDetector(rig())), []
+    for _ in range(3):
+        for _ in range(3000):
+            normal, x, y, torque = 10.0 ** rng.uniform(-1, 1.5, 4) * [1, 0.3, 0.3, 0.002]
+            clock.run([np.array([[x, y, 0, normal, torque]] * 3)])
+        sizes.append(len(pickle.dumps((vars(clock.detector), vars(clock.detector.friction)))))
+    assert sizes[2] < 8000
+    assert sizes[2] - sizes[1] < 500
+
+
+def test_nothing_is_changed_in_place():
+    """A tracker comes back to what its parts were by their attributes alone."""
+    clock = knowing(0.7)
+    detector = clock.detector
+    before = vars(detector).copy(), vars(detector.friction).copy()
+    del before[0]["friction"]
+    kept = pickle.dumps(before)
+    clock.run(sliding(0.9, finger="ff"))
+    assert pickle.dumps(before) == kept
+    assert detector.friction.coefficient > 0.8
+    vars(detector).update(before[0])
+    vars(detector.friction).update(before[1])
+    assert detector.now.friction == pytest.approx(0.7, rel=0.03)

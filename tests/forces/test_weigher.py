@@ -1,0 +1,149 @@
+"""Weighing over time: what is kept, what is carried, and what is noticed and said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dynamics.weighed import CENTER, MASS, TILTS, Held, contacts, rig, touched
+
+from handsight import se3
+from handsight.forces import Weigher
+from handsight.forces.loads import load_sum
+from handsight.forces.odometry import moved_with_tips, small_motion
+
+JOINTS = len(rig().hand.moving)
+KNOWN = np.zeros(JOINTS), rig().sigma_joint_offset * np.eye(JOINTS)
+
+
+def weighed(weigher, held, tilts=TILTS[:3], begin=0.0, spoil=None, change=None):
+    """The weigher after 0.3 s at each tilt."""
+    for k, tilt in enumerate(tilts):
+        for seen in held.observations(tilt, start=begin + 1.0 * k, count=31):
+            seen = seen if change is None else change(seen)
+            if spoil is not None:
+                seen = replace(seen, wrenches={**seen.wrenches, **spoil(seen.wrenches)})
+            weigher.update(seen, *contacts(held), KNOWN)
+    return weigher
+
+
+def test_an_object_is_weighed_as_the_hand_tilts():
+    weigher = weighed(Weigher(rig()), Held())
+    found = weigher.believed
+    assert found.directions == 3
+    assert found.mass == pytest.approx(MASS, rel=2e-3)
+    assert np.linalg.norm(found.center_palm - CENTER) < 1e-3
+
+
+def test_one_orientation_is_counted_once_however_long_it_lasts():
+    once, often = weighed(Weigher(rig()), Held(), TILTS[:1]), weighed(Weigher(rig()), Held(), [TILTS[0]] * 6)
+    assert often.weighing.directions == 1
+    # But for where it was linearized.
+    sigmas = [np.sqrt(np.linalg.eigvalsh(w.weighing.covariance_center)) for w in (once, often)]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.02)
+
+
+def test_a_known_mass_that_is_another_is_said():
+    weigher = weighed(Weigher(rig(), 0.3, 0.006), Held())
+    assert weigher.believed is None
+    assert weigher.reason == "it weighs 0.15 kg, not 0.3"
+    assert weighed(Weigher(rig(), MASS, 0.003), Held()).believed is not None
+
+
+def test_gravity_with_the_wrong_sign_is_said():
+    weigher = weighed(Weigher(replace(rig(), gravity=-rig().gravity)), Held(noise=1.0))
+    assert weigher.believed is None
+    assert "gravity point the other way" in weigher.reason
+
+
+@pytest.mark.parametrize("newtons", [0.5, 1.0])
+def test_what_else_bears_the_object_is_said(newtons):
+    weigher = weighed(Weigher(rig(), MASS, 0.003), Held(extra_palm=np.array([0.0, 0.0, newtons])))
+    assert weigher.believed is None
+    assert weigher.reason
+
+
+def test_one_direction_is_not_believed_after_loads_have_fitted_none():
+    """What presses may only seem to have gone: one direction fits whatever does."""
+    pressed = Held(extra_palm=np.array([0.0, 0.0, 1.0]))
+    weigher = weighed(Weigher(rig()), pressed, [TILTS[k % 3] for k in range(5)])
+    assert weighed(weigher, Held(), TILTS[1:2], begin=20.0).believed is None
+    assert weigher.reason == "loads have fitted no weight, and not one in 3 directions since"
+    assert weighed(weigher, Held(), TILTS[:3], begin=21.0).believed is not None
+
+
+def test_a_biased_tip_is_said():
+    """By ten times what its calibration should leave, as the palm turns it against gravity."""
+    biases = np.zeros((5, 6))
+    biases[4, :3] = [0.25, 0.25, -0.25]
+    assert weighed(Weigher(rig(), MASS, 0.003), Held(biases=biases)).believed is None
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda w: {"th": np.full(6, np.nan)}, "th is silent"),
+        (lambda w: {"th": np.zeros(6)}, "th reads the same for ever"),
+        (lambda w: {"ff": w["ff"] + [80.0, 0, 0, 0, 0, 0]}, "ff is at the end of its sensor's scale"),
+    ],
+)
+def test_a_tip_that_measures_nothing_is_said(spoil, said):
+    weigher = weighed(Weigher(rig()), Held(noise=1.0), spoil=spoil)
+    assert weigher.believed is None
+    assert weigher.reason == said
+
+
+def test_a_wrench_that_is_missing_is_said():
+    weigher = weighed(
+        Weigher(rig()),
+        Held(),
+        change=lambda seen: replace(seen, wrenches={k: w for k, w in seen.wrenches.items() if k != "mf"}),
+    )
+    assert weigher.reason == "mf is silent"
+
+
+@pytest.mark.parametrize("field", ["joint_positions", "T_world_palm"])
+def test_without_joints_or_the_palms_pose_nothing_is_weighed(field):
+    weigher = weighed(Weigher(rig()), Held(), change=lambda seen: replace(seen, **{field: None}))
+    assert weigher.weighing is None
+
+
+def test_less_than_a_weight_is_none():
+    assert weighed(Weigher(rig()), Held(mass=0.01)).reason == "less than 0.25 N hangs on the fingertips"
+
+
+def test_what_was_weighed_is_forgotten():
+    weigher = weighed(Weigher(rig()), Held())
+    weigher.forget("it was let go")
+    assert weigher.believed is None
+    assert weigher.reason == "it was let go"
+    assert weighed(weigher, Held(), TILTS[:1], begin=10.0).weighing.directions == 1
+
+
+def test_the_centre_goes_with_the_grip():
+    """Fingers that bend take the object with them: what was weighed before still counts."""
+    held, bent = Held(), 0.03
+    before = load_sum(rig(), held.observations(TILTS[0]), touched(held), KNOWN[0])
+    after = load_sum(rig(), held.observations(TILTS[0], bend=bent), touched(held, bent), KNOWN[0])
+    T, _ = moved_with_tips(before, after)
+    center = se3.apply(T, CENTER[None])[0]
+    weigher = weighed(Weigher(rig()), held, TILTS[1:])
+    moved = Held(center_palm=center)
+    for seen in moved.observations(TILTS[0], start=9.0, bend=bent, count=31):
+        weigher.update(seen, *contacts(moved, bent), KNOWN)
+    assert np.linalg.norm(center - CENTER) > 1e-3
+    assert np.linalg.norm(weigher.believed.center_palm - center) < 1e-3
+
+
+def test_small_motions_are_those_of_a_rigid_body():
+    rng = np.random.default_rng(0)
+    points, v, w = rng.normal(size=(4, 3)), rng.normal(size=3), rng.normal(size=3)
+    found = small_motion(points, v + np.cross(w, points))
+    np.testing.assert_allclose(found[0], v, atol=1e-4)
+    np.testing.assert_allclose(found[1], w, atol=1e-4)
+
+
+def test_two_contacts_turn_nothing_about_their_line():
+    points = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    _, w = small_motion(points, np.array([[0.0, 0, 0.001], [0, 0, -0.001]]))
+    assert abs(w[0]) < 1e-12
+    assert w[1] == pytest.approx(0.02, rel=2e-3)

@@ -1,0 +1,198 @@
+"""Mass and centre of mass from fingertips' loads: equations against differences, truth recovered, honest sigmas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dynamics.weighed import CENTER, MASS, TILTS, Held, rig, touched
+from scipy.stats import chi2
+
+from handsight import se3
+from handsight.forces import Carried, Unknowns, weigh
+from handsight.forces.loads import accelerations, load_sum
+from handsight.forces.weigher import CREEP, SIGMA_GRAVITY
+from handsight.forces.weight import _chance
+
+JOINTS = len(rig().hand.moving)
+STAY = np.zeros(JOINTS)
+
+
+def unknowns():
+    sigma = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig().fingers.values()]
+    root = rig().sigma_joint_offset * np.eye(JOINTS)
+    return Unknowns(root, np.ravel(sigma), CREEP, rig().gravity, SIGMA_GRAVITY)
+
+
+def carried(held, tilts, **how):
+    loads = [load_sum(rig(), held.observations(tilt, **how), touched(held), STAY) for tilt in tilts]
+    return [Carried(load, np.eye(4), np.zeros(6), 0.0) for load in loads]
+
+
+@pytest.mark.parametrize("mass", [0.05, 0.15, 0.6])
+def test_exact_readings_give_mass_and_centre(mass):
+    center = CENTER + np.array([0.02, -0.01, 0.015])
+    found = weigh(carried(Held(mass, center), TILTS[:3]), unknowns())
+    assert found.mass == pytest.approx(mass, rel=1e-3)
+    # A weak prior has the centre near the tips: it pulls by (σ / REACH)² of the way.
+    assert np.linalg.norm(found.center_palm - center) < 3e-3 * 0.15 * (0.15 / mass)
+    assert found.consistent
+
+
+def test_one_orientation_leaves_the_height_along_gravity_open():
+    (instant,) = carried(Held(), TILTS[:1])
+    found = weigh([instant], unknowns())
+    down = instant.load.gravity / np.linalg.norm(instant.load.gravity)
+    values, vectors = np.linalg.eigh(found.covariance_center)
+    assert abs(vectors[:, 2] @ down) > 0.99
+    assert np.sqrt(values[2]) > 0.1 > 0.01 > np.sqrt(values[1])
+    across = np.eye(3) - np.outer(down, down)
+    assert np.linalg.norm(across @ (found.center_palm - CENTER)) < 1e-3
+
+
+def test_acceleration_is_taken_out():
+    still = weigh(carried(Held(), TILTS[:3]), unknowns())
+    shaken = weigh(carried(Held(), TILTS[:3], acceleration=(1.0, -2.0, 1.5)), unknowns())
+    assert shaken.mass == pytest.approx(still.mass, rel=1e-3)
+    np.testing.assert_allclose(shaken.center_palm, still.center_palm, atol=2e-4)
+
+
+def test_an_acceleration_that_is_wrong_costs_nothing_across_what_hangs():
+    """It is wrong in the force as it is in the torque: c x F = T, whatever the acceleration is."""
+    (instant,) = carried(Held(), TILTS[:1], acceleration=(1.0, -2.0, 1.5))
+    wrong = replace(instant.load, gravity=instant.load.gravity + np.array([0.3, -0.2, 0.1]), acceleration=1.5)
+    found = weigh([replace(instant, load=wrong)], unknowns())
+    hangs = instant.load.wrench[:3] / np.linalg.norm(instant.load.wrench[:3])
+    across = np.eye(3) - np.outer(hangs, hangs)
+    assert np.linalg.norm(across @ (found.center_palm - CENTER)) < 1e-3
+
+
+def test_what_unknowns_would_explain_is_what_they_do_explain():
+    """The score is by how much the squares fall where the columns are fitted too."""
+    rng = np.random.default_rng(0)
+    H, columns, y = rng.normal(size=(20, 7)), rng.normal(size=(20, 3)), rng.normal(size=20)
+    left, least = (y - A @ np.linalg.lstsq(A, y)[0] for A in (H, np.hstack([H, columns])))
+    chance = _chance(columns, left, H, np.linalg.inv(H.T @ H))
+    assert chance == pytest.approx(chi2.sf(left @ left - least @ least, 3))
+
+
+@pytest.mark.parametrize("extra", [(0.25, 0, 0), (0, 0.25, 0), (0, 0, 0.25)])
+def test_what_presses_from_a_place_in_the_palm_is_noticed(extra):
+    alone, pressed = (
+        weigh(carried(Held(extra_palm=np.array(force)), TILTS[:3]), unknowns())
+        for force in ((0, 0, 0), extra)
+    )
+    assert alone.consistent
+    assert pressed.chance_fixed < 0.05 * alone.chance_fixed
+    assert pressed.chance_fixed < pressed.chance
+
+
+def test_accelerations_are_those_of_the_way():
+    t = np.arange(30) * 0.01
+    Ts = np.stack(
+        [
+            se3.compose(se3.rotation_exp(np.array([0, 0, 1.5 * s * s])), np.array([0.2 * s * s, 0, 0.1]))
+            for s in t
+        ]
+    )
+    linear, turning = accelerations(Ts, np.zeros(3), 0.01)
+    np.testing.assert_allclose(linear.mean(axis=0), [0.4, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(turning.mean(axis=0), [0, 0, 3.0], atol=1e-3)
+    point = np.array([0.1, 0.0, 0.0])
+    measured, _ = accelerations(Ts[:11], point, 0.01)
+    # At rest at first: α × r.
+    np.testing.assert_allclose(measured[0] - [0.4, 0, 0], [0, 0.3, 0], atol=2e-2)
+
+
+def test_the_wrench_changes_with_the_joints_as_its_derivative_says():
+    held, h = Held(), 1e-6
+    seen = held.observations([0.2, 0.1, 0.0], count=5)
+    load = load_sum(rig(), seen, touched(held), STAY)
+    for j in range(JOINTS):
+        step = h * np.eye(JOINTS)[j]
+        # Taking an offset away is believing the joint less far.
+        off = (load_sum(rig(), seen, {}, -step).wrench - load_sum(rig(), seen, {}, step).wrench) / (2 * h)
+        np.testing.assert_allclose(load.by_joint[:, j], off, atol=1e-3)  # but for the tip's own torque
+
+
+def test_the_wrench_changes_with_a_bias_as_its_derivative_says():
+    seen = Held().observations([0.2, 0.1, 0.0], count=5)
+    clean = load_sum(rig(), seen, {}, STAY)
+    for k in range(0, 30, 7):
+        biases = np.zeros((5, 6))
+        biases.ravel()[k] = 0.01
+        biased = load_sum(rig(), Held(biases=biases).observations([0.2, 0.1, 0.0], count=5), {}, STAY)
+        np.testing.assert_allclose((biased.wrench - clean.wrench) / 0.01, clean.by_bias[:, k], atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_what_is_said_of_the_uncertainty_is_so(count):
+    """Drawn from all that is unknown, the truth lies as far off as the covariance says, and χ² is its freedom."""
+    rng, nees, chi2, freedom = np.random.default_rng(1), [], 0.0, 0
+    sigma = unknowns().biases.reshape(5, 6)
+    for _ in range(12 if count > 1 else 24):
+        held = Held(
+            offsets=rig().sigma_joint_offset * rng.normal(size=JOINTS),
+            biases=sigma * rng.normal(size=(5, 6)),
+            plumb=SIGMA_GRAVITY * rng.normal(size=3),
+            noise=1.0,
+            rng=rng,
+        )
+        instants = carried(held, TILTS[:count])
+        found = weigh(instants, unknowns())
+        down = instants[-1].load.gravity[None] / np.linalg.norm(instants[-1].load.gravity)
+        axes = np.linalg.svd(down)[2][1:] if count == 1 else np.eye(3)
+        off = axes @ (found.center_palm - CENTER)
+        nees.append(off @ np.linalg.solve(axes @ found.covariance_center @ axes.T, off) / len(axes))
+        chi2, freedom = chi2 + found.chi2, freedom + found.freedom
+    assert 0.6 < np.mean(nees) < 1.5
+    # Its joints' noise, that the readings here lack, and the prior's rows are counted in it.
+    assert 0.5 < chi2 / freedom < 1.2
+
+
+def test_a_mass_that_is_known_makes_another_load_stand_out():
+    held = Held(extra_palm=np.array([0.0, 0.0, 0.5]))
+    found = weigh(carried(held, TILTS[:3]), unknowns())
+    assert not found.given_mass(MASS, 0.003).consistent
+    assert weigh(carried(Held(), TILTS[:3]), unknowns()).given_mass(MASS, 0.003).consistent
+
+
+def test_a_mass_that_is_known_counts_as_a_measurement_of_it():
+    found = weigh(carried(Held(biases=np.full((5, 6), 0.002)), TILTS[:2]), unknowns())
+    known = found.given_mass(MASS, 1e-6)
+    assert known.mass == pytest.approx(MASS, abs=1e-5)
+    assert known.freedom == found.freedom + 1
+    assert known.chi2 - found.chi2 == pytest.approx(((found.mass - MASS) / found.sigma_mass) ** 2, rel=1e-3)
+    none = found.given_mass(MASS, 1e3)
+    np.testing.assert_allclose(none.mean, found.mean, atol=1e-9)
+
+
+def test_from_a_weighing_of_a_moment_ago_the_same_is_found():
+    instants = carried(Held(), TILTS[:3])
+    found = weigh(instants, unknowns())
+    again = weigh(instants, unknowns(), weigh(instants[:2], unknowns()))
+    np.testing.assert_allclose(again.mean[:4], found.mean[:4], atol=2e-4)
+
+
+def test_an_instant_of_earlier_is_carried_through_the_grip():
+    """The object has moved by T and crept besides: all loads of then tell of where it is now."""
+    T = se3.compose(se3.rotation_exp(np.array([0.05, -0.04, 0.03])), np.array([0.004, -0.003, 0.002]))
+    kappa, creep = 2e-4, np.array([3.0, -2.0, 4.0, 10.0, 0.0, -10.0])
+    drift = kappa * (creep[:3] + np.cross(creep[3:], CENTER))
+    then = Held(center_palm=se3.apply(se3.inverse(T), (CENTER - drift)[None])[0])
+    first = [Carried(i.load, T, creep, 1e-5) for i in carried(then, TILTS[1:])]
+    found = weigh([*first, *carried(Held(), TILTS[:1])], unknowns())
+    assert np.linalg.norm(found.center_palm - CENTER) < 1e-4
+    stayed = [Carried(i.load, np.eye(4), 0 * creep, 1e-5) for i in carried(then, TILTS[1:])]
+    assert (
+        np.linalg.norm(weigh([*stayed, *carried(Held(), TILTS[:1])], unknowns()).center_palm - CENTER) > 1e-3
+    )
+
+
+def test_joints_and_centre_are_told_together():
+    """Knowing the offsets would tell the centre better, by what their covariance with it says."""
+    instants = carried(Held(), TILTS[:3])
+    found = weigh(instants, unknowns())
+    shared, joints = found.joint_covariance[1:4, 4:], found.joint_covariance[4:, 4:]
+    given = found.covariance_center - shared @ np.linalg.solve(joints, shared.T)
+    exact = Unknowns(np.zeros((JOINTS, JOINTS)), unknowns().biases, CREEP, rig().gravity, SIGMA_GRAVITY)
+    np.testing.assert_allclose(given, weigh(instants, exact).covariance_center, rtol=0.02, atol=1e-9)

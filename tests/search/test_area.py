@@ -1,0 +1,63 @@
+"""Where an object may stand."""
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from blind_touches import area, box, can
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.rig import Table
+from handsight.search import Area, resting
+
+
+def test_what_stands_on_the_table_reaches_down_to_it_and_is_where_it_is_said_to_be():
+    for model in (box(), can()):
+        here = area(Rs=resting(model))
+        places = here.draw(50, np.random.default_rng(0))
+        for place, T in zip(places, here.poses(model, places), strict=True):
+            vertices = se3.apply(T, model.vertices)
+            assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+            assert vertices[:, 2].max() == pytest.approx(here.tops(model)[int(place[3])])
+            assert se3.apply(T, model.center_object[None])[0, :2] == pytest.approx(place[:2])
+        assert here.holds(places).all()
+        assert not here.holds(places + np.array([1.0, 0, 0, 0])).any()
+
+
+def test_a_box_rests_on_three_of_its_sides_and_a_can_on_its_end_or_its_side():
+    heights = {round(float(top), 3) for top in area(Rs=resting(box())).tops(box())}
+    assert heights == {0.06, 0.09, 0.14}
+    assert len(resting(box())) == 3
+    tops = area(Rs=resting(can())).tops(can())
+    assert sorted(tops) == pytest.approx([0.066, 0.122], abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"low": [0.2, 0.2]}, "area: expected low below high"),
+        ({"high": [0.2]}, "area.high: expected 2 finite numbers"),
+        ({"table": 0.0}, "area.table: expected a Table, got float"),
+        (
+            {"Rs_world_object": np.zeros((0, 3, 3))},
+            "area.Rs_world_object: expected at least one way to stand",
+        ),
+        ({"Rs_world_object": 2 * np.eye(3)[None]}, "area.Rs_world_object[0]: rotation is not orthonormal"),
+    ],
+)
+def test_what_is_no_area_is_said(given, message):
+    usual = {
+        "low": [-0.1, -0.1],
+        "high": [0.1, 0.1],
+        "table": Table(height=0.0),
+        "Rs_world_object": np.eye(3)[None],
+    }
+    with pytest.raises(hs.HandsightError) as error:
+        Area(**{**usual, **given})
+    assert message in str(error.value)
+
+
+def test_a_cloud_rests_on_no_face():
+    cloud = hs.ObjectModel.from_points(*can().sample(500, 0))
+    with pytest.raises(InvalidInput, match="expected a closed mesh to rest on its faces"):
+        resting(cloud)

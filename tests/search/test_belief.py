@@ -1,0 +1,156 @@
+"""What is believed after touches, and which touch tells most."""
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from blind_touches import RADIUS, area, box, can, level, touched
+from handsight import se3
+from handsight.correction.modes import apart
+from handsight.errors import InvalidInput
+from handsight.rig import Table
+from handsight.search import Belief, Touch, best_sweep, candidates, expected_information
+from handsight.search.belief import KEPT
+from handsight.search.information import LOOKED_AT
+from handsight.search.scores import contact_scores, free_score
+
+HEIGHTS = (0.09, 0.11)
+
+
+def truth(model, seed):
+    here = area()
+    return here.poses(model, here.draw(1, np.random.default_rng(1000 + seed)))[0]
+
+
+def errors(belief, T):
+    shift, turn = apart(belief.model, T[None], belief.pose.T_palm_object)
+    return float(shift[0]), float(turn[0])
+
+
+def searched(model, seed, touches):
+    """The belief after that many of the best sweeps of an object that stands still, and the truth."""
+    T, rng, belief = truth(model, seed), np.random.default_rng(seed), Belief(model, area(), seed)
+    for _ in range(touches):
+        belief = belief.after(touched(model, T, best_sweep(belief, HEIGHTS, RADIUS), rng))
+    return belief, T
+
+
+def test_a_sweep_that_no_pose_meets_tells_nothing_and_none_tells_more_than_there_are_poses():
+    belief = Belief(can(), area())
+    far, high = level((1.0, -0.3), (0, 1.0)), level((-0.3, 0.0), (1.0, 0.0), height=0.2)
+    sweeps = [far, high, *candidates(belief, HEIGHTS, np.random.default_rng(0))]
+    told = expected_information(belief, sweeps, RADIUS)
+    assert (told[:2] == 0).all()
+    assert (told >= 0).all()
+    assert told.max() <= np.log(LOOKED_AT) + 1e-12
+    assert told[2:].min() > 0
+
+
+def test_a_sweep_whose_outcome_is_sure_tells_little():
+    """Once the can is known, only the steps in which outcomes are told apart are left."""
+    belief, T = searched(can(), 0, 5)
+    before = expected_information(Belief(can(), area()), [level((-0.4, T[1, 3]), (1.0, 0.0), 0.8)], RADIUS)
+    after = expected_information(belief, [level((-0.4, T[1, 3]), (1.0, 0.0), 0.8)], RADIUS)
+    assert belief.modes[0].sure
+    assert after[0] < 0.6 * before[0]
+
+
+@pytest.mark.parametrize(("model", "touches"), [(can(), 4), (box(), 5)], ids=["can", "box"])
+def test_touches_that_tell_most_find_the_object(model, touches):
+    found = [errors(*searched(model, seed, touches)) for seed in range(3)]
+    assert sum(shift < 0.008 and turn < np.deg2rad(8) for shift, turn in found) >= 2
+
+
+def test_a_belief_after_a_touch_holds_the_truth():
+    """Whatever was met: among poses that are equally likely some are near the truth."""
+    for seed in range(3):
+        T, rng, belief = truth(can(), seed), np.random.default_rng(seed), Belief(can(), area(), seed)
+        for _ in range(3):
+            belief = belief.after(touched(can(), T, best_sweep(belief, HEIGHTS, RADIUS), rng))
+            shift, _ = apart(can(), belief.Ts_world_object, T)
+            assert shift.min() < 0.02
+            assert sum(mode.weight for mode in belief.modes) == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+def test_the_spread_is_as_large_as_the_error():
+    """Mean of squared errors by the stated covariance, in the plane, of cans that were met."""
+    squared = []
+    for seed in range(6):
+        belief, T = searched(can(), seed, 4)
+        if belief.modes[0].sure:
+            off = (T - belief.pose.T_palm_object)[:2, 3]
+            squared.append(off @ np.linalg.solve(belief.pose.covariance[:2, :2], off) / 2)
+    assert len(squared) >= 4
+    assert 0.2 < np.mean(squared) < 2.0
+
+
+def test_what_was_swept_is_empty():
+    """After a miss no pose is left that the tip would have met."""
+    belief = Belief(box(), area())
+    sweep = level((-0.3, 0.0), (1.0, 0.0), 0.6)
+    free = sweep.start_world + np.arange(0, 0.6, 0.005)[:, None] * sweep.direction_world
+    left = belief.after(Touch(free, RADIUS, 1e-3, None)).Ts_world_object
+    inside = se3.apply(se3.inverse(left), free).reshape(-1, 3)
+    distance = box().evaluate(inside).distance.reshape(KEPT, -1).min(axis=1)
+    assert distance.min() > RADIUS - 4e-3
+
+
+def test_the_same_touches_make_the_same_belief_and_another_seed_another():
+    T = truth(box(), 0)
+    touch = touched(box(), T, level((-0.3, T[1, 3]), (1.0, 0.0), 0.6), np.random.default_rng(0))
+    first, second, other = (Belief(box(), area(), seed).after(touch) for seed in (3, 3, 4))
+    assert (first.places == second.places).all()
+    assert (first.places != other.places).any()
+    one, two = (best_sweep(belief, HEIGHTS, RADIUS) for belief in (first, second))
+    assert (one.start_world == two.start_world).all()
+    assert one.length == two.length
+
+
+def test_an_edge_is_no_surprise():
+    """Where a ball touches an edge its normal is neither face's, and the true pose explains it all the same."""
+    T = np.eye(4)
+    T[2, 3] = 0.07
+    diagonal = np.array([1.0, 1.0]) / np.sqrt(2)
+    touch = touched(
+        box(), T, level(np.array([-0.03, -0.045]) - 0.2 * diagonal, diagonal), np.random.default_rng(0)
+    )
+    turned = T @ se3.compose(se3.rotation_exp(np.array([0, 0, np.deg2rad(45)])), np.zeros(3))
+    table = Table(height=0.0)
+    true, wrong = contact_scores(box(), [touch], table, np.array([T, turned]))[:, 0]
+    assert true > wrong + 3
+    assert free_score(box(), [touch], T[None])[0] > -0.5
+
+
+def test_another_way_to_stand_is_found():
+    """A box lies on a side; its height is not told, only that it may lie on any."""
+    from handsight.search import resting
+
+    Rs = resting(box())
+    here = area(Rs=Rs)
+    lying = int(np.argmin(here.tops(box())))
+    T = here.poses(box(), np.array([[0.02, -0.03, 0.5, lying]]))[0]
+    belief, rng = Belief(box(), here), np.random.default_rng(0)
+    for _ in range(8):
+        belief = belief.after(touched(box(), T, best_sweep(belief, (0.03, 0.075, 0.12), RADIUS), rng))
+    shift, turn = errors(belief, T)
+    assert shift < 0.01
+    assert turn < np.deg2rad(8)
+
+
+def test_what_is_wrong_is_said():
+    belief = Belief(can(), area())
+    for call, message in (
+        (lambda: Belief("can", area()), "belief: expected an ObjectModel and an Area, got str and Area"),
+        (lambda: Belief(can(), area(), -1), "belief.seed: expected a whole number from 0"),
+        (lambda: belief.after("x"), "touch: expected a Touch, got str"),
+        (lambda: best_sweep(belief, [], RADIUS), "heights: expected some above 0, got []"),
+        (lambda: best_sweep(belief, [-0.1], RADIUS), "heights: expected some above 0, got [-0.1]"),
+        (lambda: best_sweep(belief, [0.1], 0.0), "radius: expected a number above 0"),
+    ):
+        with pytest.raises(InvalidInput) as error:
+            call()
+        assert message in str(error.value)
+    away = hs.Contacts(np.array([[2.0, 0, 0.1]]), np.array([[1.0, 0, 0]]))
+    after = belief.after(Touch(np.empty((0, 3)), RADIUS, 1e-3, away))
+    assert after.touches[0].contact_world is None  # it is of something else
