@@ -23,8 +23,8 @@ from handsight.tracking.fingertips import FingertipSensors
 from handsight.vision import PinholeCamera, depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import LEAST_PIXELS, LEAST_POINTS
-from handsight.vision.object.pose_refiner import CloseLook, Looked
-from handsight.vision.palm.hand_in_image import OwnHand
+from handsight.vision.object.pose_refiner import Looked, PoseRefiner
+from handsight.vision.palm.hand_in_image import HandInImage
 from shared import report
 from shared.report import Array, Rows
 
@@ -61,14 +61,14 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     drawn = camera.draw(se3.apply(T_camera_palm @ T, model.vertices), model.faces).depth
     T_seen = se3.moved(T_camera_palm, HAND * rng.normal(size=6))
     joints, T_palm_camera = last.observation.joint_positions, se3.inverse(T_seen)
-    mask = OwnHand(rig).mask(camera, depth, joints, T_seen)
+    mask = HandInImage(rig).mask(camera, depth, joints, T_seen)
     if mask is None:
         return []
     expected = hs.PosePrior(se3.moved(T, EXPECTED * rng.normal(size=6)), np.diag(EXPECTED**2))
     way, found = rng.uniform(0, 2 * np.pi), []
     for share in COVERED:
         image = np.where(mask, np.nan, uncovered(depth, drawn, share, way))
-        look = CloseLook(model, camera, STRUCTURED_LIGHT)
+        look = PoseRefiner(model, camera, STRUCTURED_LIGHT)
         seen = look.at(T_seen @ expected.T_palm_object, np.diag(EXPECTED**-2.0), image, None, None)
         points = camera.points(image).reshape(-1, 3)
         points_palm = se3.apply(T_palm_camera, points[np.isfinite(points).all(axis=1)].astype(np.float64))

@@ -23,7 +23,7 @@ import trimesh
 from handsight import se3
 from handsight.hand import Hand
 from handsight.simulation import Scenario, rig_of
-from handsight.vision import HandLook, HandNotSeen, PlacedHand, SeenHand, followed_hand, seen_hand
+from handsight.vision import HandAppearance, PalmDetection, PalmNotFound, PlacedHand, detect_palm, follow_palm
 from shared import figures, hand_scenes, report, ycb
 from shared.report import Array, Row, Rows
 
@@ -46,7 +46,7 @@ class Stage:
 
     def __init__(self) -> None:
         self.hand = rig_of(Scenario(object="can")).hand
-        self.shape, self.look = self.hand.shape(), HandLook.of(self.hand)
+        self.shape, self.look = self.hand.shape(), HandAppearance.of(self.hand)
         whole = Hand.from_file(self.hand.file, palm=ARM[0], tips={"palm": self.hand.palm})
         self._whole, self._arm = whole, whole.shape()
         bodies = [k for k, body in enumerate(self._arm.bodies) if body in ARM]
@@ -82,15 +82,15 @@ def scene_and_belief(
     return scene, hand, hand_scenes.moved(T, shift + about - turn @ about, turn), sigmas
 
 
-def searched(depth: Array, hand: PlacedHand, believed: Array, sigmas: Any) -> SeenHand | HandNotSeen:
+def searched(depth: Array, hand: PlacedHand, believed: Array, sigmas: Any) -> PalmDetection | PalmNotFound:
     """Without a last picture."""
     camera, (position, rotation) = hand_scenes.CAMERA, sigmas
-    return seen_hand(camera, depth, hand, believed, sigma_position=position, sigma_rotation=rotation)
+    return detect_palm(camera, depth, hand, believed, sigma_position=position, sigma_rotation=rotation)
 
 
-def followed(depth: Array, hand: PlacedHand, believed: Array, _: Any) -> SeenHand | HandNotSeen:
+def followed(depth: Array, hand: PlacedHand, believed: Array, _: Any) -> PalmDetection | PalmNotFound:
     """From where the last picture has had it."""
-    return followed_hand(hand_scenes.CAMERA, depth, hand, believed)
+    return follow_palm(hand_scenes.CAMERA, depth, hand, believed)
 
 
 def tried(
@@ -112,7 +112,7 @@ def tried(
         "hidden": scene.hidden,
         "pixels": scene.hand_pixels,
     }
-    if isinstance(seen, HandNotSeen):
+    if isinstance(seen, PalmNotFound):
         return {**row, "reason": seen.reason, "mm": np.nan, "deg": np.nan, "chi2": np.nan}
     T, found = scene.T_camera_palm, seen.T_camera_palm
     middles = [se3.apply(each, hand.middle[None])[0] for each in (T, found)]
@@ -157,7 +157,7 @@ def draw(stage: Stage, options: report.Options) -> None:
         distance = scene.T_camera_palm[2, 3]
         for axis, T, name in zip(
             column,
-            (believed, seen.T_camera_palm if isinstance(seen, SeenHand) else None),
+            (believed, seen.T_camera_palm if isinstance(seen, PalmDetection) else None),
             ("believed", "seen"),
             strict=True,
         ):

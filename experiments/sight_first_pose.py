@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from handsight import se3
 from handsight.objects.symmetry import nearest
-from handsight.vision.object.first_pose import Found, first_pose
+from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.region import scene_of, table_plane
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
@@ -48,7 +48,7 @@ def trial(name: str, k: int, seed: int) -> report.Row:
     }  # fmt: skip
 
 
-def located(picture: scenes.Picture) -> tuple[Found, dict[str, float]]:
+def located(picture: scenes.Picture) -> tuple[ObjectDetection, dict[str, float]]:
     """The poses, and the milliseconds that the parts took and the pose took."""
     clear = np.ones(picture.depth.shape, dtype=bool) if picture.hand is None else ~picture.hand
     begin = process_time()
@@ -59,7 +59,7 @@ def located(picture: scenes.Picture) -> tuple[Found, dict[str, float]]:
     return found, {"parts ms": 1e3 * (parted - begin), "pose ms": 1e3 * (process_time() - parted)}
 
 
-def inside(picture: scenes.Picture, found: Found, k: int) -> int:
+def inside(picture: scenes.Picture, found: ObjectDetection, k: int) -> int:
     """Whether the truth, moved along the symmetries, lies in a mode's 95 % region."""
     model, T = picture.model, found.Ts_camera_object[k]
     truth = nearest(model.symmetries, picture.T_camera_object, T, model.radius)

@@ -11,7 +11,7 @@ from cv2 import ppf_match_3d as ppf
 
 import handsight as hs
 from benchmarks.workload import Solve
-from handsight.vision.object.region import Scene, seen_points
+from handsight.vision.object.region import Scene, observed_points
 
 STEP, VOTING = 0.1, 0.5
 """Between points [diameters of the model]; the share of the scene's points that vote."""
@@ -40,7 +40,7 @@ class PpfVotesIcp:
         """One search, from the points of the scene's parts on."""
 
         def solve() -> np.ndarray | None:
-            seen = seen_points(scene, SPACING, MOST_POINTS)
+            seen = observed_points(scene, SPACING, MOST_POINTS)
             seen = seen[(seen["normal"] != 0).any(axis=1)]
             points = np.hstack([MM * seen["point"], seen["normal"]]).astype(np.float32)
             guesses = self._detector.match(points, VOTING, STEP)[:REFINED] if len(points) >= REFINED else []

@@ -4,7 +4,7 @@ import trimesh
 
 from cli.commands import called
 from handsight.cli import simulate as command
-from handsight.simulation import Found, grasp_search, read_grasp
+from handsight.simulation import GraspSearchResult, grasp_search, read_grasp
 from handsight.simulation.motion import CAN
 
 
@@ -35,7 +35,9 @@ def test_a_grasp_is_searched_said_kept_and_used_again(tmp_path, monkeypatch, cap
 
 def test_where_no_grasp_holds_what_was_tried_is_said(tmp_path, monkeypatch, capsys):
     name = bottle(tmp_path)
-    found = Found(CAN, False, 24, "thumb against ff, mf", "slipped when lifted: 20, slipped when turned: 4")
+    found = GraspSearchResult(
+        CAN, False, 24, "thumb against ff, mf", "slipped when lifted: 20, slipped when turned: 4"
+    )
     monkeypatch.setattr("handsight.simulation.find_grasp", lambda *_: found)
     assert (
         called(monkeypatch, tmp_path, "simulate", name, "--motion", "grasp", "-o", "b.mcap", columns=200) == 0

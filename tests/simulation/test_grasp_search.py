@@ -158,7 +158,9 @@ def test_what_flies_is_the_simulators_fault_and_never_recorded(monkeypatch):
 def test_a_grasp_is_the_same_from_its_file(block, fitted, tmp_path):
     _, grasp = fitted
     path = tmp_path / "block.grasp.json"
-    write_grasp(grasp_search.Found(grasp, True, 2, "thumb against ff, mf", "out of reach: 3"), block, path)
+    write_grasp(
+        grasp_search.GraspSearchResult(grasp, True, 2, "thumb against ff, mf", "out of reach: 3"), block, path
+    )
     again = read_grasp(path)
     for name in ("T_palm_middle", "R_world_palm"):
         np.testing.assert_allclose(getattr(again, name), getattr(grasp, name), atol=1e-12)
@@ -177,7 +179,7 @@ def test_a_grasp_is_the_same_from_its_file(block, fitted, tmp_path):
 )
 def test_what_is_wrong_with_a_grasp_file_is_said(old, new, message, fitted, block, tmp_path):
     path = tmp_path / "spoilt.grasp.json"
-    write_grasp(grasp_search.Found(fitted[1], True, 1, "", ""), block, path)
+    write_grasp(grasp_search.GraspSearchResult(fitted[1], True, 1, "", ""), block, path)
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InvalidFile, match=r"spoilt\.grasp\.json: .*" + message):
         read_grasp(path)
@@ -186,7 +188,7 @@ def test_what_is_wrong_with_a_grasp_file_is_said(old, new, message, fitted, bloc
 def test_joints_that_the_hand_has_not_are_told(fitted, block, tmp_path):
     path = tmp_path / "other.grasp.json"
     other = replace(fitted[1], closed={"thumb": 0.3})
-    write_grasp(grasp_search.Found(other, True, 1, "", ""), block, path)
+    write_grasp(grasp_search.GraspSearchResult(other, True, 1, "", ""), block, path)
     with pytest.raises(
         InvalidFile, match=r"other\.grasp\.json: closed: expected joints of the hand, got thumb"
     ):

@@ -107,7 +107,7 @@ def test_pictures_alone_say_where_an_object_is_though_the_camera_is_elsewhere(ca
     counts = tracker.images
     assert counts["looked_at"] == sum(o.depth is not None for o in observations)
     assert counts["object_seen"] > 0.9 * counts["looked_at"]
-    assert counts["hand_seen"] > 0.7 * counts["hand_sought"] > 0
+    assert counts["palm_detected"] > 0.7 * counts["hand_sought"] > 0
 
 
 def test_touch_comes_on_top(can, seen):
@@ -155,7 +155,9 @@ def test_an_image_that_comes_late_is_placed_by_its_stamp(can):
     assert error(can.model, right.estimate, can.T_palm_object)[0] < 0.006
     # The camera is where the rig has it; to one that takes images for new, the palm is seen behind itself.
     pivot = can.T_palm_object[:3, 3]
-    off = [np.linalg.norm(t.vision.seen_camera.believed[0].bias(pivot)[0][:3, 3]) for t in (right, wrong)]
+    off = [
+        np.linalg.norm(t.vision.camera_from_palm.believed[0].bias(pivot)[0][:3, 3]) for t in (right, wrong)
+    ]
     assert off[0] < 0.006
     assert off[1] == pytest.approx(0.02 * LATE / 5, abs=0.006)
 
@@ -189,7 +191,7 @@ def test_pictures_of_nothing_are_no_pose(can, seen, fill):
     assert tracker.estimate is None
     assert tracker.state == "lost"
     assert tracker.images["object_seen"] == 0
-    assert tracker.images["hand_seen"] == 0
+    assert tracker.images["palm_detected"] == 0
 
 
 def test_what_was_seen_is_forgotten_when_a_jump_of_the_clock_is_taken_back(can, seen):

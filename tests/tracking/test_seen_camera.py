@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handsight import se3
-from handsight.tracking.camera_from_palm import IN_A_ROW, HandView, SeenCamera
-from handsight.tracking.history import Instant, Past
+from handsight.tracking.camera_from_palm import IN_A_ROW, CameraFromPalm, HandView
+from handsight.tracking.history import History, Instant
 from handsight.tracking.smoother import PoseBiasSmoother
 from oracles.pose_bias import biased
 
@@ -45,7 +45,7 @@ def test_its_covariance_is_that_of_the_bias(seed):
     bias, covariance = clean.bias(pivot)
     h, columns = 1e-6, []
     for e in np.eye(6):
-        off = HandView(clean.T_mount_palm, se3.moved(clean.T_mount_palm_seen, h * e), clean.covariance)
+        off = HandView(clean.T_mount_palm, se3.moved(clean.T_mount_palm_detected, h * e), clean.covariance)
         columns.append(se3.difference(off.bias(pivot)[0], bias) / h)
     J = np.column_stack(columns)
     np.testing.assert_allclose(covariance, J @ clean.covariance @ J.T, rtol=1e-3, atol=1e-9)
@@ -53,7 +53,7 @@ def test_its_covariance_is_that_of_the_bias(seed):
 
 def test_a_view_is_believed_when_it_has_been_the_same_a_few_times():
     rng = np.random.default_rng(0)
-    E, T, camera = wrong(rng), se3.random(rng, spread=0.3), SeenCamera()
+    E, T, camera = wrong(rng), se3.random(rng, spread=0.3), CameraFromPalm()
     for _ in range(IN_A_ROW):
         assert len(camera.believed) == 0
         camera = camera.seen(view(rng, E, 1.0, T))
@@ -65,7 +65,7 @@ def test_a_view_is_believed_when_it_has_been_the_same_a_few_times():
 
 def test_views_that_jump_about_are_not_believed():
     rng = np.random.default_rng(1)
-    camera, T = SeenCamera(), se3.random(rng, spread=0.3)
+    camera, T = CameraFromPalm(), se3.random(rng, spread=0.3)
     for _ in range(30):
         camera = camera.seen(view(rng, wrong(rng), 1.0, T))
     assert len(camera.believed) == 0
@@ -73,7 +73,7 @@ def test_views_that_jump_about_are_not_believed():
 
 def test_a_camera_that_was_moved_is_noticed():
     rng = np.random.default_rng(2)
-    camera, one, other = SeenCamera(), wrong(rng), wrong(rng)
+    camera, one, other = CameraFromPalm(), wrong(rng), wrong(rng)
     for E in (one, other):
         for _ in range(IN_A_ROW):
             camera = camera.seen(view(rng, E, 0.5))
@@ -108,7 +108,7 @@ def test_a_seen_hand_tells_the_pose_from_the_cameras_error(seed):
 
 
 def test_the_past_is_what_was_nearest_to_a_stamp():
-    past = Past()
+    past = History()
     assert past.at(None) is None
     for k in range(300):
         past.put(Instant(k / 100, {"j": float(k)}, None))

@@ -11,7 +11,7 @@ from dynamics.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import Contacts
 from handsight.tracking import FingertipContacts, Tracker
-from handsight.tracking.slip_update import BEFORE, FARTHEST, SIDEWAYS, SPEED, Slipping
+from handsight.tracking.slip_update import BEFORE, FARTHEST, SIDEWAYS, SPEED, SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
 
 FINGERS = ("ff", "mf", "th")
@@ -31,7 +31,7 @@ def felt(ratio, angle=0.0):
 
 
 def slipping():
-    part = Slipping(some_rig())
+    part = SlipUpdate(some_rig())
     part.detector.friction.coefficient = FRICTION
     return part
 

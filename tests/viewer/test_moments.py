@@ -13,7 +13,7 @@ from handsight.evaluation import track_errors
 from handsight.forces import Slip
 from handsight.observation import Observation
 from handsight.tracking import Tracker
-from handsight.tracking.camera_from_palm import SeenCamera
+from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.tracking.replay import Tally, replay
 from handsight.viewer.curves import curves
 from handsight.viewer.moment import VISION_FOR, Measured, Moment
@@ -220,7 +220,7 @@ def seen(tracked):
 def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     pytest.importorskip("PIL")
     rig, observation, T_palm_object = seen(tracked)
-    found, amber = picture(rig, observation, SeenCamera(), None), (224, 161, 0)
+    found, amber = picture(rig, observation, CameraFromPalm(), None), (224, 161, 0)
     image = found.with_outlines(tracked.model, {amber: found.T_camera_palm @ T_palm_object})
     outline = (image == amber).all(axis=2)
     assert outline.sum() > 100
@@ -249,7 +249,7 @@ def test_what_vision_saw_is_outlined_where_it_saw_it(page, tracked):
     """Whatever is known of the camera's error since."""
     rig, observation, T_palm_object = seen(tracked)
     off = se3.compose(np.eye(3), np.array([0.02, 0.0, 0.0]))
-    shown = picture(rig, observation, SeenCamera(), None)
+    shown = picture(rig, observation, CameraFromPalm(), None)
     T_camera_object = shown.T_camera_palm @ T_palm_object
     shown = dataclasses.replace(shown, T_camera_palm=shown.T_camera_palm @ off)
     page.scene.layers["object"] = False
@@ -272,12 +272,12 @@ def test_an_edge_is_just_outside():
 
 def test_a_picture_of_another_camera_has_neither_outline_nor_cloud(tracked):
     _, observation, T = seen(tracked)
-    found = picture(tracked.rig, observation, SeenCamera(), np.eye(4))
+    found = picture(tracked.rig, observation, CameraFromPalm(), np.eye(4))
     if found.camera is not None:
         pytest.skip("the built-in rig's camera has images of this size")
     assert len(found.points_palm) == 0
     np.testing.assert_array_equal(found.with_outlines(tracked.model, {(1, 2, 3): T}), found.image)
-    assert picture(tracked.rig, Observation(0.0), SeenCamera(), None) is None
+    assert picture(tracked.rig, Observation(0.0), CameraFromPalm(), None) is None
 
 
 def test_a_moment_now_is_the_trackers(tracked):

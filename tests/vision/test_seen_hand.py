@@ -22,8 +22,8 @@ from handsight._kernels.image.vision_records import LOOK
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.palm.hand_appearance import BESIDE, HandLook
-from handsight.vision.palm.hand_in_image import OwnHand
+from handsight.vision.palm.hand_appearance import BESIDE, HandAppearance
+from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.palm.palm_covariance import _spread
 from handsight.vision.palm.palm_search import Picture, _shifts, _turns, picture_of
 
@@ -32,7 +32,7 @@ if find_spec("gymnasium_robotics") is None:  # it is not imported: only its file
 
 from handsight.simulation import Scenario, rig_of
 
-seen_hand = importlib.import_module("handsight.vision.palm.palm_detector")
+detect_palm = importlib.import_module("handsight.vision.palm.palm_detector")
 ALLEGRO = (
     Path(os.environ.get("HANDSIGHT_DATA", "../shared/data")) / "hands/allegro_hand/allegro_hand_right.urdf"
 )
@@ -42,7 +42,7 @@ DEFAULT = {"sigma_position": 0.025, "sigma_rotation": np.deg2rad(2.5)}
 @functools.cache
 def shadow():
     hand = rig_of(Scenario(object="can")).hand
-    return hand, hand.shape(), HandLook.of(hand)
+    return hand, hand.shape(), HandAppearance.of(hand)
 
 
 def clean(depth, _):
@@ -78,7 +78,7 @@ def test_without_noise_the_truth_is_recovered(seed):
     picture = scene(seed, held=False)
     hand = shadow()[2].placed(picture.joints)
     believed = off(hand, picture.T_camera_palm, np.random.default_rng(seed), 0.04, np.deg2rad(4))
-    seen = seen_hand.seen_hand(CAMERA, picture.depth, hand, believed, **DEFAULT)
+    seen = detect_palm.detect_palm(CAMERA, picture.depth, hand, believed, **DEFAULT)
     assert seen
     shift, turn = away(hand, seen.T_camera_palm, picture.T_camera_palm)
     assert shift < 0.0005
@@ -94,12 +94,12 @@ def test_another_hand_is_seen_too():
     names = (("first", "3.0"), ("middle", "7.0"), ("ring", "11.0"), ("thumb", "15.0"))
     tips = {finger: f"link_{name}_tip" for finger, name in names}
     hand = Hand.from_file(ALLEGRO, palm="palm", tips=tips)
-    look, right = HandLook.of(hand), 0
+    look, right = HandAppearance.of(hand), 0
     for seed in range(6):
         picture = scene(seed, (hand, hand.shape()))
         placed = look.placed(picture.joints)
         believed = off(placed, picture.T_camera_palm, np.random.default_rng(seed), 0.04, np.deg2rad(4))
-        seen = seen_hand.seen_hand(CAMERA, picture.depth, placed, believed, **DEFAULT)
+        seen = detect_palm.detect_palm(CAMERA, picture.depth, placed, believed, **DEFAULT)
         right += bool(seen) and away(placed, seen.T_camera_palm, picture.T_camera_palm)[0] < 0.002
     assert right >= 5
 
@@ -127,7 +127,7 @@ def laid(seed, bound=0.012):
     drawn = scene(seed, held=False)
     hand = shadow()[2].placed(drawn.joints)
     picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, 0.01)
-    skin = np.ascontiguousarray(hand.skin[:, hand.seen_from(CAMERA, drawn.T_camera_palm)])
+    skin = np.ascontiguousarray(hand.skin[:, hand.visible_from(CAMERA, drawn.T_camera_palm)])
     look, T = (
         np.zeros(1, dtype=LOOK),
         off(hand, drawn.T_camera_palm, np.random.default_rng(seed), 0.003, 0.01),
@@ -141,7 +141,7 @@ def laid(seed, bound=0.012):
 @pytest.mark.parametrize("seed", range(3))
 def test_rows_are_the_derivative_of_the_residual(seed):
     picture, _, skin, look = laid(seed)
-    T, rows = seen_hand.poses_of(look)[0], np.empty((skin.shape[1], 8))
+    T, rows = detect_palm.poses_of(look)[0], np.empty((skin.shape[1], 8))
     hand_term.rows_of(CAMERA.record, picture.arrays, skin, look["pose"].copy(), 0.012, rows)
     weight, Q, P, n = plain_rows(picture, T, skin, 0.012)
     # Where a pixel's border is met, rounding decides.
@@ -162,7 +162,7 @@ def test_rows_are_the_derivative_of_the_residual(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_descent_ends_where_the_plain_residual_is_least(seed):
     picture, hand, skin, look = laid(seed)
-    T = seen_hand.poses_of(look)[0]
+    T = detect_palm.poses_of(look)[0]
     weight, Q, P, n = plain_rows(picture, T, skin, 0.012)
     about = se3.apply(T, hand.middle[None])[0]
 
@@ -199,7 +199,7 @@ def open_hand():
 
 def asked(depth, T=None, **sigmas):
     T = believed() if T is None else T
-    return seen_hand.seen_hand(CAMERA, depth, open_hand(), T, **{**DEFAULT, **sigmas})
+    return detect_palm.detect_palm(CAMERA, depth, open_hand(), T, **{**DEFAULT, **sigmas})
 
 
 def test_a_hand_out_of_the_picture_is_refused():
@@ -239,7 +239,7 @@ def test_a_hand_that_is_far_away_is_refused():
     vertices = shape.vertices_palm(dict.fromkeys(shape.joints, 0.1))
     far = believed(6.0)
     depth = clean(CAMERA.draw(se3.apply(far, vertices), shape.faces).depth, None)
-    refusal = seen_hand.seen_hand(CAMERA, depth, hand, far, **DEFAULT)
+    refusal = detect_palm.detect_palm(CAMERA, depth, hand, far, **DEFAULT)
     assert not refusal
 
 
@@ -256,8 +256,10 @@ def test_a_hand_is_followed_from_where_it_was_to_where_a_search_has_it(seed):
     drawn = scene(seed)
     hand, T = shadow()[2].placed(drawn.joints), drawn.T_camera_palm
     near = off(hand, T, np.random.default_rng(seed), 0.006, np.deg2rad(2))
-    followed = seen_hand.followed_hand(CAMERA, drawn.depth, hand, near)
-    searched = seen_hand.seen_hand(CAMERA, drawn.depth, hand, near, sigma_position=0.01, sigma_rotation=0.03)
+    followed = detect_palm.follow_palm(CAMERA, drawn.depth, hand, near)
+    searched = detect_palm.detect_palm(
+        CAMERA, drawn.depth, hand, near, sigma_position=0.01, sigma_rotation=0.03
+    )
     assert followed
     assert searched
     shift, turn = away(hand, followed.T_camera_palm, searched.T_camera_palm)
@@ -267,9 +269,9 @@ def test_a_hand_is_followed_from_where_it_was_to_where_a_search_has_it(seed):
 
 def test_a_hand_that_is_no_longer_there_is_searched():
     drawn, rig = scene(0), rig_of(Scenario(object="can"))
-    own, hand = OwnHand(rig), shadow()[2].placed(drawn.joints)
+    own, hand = HandInImage(rig), shadow()[2].placed(drawn.joints)
     gone = off(hand, drawn.T_camera_palm, np.random.default_rng(0), 0.06, np.deg2rad(3))
-    refusal = seen_hand.followed_hand(CAMERA, drawn.depth, hand, gone)
+    refusal = detect_palm.follow_palm(CAMERA, drawn.depth, hand, gone)
     assert not refusal
     assert refusal.reason == "no_fit"
     asked_for = CAMERA, drawn.depth, drawn.joints, gone, (0.04, 0.05)
@@ -284,10 +286,10 @@ def test_a_hand_that_is_followed_out_of_the_picture_is_refused():
     T = believed()
     T[:3, 3] = [3.0, 0, 0.8]
     assert (
-        seen_hand.followed_hand(CAMERA, np.ones((480, 640), np.float32), open_hand(), T).reason == "outside"
+        detect_palm.follow_palm(CAMERA, np.ones((480, 640), np.float32), open_hand(), T).reason == "outside"
     )
     with pytest.raises(InvalidInput, match="depth: expected 640 x 480 pixels, got 320 x 240"):
-        seen_hand.followed_hand(CAMERA, np.ones((240, 320), np.float32), open_hand(), believed())
+        detect_palm.follow_palm(CAMERA, np.ones((240, 320), np.float32), open_hand(), believed())
 
 
 def test_points_beside_a_hand_are_in_the_air_off_its_outline():
@@ -347,7 +349,7 @@ def test_a_noisier_camera_widens_the_covariance():
     covariances = []
     for amount in (1.0, 3.0):
         noise = STRUCTURED_LIGHT.times(amount)
-        seen = seen_hand.followed_hand(CAMERA, drawn.depth, hand, drawn.T_camera_palm, noise=noise)
+        seen = detect_palm.follow_palm(CAMERA, drawn.depth, hand, drawn.T_camera_palm, noise=noise)
         assert seen
         covariances.append(seen.covariance)
     assert np.linalg.eigvalsh(covariances[1] - covariances[0]).min() > -1e-12
@@ -360,7 +362,8 @@ def test_joints_that_may_be_off_widen_the_covariance():
     one, other = (look.placed(drawn.joints, sigma_joint=sigma) for sigma in (0.0, np.deg2rad(2)))
     small = {"sigma_position": 0.005, "sigma_rotation": 0.02}
     seen = [
-        seen_hand.seen_hand(CAMERA, drawn.depth, each, drawn.T_camera_palm, **small) for each in (one, other)
+        detect_palm.detect_palm(CAMERA, drawn.depth, each, drawn.T_camera_palm, **small)
+        for each in (one, other)
     ]
     assert all(seen)
     wider = seen[1].covariance - seen[0].covariance
@@ -379,6 +382,6 @@ def test_an_outline_goes_on_in_a_wall_and_ends_in_the_air():
     air = np.where(there, drawn, 1.5).astype(np.float32)
     nearest = distance_transform_edt(~there, return_distances=False, return_indices=True)
     wall = drawn[tuple(nearest)].astype(np.float32)
-    assert hand.outline_continued(CAMERA, air, T) < seen_hand.MOST_CONTINUED
-    assert hand.outline_continued(CAMERA, wall, T) > seen_hand.MOST_CONTINUED
+    assert hand.outline_continued(CAMERA, air, T) < detect_palm.MOST_CONTINUED
+    assert hand.outline_continued(CAMERA, wall, T) > detect_palm.MOST_CONTINUED
     assert hand.outline_continued(CAMERA, np.zeros_like(air), T) == 1.0

@@ -104,7 +104,7 @@ class Run:
         import numpy as np
 
         from handsight import se3
-        from handsight.recording.object_views import camera_of, held_views, views_of
+        from handsight.recording.object_views import camera_of, in_hand_views, views_of
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
         from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, on_table
 
@@ -114,7 +114,7 @@ class Run:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
         camera = camera_of(rig, recording.intrinsics)
         T_reference_object = np.eye(4)
-        for view in (held_views if self.held else views_of)(chain([first], seen), rig, camera):
+        for view in (in_hand_views if self.held else views_of)(chain([first], seen), rig, camera):
             if self.reconstruction is None:
                 begun = (view.T_camera_object, HELD_BOUNDS) if self.held else on_table(camera, view.depth)
                 if begun is None:

@@ -17,7 +17,7 @@ from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joint
 from handsight.hand.description import read
 from handsight.hand.paths import find_file
 from handsight.hand.shape import HandShape, LinkMesh
-from handsight.hand.surface import HandSurface, seen_triangles, spread, triangles_of
+from handsight.hand.surface import HandSurface, spread, triangles_of, visible_triangles
 
 _WORLD = 0
 MOST_CHAINS = 8
@@ -193,7 +193,7 @@ class Hand:
         return dict(zip(names, links.poses(joint_positions)[0], strict=True))
 
     def _shape_of(self, model: Any, links: list[int]) -> HandShape:
-        parts = [(body, seen_triangles(model, body)) for body in links]
+        parts = [(body, visible_triangles(model, body)) for body in links]
         parts = [(body, triangles) for body, triangles in parts if len(triangles)]
         bodies = [body for body, _ in parts]
         corners = np.concatenate([np.zeros((0, 3, 3)), *(triangles for _, triangles in parts)]).reshape(-1, 3)

@@ -120,7 +120,7 @@ def triangles_of(model: Any, body: int) -> Array:
     return _in_body(model, touching or shapes)
 
 
-def seen_triangles(model: Any, body: int) -> Array:
+def visible_triangles(model: Any, body: int) -> Array:
     """(f, 3, 3) the shapes of a body [m]: those that are seen, which touch nothing in most files, else all."""
     shapes = _shapes(model, body)
     seen = [g for g in shapes if not (model.geom_contype[g] or model.geom_conaffinity[g])]

@@ -239,9 +239,9 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
 
 
 def _with_told(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
-    from handsight.objects.scans.declared_noise import with_told
+    from handsight.objects.scans.declared_noise import with_declared_noise
 
-    return with_told(geometry, points, sigmas)
+    return with_declared_noise(geometry, points, sigmas)
 
 
 def _of_file(file: Path, data: bytes, scale: float) -> Geometry:

@@ -11,7 +11,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame, Unread
-from handsight.vision import Found
+from handsight.vision import ObjectDetection
 from handsight.vision.object.recognition import Recognition
 
 BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
@@ -25,7 +25,7 @@ class Located:
     frame: Frame
     model: ObjectModel
     """Of several the likeliest."""
-    found: Found
+    found: ObjectDetection
     """Where that is."""
     seconds: float
     """That looking took."""

@@ -41,7 +41,7 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamer
         yield View(depth, np.eye(4) if T is None else T)
 
 
-def held_views(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
+def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
     """The depth images among observations, pixels near the hand 0, by the pose of what the hand holds.
 
     Its frame: the palm's axes about the middle that the fingertips had in the first of them. Observations without

@@ -12,9 +12,9 @@ from handsight.observation import Observation
 from handsight.recording.frames import Frame, Frames
 from handsight.recording.open import Recording, open_recording
 from handsight.rig import Rig
-from handsight.vision import PinholeCamera, SeenHand
+from handsight.vision import PalmDetection, PinholeCamera
 from handsight.vision.camera import Depth
-from handsight.vision.palm.hand_in_image import OwnHand
+from handsight.vision.palm.hand_in_image import HandInImage
 
 KNOWN = 0.01, float(np.deg2rad(2))
 """How far the hand may be off where the last picture had it, once one has shown it: sigma [m, rad]."""
@@ -24,7 +24,7 @@ def recorded_frames(path: Path, rig: Rig) -> Frames:
     """The frames of a recording in order of stamp; raises InvalidFile where it has no depth images, InvalidInput where
     neither it nor the rig says what camera they are of.
 
-    Hand: its links as they are seen (`seen_hand`), else where the rig's camera should see them. Unknown without joint
+    Hand: its links as they are seen (`detect_palm`), else where the rig's camera should see them. Unknown without joint
     positions, or where a camera in the world does not know of the palm.
     """
     if rig.topics.depth is None:
@@ -37,7 +37,7 @@ class HandPixels:
 
     def __init__(self, rig: Rig) -> None:
         """A camera that is calibrated as well as the rig says."""
-        self._rig, self._hand = rig, OwnHand(rig)
+        self._rig, self._hand = rig, HandInImage(rig)
         # Of the palm in the camera, as constant as the calibration's error.
         self._T_seen_believed: Array | None = None
 
@@ -58,7 +58,7 @@ class HandPixels:
         near = believed if last is None else last @ believed
         look = self._hand.seen if last is None else self._hand.followed
         found = look(camera, depth, joints, near, off) if min(off) > 0 else None
-        if isinstance(found, SeenHand):
+        if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_seen_believed = near @ se3.inverse(believed)
         return near

@@ -2,7 +2,7 @@
 
 from handsight.simulation.camera import looking
 from handsight.simulation.grasp_file import read_grasp, write_grasp
-from handsight.simulation.grasp_search import Found, find_grasp
+from handsight.simulation.grasp_search import GraspSearchResult, find_grasp
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
@@ -11,8 +11,8 @@ from handsight.simulation.simulate import simulate
 from handsight.simulation.touch_search import blind_rig, simulate_blind
 
 __all__ = [
-    "Found",
     "Grasp",
+    "GraspSearchResult",
     "Nuisances",
     "Sample",
     "Scenario",

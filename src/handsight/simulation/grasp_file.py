@@ -8,7 +8,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes, written
-from handsight.simulation.grasp_search import Found
+from handsight.simulation.grasp_search import GraspSearchResult
 from handsight.simulation.motion import SERVOS, Grasp
 
 LARGEST = 1_000_000
@@ -46,7 +46,7 @@ def _check_joints(form: _Form) -> None:
             raise InvalidInput(f"{name}: expected joints of the hand, got {others[0]}")
 
 
-def write_grasp(found: Found, object: str, path: Path) -> None:
+def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
     """Writes a grasp that was found; raises NotWritten."""
     grasp = found.grasp
     form = _Form(

@@ -38,7 +38,7 @@ FELL = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class GraspSearchResult:
     """How an object is grasped, and how that was found."""
 
     grasp: Grasp
@@ -52,7 +52,7 @@ class Found:
     """What was tried and why it failed; empty where nothing failed."""
 
 
-def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Found:
+def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> GraspSearchResult:
     """A grasp that holds the scenario's object through the scenario's own manipulation: the same for the same seed.
 
     `progress` is told the share of the search that is spent, 0 to 1. Raises MissingExtra, InvalidFile, or InvalidObject
@@ -60,7 +60,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     """
     own = POWER if scenario.skin else OWN
     if scenario.object in own:
-        return Found(own[scenario.object], True, 0, "its own grasp", "")
+        return GraspSearchResult(own[scenario.object], True, 0, "its own grasp", "")
     tried = replace(scenario, motion="manipulate", images=False)
     built, promising = scene(scenario.object), holds(body_of(convex_hull(scenario.object)[0]))
     failures: Counter[str] = Counter()
@@ -74,7 +74,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
             trials += 1
             lasted, reason = _trial(tried, grasp)
             if not reason:
-                return Found(grasp, True, trials, _named(hold), _counted(failures))
+                return GraspSearchResult(grasp, True, trials, _named(hold), _counted(failures))
             best = max(best, (lasted, grasp, _named(hold)), key=lambda b: b[0])
         failures[reason] += 1
         if trials == MOST_TRIALS:
@@ -83,7 +83,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
         size = " x ".join(f"{1000 * side:.0f}" for side in np.ptp(built.bounds_object, axis=0))
         why = _counted(failures) or "no opposite sides that thumb and fingers span"
         raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm ({why})")
-    return Found(best[1], False, trials, best[2], _counted(failures))
+    return GraspSearchResult(best[1], False, trials, best[2], _counted(failures))
 
 
 @lru_cache(maxsize=16)

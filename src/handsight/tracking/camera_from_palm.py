@@ -27,19 +27,19 @@ class HandView:
 
     T_mount_palm: Array
     """(4, 4) where the robot knows it."""
-    T_mount_palm_seen: Array
+    T_mount_palm_detected: Array
     """(4, 4) where the camera sees it."""
     covariance: Array
     """(6, 6) of what is seen, (δp, δθ) along the mount's axes."""
 
     def expected(self, T_mount_palm: Array) -> Array:
         """(4, 4) where the camera should see a palm that is elsewhere, T_mount_palm (4, 4)."""
-        return np.asarray(self.T_mount_palm_seen @ se3.inverse(self.T_mount_palm) @ T_mount_palm)
+        return np.asarray(self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm) @ T_mount_palm)
 
     def bias(self, pivot: Array) -> tuple[Array, Array]:
         """What it says of vision's bias about a pivot (3,) in the mount [m]: (4, 4) as `PoseAndBias.T_measured_true`
         has it, and its covariance (6, 6)."""
-        E = self.T_mount_palm_seen @ se3.inverse(self.T_mount_palm)
+        E = self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm)
         R, arm = E[:3, :3], E[:3, :3] @ (pivot - self.T_mount_palm[:3, 3])
         to_pivot = np.eye(6)
         to_pivot[:3, 3:] = -se3.skew(arm)
@@ -56,12 +56,12 @@ class HandView:
     def same_side(self, other: "HandView") -> bool:
         """Whether the palm is seen about as in another view."""
         # Of one camera: where its own frame is does not matter.
-        off = se3.difference(self.T_mount_palm_seen, other.T_mount_palm_seen)
+        off = se3.difference(self.T_mount_palm_detected, other.T_mount_palm_detected)
         return bool(np.linalg.norm(off[:3]) < OTHER_SIDE[0] and np.linalg.norm(off[3:]) < OTHER_SIDE[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenCamera:
+class CameraFromPalm:
     """What views of the hand have said of the camera so far."""
 
     believed: tuple[HandView, ...] = ()
@@ -69,7 +69,7 @@ class SeenCamera:
     recent: tuple[HandView, ...] = field(default=())
     """The last ones, each agreeing with the one before."""
 
-    def seen(self, view: HandView) -> "SeenCamera":
+    def seen(self, view: HandView) -> "CameraFromPalm":
         """After another view: it is believed once it has agreed with those just before, unless it is of a side that is
         known; and alone, if what was believed before contradicts it."""
         recent = (

@@ -12,8 +12,8 @@ from handsight.rig import Rig
 from handsight.tracking.camera_calibration import corrected, correction_between
 from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import PRESETS
-from handsight.vision.palm.hand_in_image import OwnHand
-from handsight.vision.palm.palm_detector import HandNotSeen, SeenHand, seen_hand
+from handsight.vision.palm.hand_in_image import HandInImage
+from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm
 
 EVERY, MOST_VIEWS = 0.25, 60
 """Between pictures that are looked at [s], and how many at most."""
@@ -50,7 +50,7 @@ class HandViews:
         self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
         self._last, self.looked_at, self.refusals = -np.inf, 0, dict[str, int]()
         self._camera: PinholeCamera | None = None
-        self._hand = OwnHand(rig)
+        self._hand = HandInImage(rig)
         camera = rig.camera
         if camera is not None and camera.intrinsics is not None and camera.size is not None:
             self._camera = PinholeCamera.of(camera)
@@ -74,7 +74,7 @@ class HandViews:
         if hand is None:  # joints that are missing are told of elsewhere
             return
         self._last, self.looked_at = observation.stamp, self.looked_at + 1
-        seen = seen_hand(
+        seen = detect_palm(
             self._camera,
             depth,
             hand,
@@ -83,7 +83,7 @@ class HandViews:
             sigma_rotation=camera.sigma_rotation_constant,
             noise=PRESETS[camera.depth_camera],
         )
-        if isinstance(seen, HandNotSeen):
+        if isinstance(seen, PalmNotFound):
             self.refusals[seen.reason] = self.refusals.get(seen.reason, 0) + 1
             return
         T_mount_camera = T_mount_palm @ se3.inverse(seen.T_camera_palm)
@@ -116,7 +116,7 @@ class HandViews:
         )
 
 
-def _at(seen: SeenHand, arm: Array, R_mount_camera: Array) -> Array:
+def _at(seen: PalmDetection, arm: Array, R_mount_camera: Array) -> Array:
     """(6, 6) a seen hand's covariance at its middle, `arm` from the palm's origin, along the mount's axes."""
     to_middle = np.eye(6)
     to_middle[:3, 3:] = -se3.skew(arm)

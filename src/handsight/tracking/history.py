@@ -20,7 +20,7 @@ class Instant(NamedTuple):
     T_world_palm: Array | None
 
 
-class Past:
+class History:
     """The last second."""
 
     def __init__(self) -> None:

@@ -9,13 +9,13 @@ from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig
-from handsight.tracking.camera_from_palm import HandView, SeenCamera
-from handsight.tracking.history import Instant, Past
-from handsight.vision import PinholeCamera, SeenHand
+from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
+from handsight.tracking.history import History, Instant
+from handsight.vision import PalmDetection, PinholeCamera
 from handsight.vision.camera import Depth
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
-from handsight.vision.palm.hand_in_image import OwnHand
+from handsight.vision.palm.hand_in_image import HandInImage
 
 ERR_TOGETHER = 1.0
 """Images so far apart err each by itself; nearer ones share what smoothing, bias and the side they show do [s]."""
@@ -42,7 +42,7 @@ class ImageVision:
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
         """Whether it is `on`: else, and without the camera's intrinsics, observations stay as they are."""
-        self._rig, self._model, self._past = rig, model, Past()
+        self._rig, self._model, self._past = rig, model, History()
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
         self.eye: Eye | None = None
         """What looks, from the first depth image on."""
@@ -57,10 +57,10 @@ class ImageVision:
             "looked_at": eye.images,
             "object_seen": eye.poses,
             "hand_sought": eye.searches,
-            "hand_seen": eye.hands,
+            "palm_detected": eye.hands,
         }
 
-    def look(self, observation: Observation, seen: SeenCamera, T_palm_object: Array | None) -> Looked:
+    def look(self, observation: Observation, seen: CameraFromPalm, T_palm_object: Array | None) -> Looked:
         """What an observation says; `seen`: what earlier images have said of the camera.
 
         T_palm_object: (4, 4) of an object that rides in the hand; None where nothing holds it. Raises InvalidInput for
@@ -89,7 +89,7 @@ class Eye:
         self._mounted = camera
         self._camera = PinholeCamera.of(camera)
         self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
-        self._hand = OwnHand(rig)
+        self._hand = HandInImage(rig)
         sizes = camera.sigma_position_constant, camera.sigma_rotation_constant
         self._sigmas = max(sizes[0], FOUND_SIGMAS[0]), max(sizes[1], FOUND_SIGMAS[1])
         self._posed = self._looked = -np.inf
@@ -100,7 +100,7 @@ class Eye:
         seen."""
 
     def look(
-        self, stamp: float, depth: Depth, then: Instant, seen: SeenCamera, T_palm_object: Array | None
+        self, stamp: float, depth: Depth, then: Instant, seen: CameraFromPalm, T_palm_object: Array | None
     ) -> tuple[PoseMeasurement | None, HandView | None]:
         """Where the object is in the camera, and the hand, each if it is seen."""
         image = self._camera.check_depth(depth, "observation.depth")
@@ -128,7 +128,7 @@ class Eye:
         return PoseMeasurement(sighting.T_camera_object, "camera", alike * sighting.covariance, stamp), view
 
     def _see_hand(
-        self, stamp: float, depth: Depth, then: Instant, seen: SeenCamera
+        self, stamp: float, depth: Depth, then: Instant, seen: CameraFromPalm
     ) -> tuple[HandView | None, Mask | None, Array | None]:
         """The palm's view, the hand's pixels and T_camera_palm, each as far as it can be told."""
         joints, camera = then.joint_positions, self._mounted
@@ -144,7 +144,7 @@ class Eye:
             self._looked, self.searches = stamp, self.searches + 1
             look = self._hand.followed if known else self._hand.seen
             found = look(self._camera, depth, joints, believed, sigmas)
-        if isinstance(found, SeenHand):
+        if isinstance(found, PalmDetection):
             self.hands += 1
             covariance = se3.rotate_covariance(camera.T_mount_camera[:3, :3], found.covariance)
             view = HandView(T_mount_palm, camera.T_mount_camera @ found.T_camera_palm, covariance)

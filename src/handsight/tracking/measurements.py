@@ -10,7 +10,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig, Table
-from handsight.tracking.camera_from_palm import HandView, SeenCamera
+from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]
@@ -43,7 +43,7 @@ class VisionUpdate:
         """What vision's bias is constant in; known with the first measurement."""
         self.unplaced = self.rejected = 0
         """Measurements without a T_world_palm to place them, and those beyond the gate."""
-        self.seen_camera = SeenCamera()
+        self.camera_from_palm = CameraFromPalm()
         """What the hand in its images says of the camera's constant error."""
         self._rejected_in_a_row = 0
         self._last: tuple[Array, Array, Array] | None = None
@@ -76,13 +76,13 @@ class VisionUpdate:
         # Else nothing is known, or nothing that this can be believed with.
         return updated if updated is not None and updated.is_near else self.afresh()
 
-    def hand_seen(self, view: HandView, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
+    def palm_detected(self, view: HandView, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
         """The smoother after the hand was seen; the same one where that says nothing new."""
-        before, self.seen_camera = self.seen_camera, self.seen_camera.seen(view)
-        new = self.seen_camera.believed[len(before.believed) :]
-        if self.seen_camera.believed == before.believed or smoother is None:
+        before, self.camera_from_palm = self.camera_from_palm, self.camera_from_palm.seen(view)
+        new = self.camera_from_palm.believed[len(before.believed) :]
+        if self.camera_from_palm.believed == before.believed or smoother is None:
             return smoother
-        if self.seen_camera.believed[:-1] != before.believed:  # what it was taken for is wrong
+        if self.camera_from_palm.believed[:-1] != before.believed:  # what it was taken for is wrong
             return self.afresh() or smoother
         return smoother.informed(*new[-1].bias(smoother.pivot))
 
@@ -110,7 +110,7 @@ class VisionUpdate:
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
         smoother = PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
-        for measured in self.seen_camera.biases(pivot):
+        for measured in self.camera_from_palm.biases(pivot):
             smoother = smoother.informed(*measured)
         return smoother
 

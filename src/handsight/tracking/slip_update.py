@@ -20,7 +20,7 @@ EVERY_WAY = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
 """Covariance (6, 6) of a motion of a metre whichever way."""
 
 
-class Slipping:
+class SlipUpdate:
     """Whether the object slips, over time, and what that does; what changes is bound anew."""
 
     def __init__(self, rig: Rig) -> None:

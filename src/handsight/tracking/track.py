@@ -24,9 +24,9 @@ from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.propagation import Correction, sigma_of_point, walked
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import NOTHING, SkinSensors
-from handsight.tracking.slip_update import Slipping
+from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
-from handsight.tracking.trust import CONTRADICTED, SEEN_ALONE, SLIPS, State, Trust
+from handsight.tracking.trust import CONTRADICTED, SEEN_ALONE, SLIPS, State, TrackStatus
 from handsight.tracking.weight_update import WeightUpdate
 
 Correct = Callable[..., PoseEstimate]
@@ -78,7 +78,7 @@ class Track:
         self.estimate: PoseEstimate | None = None
         self.looked: Observation | None = None
         """The last one, with what its image says as its vision."""
-        self.vision, self._slipping = VisionUpdate(self.rig, self.model), Slipping(self.rig)
+        self.vision, self._slipping = VisionUpdate(self.rig, self.model), SlipUpdate(self.rig)
         self._images = ImageVision(self.rig, self.model, on=self.settings.images)
         self._grasp, self._memory = GraspState(), ContactMemory(self.settings.memory, self._process_noise)
         self._weight, self._skin = WeightUpdate(self.rig, self.model), SkinSensors(self.rig)
@@ -86,7 +86,7 @@ class Track:
         """What the tactile arrays feel."""
         self._correction: Correction | None = None
         """The last one since the object was grasped."""
-        self._trust = Trust(self.settings)
+        self._trust = TrackStatus(self.settings)
         self._propagated_to = self._recovered_at = self._hand_checked_at = -math.inf
         self.smoother = self._started()
 
@@ -161,10 +161,10 @@ class Track:
     def _seen(self, observation: Observation, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
         """The smoother after what vision says: of an image that is looked at, else a pose of another's."""
         rides = self.estimate.T_palm_object if self.estimate is not None and self._grasp.grasped else None
-        looked = self._images.look(observation, self.vision.seen_camera, rides)
+        looked = self._images.look(observation, self.vision.camera_from_palm, rides)
         self.looked = looked.observation
         if looked.hand is not None:
-            smoother = self.vision.hand_seen(looked.hand, smoother)
+            smoother = self.vision.palm_detected(looked.hand, smoother)
         # What is held has gone with the palm since it was seen, else it stayed in the world.
         T = looked.then.T_world_palm if looked.then is not None and self._grasp.grasped else None
         return self.vision.update(looked.observation, smoother, self.T_world_palm if T is None else T)
@@ -296,5 +296,5 @@ class Track:
             return SLIPS
         if not estimate.consistent:
             return CONTRADICTED
-        by_vision = self._correction is None and not self.vision.seen_camera.believed
+        by_vision = self._correction is None and not self.vision.camera_from_palm.believed
         return SEEN_ALONE if by_vision else ""

@@ -15,7 +15,7 @@ SEEN_ALONE = "nothing is touched: the pose is vision's"
 
 
 @dataclass(frozen=True, slots=True)
-class Trust:
+class TrackStatus:
     """When something was last measured, and when contacts last fitted."""
 
     settings: TrackerSettings
@@ -24,11 +24,11 @@ class Trust:
     fits_at: float = -math.inf
     """The first answer counts as a fit [s]."""
 
-    def measured(self, stamp: float) -> "Trust":
+    def measured(self, stamp: float) -> "TrackStatus":
         """After something was touched or seen."""
         return replace(self, measured_at=stamp)
 
-    def answered(self, stamp: float, *, consistent: bool) -> "Trust":
+    def answered(self, stamp: float, *, consistent: bool) -> "TrackStatus":
         """After an answer that its contacts fit, or not."""
         return replace(self, fits_at=stamp) if consistent or self.fits_at == -math.inf else self
 

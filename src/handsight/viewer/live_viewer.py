@@ -118,7 +118,9 @@ class Viewer(NullViewer):
             self._noted = now
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
-            self._shot = viewer_process.Shot(observation, tracker.vision.seen_camera, tracker.T_world_palm)
+            self._shot = viewer_process.Shot(
+                observation, tracker.vision.camera_from_palm, tracker.T_world_palm
+            )
         self._newest = tracker, Moment.now(tracker) if self._watched else None
         if self._watched:
             self._changed.set()

@@ -12,7 +12,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking.camera_from_palm import SeenCamera
+from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.viewer.silhouette import silhouette
 from handsight.vision import PinholeCamera, pixels
 from handsight.vision.camera import Depth
@@ -88,7 +88,7 @@ def jpeg(image: Color) -> bytes:
 
 
 def picture(
-    rig: Rig, observation: Observation, seen: SeenCamera, T_world_palm: Array | None
+    rig: Rig, observation: Observation, seen: CameraFromPalm, T_world_palm: Array | None
 ) -> Picture | None:
     """What an observation's images show; None where it has none."""
     color, depth = observation.color, observation.depth
@@ -100,7 +100,7 @@ def picture(
         image = _grey(depth)
     else:
         return None
-    camera, T_calibrated = _camera_of(rig, image.shape), palm_in_camera(rig, SeenCamera(), T_world_palm)
+    camera, T_calibrated = _camera_of(rig, image.shape), palm_in_camera(rig, CameraFromPalm(), T_world_palm)
     T_camera_palm = palm_in_camera(rig, seen, T_world_palm)
     points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if camera is not None and depth is not None and T_camera_palm is not None:
@@ -112,7 +112,7 @@ def picture(
     return Picture(smaller, image, points, colors, T_camera_palm, T_calibrated)
 
 
-def palm_in_camera(rig: Rig, seen: SeenCamera, T_world_palm: Array | None) -> Array | None:
+def palm_in_camera(rig: Rig, seen: CameraFromPalm, T_world_palm: Array | None) -> Array | None:
     """T_camera_palm (4, 4): as the hand in the camera's images has shown, else as the camera was calibrated.
 
     None where the rig has no camera, or one in the world and the palm's place in it is not known.

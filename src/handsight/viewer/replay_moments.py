@@ -31,7 +31,7 @@ def follow(
     for step in replay(heard(), tracker, tally):
         observation = next(o for o in reversed(taken) if o.stamp == step.stamp)
         if step.stamp - pictured >= PICTURES_EVERY:
-            made = picture(tracker.rig, observation, tracker.vision.seen_camera, step.T_world_palm)
+            made = picture(tracker.rig, observation, tracker.vision.camera_from_palm, step.T_world_palm)
             if made is not None:
                 pictured, waiting = step.stamp, [made.packed()]
         moment = Moment.of(step, observation).after(last, waiting[0] if waiting else None)

@@ -20,7 +20,7 @@ from handsight.errors import HandsightError
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking.camera_from_palm import SeenCamera
+from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
@@ -45,7 +45,7 @@ class Shot(NamedTuple):
     """An image, and where the camera was by what was known then."""
 
     observation: Observation
-    seen: SeenCamera
+    seen: CameraFromPalm
     T_world_palm: Array | None
 
 

@@ -5,28 +5,29 @@ from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.files import read_camera, read_color, read_depth
 from handsight.vision.object.depth_points import depth_points
 from handsight.vision.object.depth_tracker import DepthTracker, Sighting
-from handsight.vision.object.first_pose import Found
+from handsight.vision.object.first_pose import ObjectDetection
 from handsight.vision.object.locate import locate
 from handsight.vision.object.recognition import Recognition, recognise
-from handsight.vision.palm.hand_appearance import HandLook, PlacedHand
+from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_mask import hand_mask
-from handsight.vision.palm.palm_detector import HandNotSeen, SeenHand, followed_hand, seen_hand
+from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
 from handsight.vision.registration import register_color
 
 __all__ = [
     "DepthNoise",
     "DepthTracker",
     "Drawn",
-    "Found",
-    "HandLook",
-    "HandNotSeen",
+    "HandAppearance",
+    "ObjectDetection",
+    "PalmDetection",
+    "PalmNotFound",
     "PinholeCamera",
     "PlacedHand",
     "Recognition",
-    "SeenHand",
     "Sighting",
     "depth_points",
-    "followed_hand",
+    "detect_palm",
+    "follow_palm",
     "hand_mask",
     "locate",
     "read_camera",
@@ -34,5 +35,4 @@ __all__ = [
     "read_depth",
     "recognise",
     "register_color",
-    "seen_hand",
 ]

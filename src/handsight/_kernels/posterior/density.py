@@ -20,7 +20,10 @@ from handsight._kernels.evidence.prior_term import add_prior, prior_cost
 from handsight._kernels.evidence.weight_term import add_weight, weight_cost
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import vector
-from handsight._kernels.posterior.spurious_information import add_lent, subtract_lent
+from handsight._kernels.posterior.spurious_information import (
+    add_spurious_information,
+    subtract_spurious_information,
+)
 from handsight._kernels.records import NO_PRIOR, VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import Evidence
@@ -43,7 +46,7 @@ def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[floa
             factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
             invert_covariance(factor4, has_normal, term.weight)
             log_spread += log_determinant(factor4, has_normal)
-            add_lent(model, evidence.nodes, term, surface, pose, lent)
+            add_spurious_information(model, evidence.nodes, term, surface, pose, lent)
             if at_edge(model, term.contact, surface):
                 square = mahalanobis2(term.contact, surface, factor4)
                 add_contact(term, flattened(term.contact, surface), frame, term.equations)
@@ -75,7 +78,7 @@ def information(
             for k in range(len(evidence.terms)):
                 value += evidence.terms[k].equations[i, j]
             by_touch[i, j] = by_touch[j, i] = value
-    subtract_lent(by_touch, equations, model.radius)
+    subtract_spurious_information(by_touch, equations, model.radius)
     # Walls: they cost, but say nothing of the way back.
     chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, pose)
     equations[:] = 0.0

@@ -135,7 +135,7 @@ def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
 
 
 @inner
-def undented(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
+def without_dents(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
     """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
     explains is alike."""
     if slide.give > 0.0:
@@ -162,7 +162,7 @@ def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
                 for i in range(6):
                     six[i] = middle[i] + slide.along[i, n] * (-length if side else length)
                 pose = moved_to(evidence, mode, six)
-                rise = undented(evidence, slide, pose, posterior_cost(evidence, pose)) - here
+                rise = without_dents(evidence, slide, pose, posterior_cost(evidence, pose)) - here
                 if 0.5 * RISE < rise < 2 * RISE:
                     break
                 if rise > RISE:

@@ -10,7 +10,12 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import Mat33, add, cross, matmul, mul, norm, scale, sub, transpose
-from handsight._kernels.posterior.flat_directions import at_coordinates, coordinates_at, moved_to, undented
+from handsight._kernels.posterior.flat_directions import (
+    at_coordinates,
+    coordinates_at,
+    moved_to,
+    without_dents,
+)
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import Evidence, evaluate
 from handsight._kernels.solve.settings import NEAR2
@@ -70,7 +75,7 @@ def visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: 
         if evidence.terms[i].contact.used:
             cost += evidence.terms[i].log_spread
     coordinates_at(slide, place, u.row)
-    cost = undented(evidence, slide, at_coordinates(mode, evidence.model.radius, u.row), cost)
+    cost = without_dents(evidence, slide, at_coordinates(mode, evidence.model.radius, u.row), cost)
     half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / evidence.model.radius
     if half > 0.5 * np.pi:
         return -np.inf  # a place met before, from the other side

@@ -35,7 +35,9 @@ UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @inner
-def add_lent(model: Any, nodes: Any, term: Any, surface: Surface, pose: Pose, equations: Any) -> None:
+def add_spurious_information(
+    model: Any, nodes: Any, term: Any, surface: Surface, pose: Pose, equations: Any
+) -> None:
     """Adds to normal equations by (δp, δθ) what bumps lend to a contact: the same for every slide along the surface."""
     if model.error.inverse_cell == 0.0:
         return
@@ -54,8 +56,8 @@ def add_lent(model: Any, nodes: Any, term: Any, surface: Surface, pose: Pose, eq
 
 
 @inner
-def subtract_lent(by_touch: Any, equations: Any, radius: float) -> None:
-    """Lowers an information (6, 6) by (δp, δθ) by what `add_lent` has added up, where that leaves any."""
+def subtract_spurious_information(by_touch: Any, equations: Any, radius: float) -> None:
+    """Lowers an information (6, 6) by (δp, δθ) by the sum of `add_spurious_information`."""
     u, all_of_it = local(UNCERTAINTY), 0.0
     for i in range(6):
         all_of_it += equations[i, i]

@@ -16,7 +16,7 @@ TOGETHER = 0.05
 NEAREST = 8
 
 
-def with_told(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
+def with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
     """The same, its errors larger by standard deviations (n,) [m] that its points (n, 3) [m] are said to have.
 
     With the correlation exp(-d²/2L²) a slope's is σ/L, a curvature's √3 σ/L².

@@ -20,7 +20,7 @@ from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_covariance import UNKNOWN
-from handsight.vision.object.pose_refiner import CloseLook, Looked
+from handsight.vision.object.pose_refiner import Looked, PoseRefiner
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -97,7 +97,7 @@ class DepthTracker:
     ) -> None:
         """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
         self.model, self.camera = model, camera
-        self._middle, self._look = model.center_object, CloseLook(model, camera, noise)
+        self._middle, self._look = model.center_object, PoseRefiner(model, camera, noise)
         self._start = None if start is None else se3.check(start, "start")
         self._belief: _Belief | None = None
         self._searched = -np.inf

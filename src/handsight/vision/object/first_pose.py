@@ -15,7 +15,7 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.pose_covariance import pose_covariances
 from handsight.vision.object.presence import log_odds, probabilities
-from handsight.vision.object.region import Scene, seen_points
+from handsight.vision.object.region import Scene, observed_points
 
 SPACING, MOST_POINTS = 1 / 24, 900
 """Of seen points [diameters], and how many at most."""
@@ -48,7 +48,7 @@ Looks = NDArray[np.void]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ObjectDetection:
     """Where an object may be, the likeliest first; nowhere, if it is not there."""
 
     Ts_camera_object: Array
@@ -65,13 +65,13 @@ class Found:
     """Why it is nowhere."""
 
 
-def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTURED_LIGHT) -> Found:
+def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTURED_LIGHT) -> ObjectDetection:
     """The poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
     Votes of point pairs, each of them laid on the image by more and more of its points, those that the image as a
     whole supports best going on. At last it counts too how many points lie on the surface as close as noise lets them.
     """
-    seen, appearance = seen_points(scene, SPACING * model.diameter, MOST_POINTS), appearance_of(model)
+    seen, appearance = observed_points(scene, SPACING * model.diameter, MOST_POINTS), appearance_of(model)
     D, references = model.diameter, _references(seen, len(scene.sizes))
     voted = np.zeros((len(references), votes.PEAKS), dtype=LOOK)
     votes.vote(appearance.pairs, appearance.voters, seen, references, np.array([D, PARTNERS]), voted)
@@ -93,7 +93,9 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     looks, weights = looks[order], np.exp(worth[order] - worth.max(initial=-np.inf))
     covariances = pose_covariances(model, scene.camera, seen, looks, noise)
     here = probabilities(log_odds(looks[:1]))[0] if len(looks) else 0.0
-    return Found(poses_of(looks), covariances, weights / max(weights.sum(), 1.0), looks, float(here))
+    return ObjectDetection(
+        poses_of(looks), covariances, weights / max(weights.sum(), 1.0), looks, float(here)
+    )
 
 
 def poses_of(looks: Looks) -> Array:

@@ -8,7 +8,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import Found, first_pose
+from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.region import Scene, scene_of, table_plane
 
 WIDER_THAN_OBJECT = 1.5
@@ -29,7 +29,7 @@ def locate(
     hand: Mask | None = None,
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
-) -> Found:
+) -> ObjectDetection:
     """Where the object is in a depth image (h, w) [m], 0 or NaN where there is none; nowhere, and why, if it is not.
 
     wanted, hand: (h, w) pixels it may be in (all), and those of the hand. table: (4,) `n·P + offset = 0` in the camera,
@@ -84,5 +84,7 @@ def nothing_in(scene: Scene) -> str:
     return "nothing is seen there but the table and the hand"
 
 
-def _nowhere(reason: str) -> Found:
-    return Found(np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros(0), np.zeros(0, dtype=LOOK), 0.0, reason)
+def _nowhere(reason: str) -> ObjectDetection:
+    return ObjectDetection(
+        np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros(0), np.zeros(0, dtype=LOOK), 0.0, reason
+    )

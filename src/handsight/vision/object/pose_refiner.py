@@ -41,7 +41,7 @@ class Looked(NamedTuple):
     """On the surface, or nearly."""
 
 
-class CloseLook:
+class PoseRefiner:
     """Looks at one object, image by image; it keeps room for the part of an image that it looks at."""
 
     def __init__(self, model: ObjectModel, camera: PinholeCamera, noise: DepthNoise) -> None:

@@ -10,7 +10,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import Found, first_pose
+from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.locate import WIDER_THAN_OBJECT, nothing_in, scene_in
 from handsight.vision.object.presence import log_odds, probabilities
 
@@ -23,7 +23,7 @@ class Recognition:
     """Probability of each name, the likeliest first."""
     none: float
     """That it is none of them; with the scores it sums to 1."""
-    found: dict[str, Found]
+    found: dict[str, ObjectDetection]
     """Where each would be, in the same order."""
     reason: str | None = None
     """Why it is none."""

@@ -83,7 +83,7 @@ def table_plane(
     return np.append(n, -n @ middle)
 
 
-def seen_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> NDArray[np.void]:
+def observed_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> NDArray[np.void]:
     """SEEN (n,): points of the scene's parts about `spacing` [m] apart, at most so many, in random order."""
     order = np.flatnonzero(scene.labels >= 0)
     np.random.default_rng(seed).shuffle(order)

@@ -33,7 +33,7 @@ GOES_ON = 0.015
 
 
 @dataclass(frozen=True, eq=False)
-class HandLook:
+class HandAppearance:
     """A hand's points and triangles, each of which moves with one link; worked out once."""
 
     chains: Chains
@@ -45,7 +45,7 @@ class HandLook:
     """That each point stands for [m²]."""
 
     @classmethod
-    def of(cls, hand: Hand) -> "HandLook":
+    def of(cls, hand: Hand) -> "HandAppearance":
         """Of the links that move with the palm or hang on it; raises InvalidInput where its file has no shapes."""
         shape = hand.shape()
         if not len(shape.faces):
@@ -79,7 +79,7 @@ class HandLook:
 class PlacedHand:
     """A hand in the palm's axes, with its joints at certain positions."""
 
-    look: HandLook
+    look: HandAppearance
     skin: Array
     """(2, m, 3) points [m] and outward normals."""
     vertices: Array
@@ -132,7 +132,7 @@ class PlacedHand:
         points = np.c_[small.rays[rows, columns] * z[:, None], z]
         return se3.apply(se3.inverse(T_camera_palm), points)
 
-    def seen_from(self, camera: PinholeCamera, T_camera_palm: Array) -> Mask:
+    def visible_from(self, camera: PinholeCamera, T_camera_palm: Array) -> Mask:
         """(m,) which points a camera there sees of the hand alone; out of its image all that face it."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T

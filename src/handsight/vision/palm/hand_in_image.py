@@ -6,18 +6,18 @@ from handsight.checks import Array, Mask
 from handsight.rig import Rig
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
-from handsight.vision.palm.hand_appearance import HandLook, PlacedHand
+from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_mask import hand_mask
-from handsight.vision.palm.palm_detector import HandNotSeen, SeenHand, followed_hand, seen_hand
+from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
 
 
-class OwnHand:
+class HandInImage:
     """The hand of a rig, by its shapes; nothing is known of a hand whose file has none."""
 
     def __init__(self, rig: Rig) -> None:
         self._shape, self._sigma_joint = rig.hand.shape(), rig.sigma_joint_offset
         self._noise = STRUCTURED_LIGHT if rig.camera is None else PRESETS[rig.camera.depth_camera]
-        self._look = HandLook.of(rig.hand) if len(self._shape.faces) else None
+        self._look = HandAppearance.of(rig.hand) if len(self._shape.faces) else None
 
     def placed(self, joint_positions: Mapping[str, float] | None) -> PlacedHand | None:
         """The hand with its joints there; None without shapes, or where a joint is missing."""
@@ -33,12 +33,12 @@ class OwnHand:
         joint_positions: Mapping[str, float] | None,
         T_camera_palm: Array,
         sigmas: tuple[float, float],
-    ) -> SeenHand | HandNotSeen | None:
-        """As `seen_hand`, with sigmas of the believed pose [m, rad]; None where nothing is known of the hand."""
+    ) -> PalmDetection | PalmNotFound | None:
+        """As `detect_palm`, with sigmas of the believed pose [m, rad]; None where nothing is known of the hand."""
         hand = self.placed(joint_positions)
         if hand is None:
             return None
-        return seen_hand(
+        return detect_palm(
             camera,
             depth,
             hand,
@@ -55,10 +55,10 @@ class OwnHand:
         joint_positions: Mapping[str, float] | None,
         T_camera_palm: Array,
         sigmas: tuple[float, float],
-    ) -> SeenHand | HandNotSeen | None:
+    ) -> PalmDetection | PalmNotFound | None:
         """As `seen`, from where the last picture has had the palm: searched only where it does not fit there."""
         hand = self.placed(joint_positions)
-        found = None if hand is None else followed_hand(camera, depth, hand, T_camera_palm, noise=self._noise)
+        found = None if hand is None else follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise)
         return found or self.seen(camera, depth, joint_positions, T_camera_palm, sigmas)
 
     def mask(

@@ -51,7 +51,7 @@ Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HandNotSeen:
+class PalmNotFound:
     """No pose, and why; falsy."""
 
     reason: Reason
@@ -63,7 +63,7 @@ class HandNotSeen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenHand:
+class PalmDetection:
     """The palm's pose at one instant, as a picture shows it."""
 
     T_camera_palm: Array
@@ -76,7 +76,7 @@ class SeenHand:
     """(1,) LOOK: what the image says of it, in pixels."""
 
 
-def seen_hand(
+def detect_palm(
     camera: PinholeCamera,
     depth: Depth,
     hand: PlacedHand,
@@ -85,7 +85,7 @@ def seen_hand(
     sigma_position: float,
     sigma_rotation: float,
     noise: DepthNoise = STRUCTURED_LIGHT,
-) -> SeenHand | HandNotSeen:
+) -> PalmDetection | PalmNotFound:
     """The palm's pose in the camera, or why a depth image (h, w) [m], 0 or NaN where there is none, does not tell it.
 
     T_camera_palm: as believed, off by `sigma_position` [m] at the hand's middle and `sigma_rotation` [rad] per axis.
@@ -96,11 +96,11 @@ def seen_hand(
     belief = Belief(hand, T, sigmas)
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
-        return HandNotSeen("outside")
-    there = hand.seen_from(camera, T)
+        return PalmNotFound("outside")
+    there = hand.visible_from(camera, T)
     looks = searched(picture, belief, there)
     if not len(looks):
-        return HandNotSeen("outside")
+        return PalmNotFound("outside")
     rows = np.flatnonzero(there)
     for count, rung, kept, apart in RUNGS:
         looks = _laid(picture, hand, rows, (count, *rung), looks)
@@ -112,29 +112,29 @@ def seen_hand(
     return _answer(picture, hand, _believed(belief, looks), noise)
 
 
-def followed_hand(
+def follow_palm(
     camera: PinholeCamera,
     depth: Depth,
     hand: PlacedHand,
     T_camera_palm: Array,
     *,
     noise: DepthNoise = STRUCTURED_LIGHT,
-) -> SeenHand | HandNotSeen:
-    """As `seen_hand`, near where the last picture has had the palm; nothing is searched, so that it takes a few ms.
+) -> PalmDetection | PalmNotFound:
+    """As `detect_palm`, near where the last picture has had the palm; nothing is searched, so that it takes a few ms.
 
     T_camera_palm: off by about 10 mm and 3° per axis. Where too little of what should be seen is so: `no_fit`.
     """
     T = _checked(camera, depth, T_camera_palm)
     picture = picture_of(camera, depth, hand, T, FOLLOWED[0])
     if picture is None:
-        return HandNotSeen("outside")
+        return PalmNotFound("outside")
     look = np.zeros(1, dtype=LOOK)
     look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
     look = _believed(Belief(hand, T, FOLLOWED), _finished(picture, hand, look, NEXT))
     if len(look):
         free = look["explained"] + look["passed"] + look["unexplained"]
         if not (look["explained"] > FITS * free and look["passed"] < PASSED * free).all():
-            return HandNotSeen("no_fit")
+            return PalmNotFound("no_fit")
     return _answer(picture, hand, look, noise)
 
 
@@ -169,7 +169,7 @@ def _finished(
     picture: Picture, hand: PlacedHand, look: NDArray[np.void], rung: tuple[float, ...] = LAST
 ) -> NDArray[np.void]:
     """A look (1,) laid on by all points that are seen; what goes on beside it is taken from its score."""
-    rows = np.flatnonzero(hand.seen_from(picture.camera, poses_of(look)[0]))
+    rows = np.flatnonzero(hand.visible_from(picture.camera, poses_of(look)[0]))
     look = _laid(picture, hand, rows, (len(rows), *rung), look.copy())
     expected, goes_on = (
         look["expected"],
@@ -193,19 +193,19 @@ def _believed(belief: Belief, looks: NDArray[np.void], limit: float = LIMIT) -> 
 
 def _answer(
     picture: Picture, hand: PlacedHand, looks: NDArray[np.void], noise: DepthNoise
-) -> SeenHand | HandNotSeen:
+) -> PalmDetection | PalmNotFound:
     """The best, where it is good enough and no other is nearly as good."""
     if not len(looks) or not looks["score"][0] > LEAST_SCORE:
-        return HandNotSeen("no_fit")
+        return PalmNotFound("no_fit")
     best, fits = looks[:1].copy(), looks["explained"] / np.maximum(looks["expected"], 1.0)
     if best["explained"][0] < LEAST_PIXELS or fits[0] < LEAST_FIT:
-        return HandNotSeen("hardly_seen")
+        return PalmNotFound("hardly_seen")
     others = distinct(hand, looks, APART, 2)[1:]
     if len(others) and others["score"][0] > AS_GOOD * best["score"][0]:
-        return HandNotSeen("ambiguous")
+        return PalmNotFound("ambiguous")
     T = poses_of(best)[0]
     if hand.outline_continued(picture.camera, picture.depth, T) > MOST_CONTINUED:
-        return HandNotSeen("no_fit")
-    rows = np.flatnonzero(hand.seen_from(picture.camera, T))
+        return PalmNotFound("no_fit")
+    rows = np.flatnonzero(hand.visible_from(picture.camera, T))
     covariance = palm_covariance(picture, hand, best, (rows, LAST[1]), noise)
-    return SeenHand(T, covariance, float(fits[0]), best)
+    return PalmDetection(T, covariance, float(fits[0]), best)

@@ -14,7 +14,7 @@ from handsight._kernels.records import MODEL
 from handsight.checks import Array, Mask
 from handsight.objects.record import field_record
 from handsight.vision.camera import Depth, PinholeCamera
-from handsight.vision.object.region import Scene, seen_points
+from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.reconstruction.volume import Volume
 
 CELL, MOST_CELLS = 0.002, 160
@@ -78,7 +78,7 @@ class Reconstruction:
     def laid_on(self, view: View) -> View | None:
         """The view at the pose where its points lie on the surface so far; None where they do not."""
         surface = self._surface = self._surface or _Surface(self._coarse, self.volume)
-        seen, T = seen_points(self._scene(view), SPACING, MOST_POINTS), view.T_camera_object
+        seen, T = observed_points(self._scene(view), SPACING, MOST_POINTS), view.T_camera_object
         for fine, first, last, steps in RUNGS:
             bound = (self.volume if fine else self._coarse).bound
             known = seen[surface.tells(fine, se3.apply(se3.inverse(T), seen["point"]))]
