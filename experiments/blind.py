@@ -24,7 +24,7 @@ import handsight as hs
 from handsight.correction.modes import apart
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
-from handsight.search.information import level_sweep, shortened
+from handsight.search.sweep_choice import level_sweep, shortened
 from handsight.simulation import Scenario, model_of
 from handsight.simulation.motion import SETTLED, WEIGH_LEGS
 from handsight.simulation.probe import RADIUS
@@ -60,7 +60,7 @@ def at_random(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
 
 def through_mean(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
     """A line through the mean of what is believed."""
-    return through(belief, belief.places[:, :2].mean(axis=0), heights, rng)
+    return through(belief, belief.placements[:, :2].mean(axis=0), heights, rng)
 
 
 def by_information(belief: Belief, heights: Any, _: np.random.Generator) -> Sweep:
@@ -83,9 +83,9 @@ def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectMode
     for touch in range(1, touches + 1):
         belief = belief.after(probe.touch(POLICIES[policy](belief, probe.heights, rng)))
         T, best = probe.T_world_object, belief.modes[0]
-        shift, turn = (float(error[0]) for error in apart(belief.model, T[None], best.T_world_object))
+        shift, turn = (float(error[0]) for error in apart(belief.model, T[None], best.pose_world_object.T_a_b))
         row = {"object": Path(name).stem, "seed": seed, "policy": policy, "touch": touch}
-        row |= {"met": belief.touches[-1].contact_world is not None, "sure": best.sure}
+        row |= {"met": belief.touches[-1].contact_world is not None, "sure": best.is_certain}
         row |= {"mm": 1e3 * shift, "deg": float(np.rad2deg(turn)), "located": shift < SHIFT and turn < TURN}
         row |= {"chi2": _chi2(belief, T), "seconds": probe.time}
         rows.append(row | {"pushed_mm": 1e3 * float(np.linalg.norm((T - start)[:3, 3]))})
@@ -94,7 +94,7 @@ def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectMode
 
 def _chi2(belief: Belief, T_world_object: Array) -> float:
     """Squared error in the table's plane by its stated covariance, per freedom."""
-    off = (T_world_object - belief.pose.T_palm_object)[:2, 3]
+    off = (T_world_object - belief.pose.T_a_b)[:2, 3]
     return float(off @ np.linalg.solve(belief.pose.covariance[:2, :2], off) / 2)
 
 

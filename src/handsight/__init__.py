@@ -50,7 +50,39 @@ if _typing.TYPE_CHECKING:
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
     from handsight.viewer import view
-    from handsight.vision import Camera, locate
+    from handsight.vision import PinholeCamera, locate
+
+__all__ = [
+    "Contact",
+    "Contacts",
+    "Ellipsoid",
+    "HandsightError",
+    "InvalidInput",
+    "NoContact",
+    "ObjectModel",
+    "Observation",
+    "Outside",
+    "PaperMethod",
+    "PinholeCamera",
+    "Plane",
+    "PoseEstimate",
+    "PoseMeasurement",
+    "PosePrior",
+    "Rig",
+    "Sphere",
+    "Tracker",
+    "TrackerSettings",
+    "TwoPhase",
+    "WeightEvidence",
+    "__version__",
+    "calibrate_wrench",
+    "contact_from_wrench",
+    "contacts_from_wrenches",
+    "correct_pose",
+    "correct_poses",
+    "locate",
+    "view",
+]
 
 _NAMES = {
     "contact": (
@@ -80,7 +112,7 @@ _NAMES = {
     "rig": ("Rig",),
     "tracking": ("Tracker", "TrackerSettings"),
     "viewer": ("view",),
-    "vision": ("Camera", "locate"),
+    "vision": ("PinholeCamera", "locate"),
 }
 # A name is loaded when it is first asked for: the command's help needs no NumPy.
 _ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
@@ -89,14 +121,14 @@ _ROOMS = (
     *("messages", "objects", "observation", "recording", "rig", "se3", "search", "simulation", "tracking"),
     *("viewer", "vision"),
 )
-__all__ = sorted([*_ROOM_OF, "__version__"])  # noqa: PLE0605 - names of the table above
+__all__ = sorted([*_ROOM_OF, "__version__"])
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> _typing.Any:
     if name in _ROOMS:
         return _importlib.import_module(f"handsight.{name}")
     if name == "__version__":
-        value: object = _importlib.import_module("importlib.metadata").version("handsight")
+        value: _typing.Any = _importlib.import_module("importlib.metadata").version("handsight")
     elif name in _ROOM_OF:
         value = getattr(_importlib.import_module(f"handsight.{_ROOM_OF[name]}"), name)
     else:

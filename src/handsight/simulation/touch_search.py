@@ -80,7 +80,7 @@ def simulate_blind(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[S
         belief = belief.after(probe.touch(best_sweep(belief, probe.heights, RADIUS), seen.append))
         yield from seen
         seen.clear()
-        if belief.modes[0].sure:
+        if belief.modes[0].is_certain:
             break
     else:
         raise InvalidInput(
@@ -93,7 +93,7 @@ def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> 
     """Samples of the hand that closes where the object is believed to be, the object where it is."""
     found, begins = belief.pose, probe.time + BETWEEN
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
-    off = se3.inverse(found.T_palm_object @ T_object_middle) @ probe.T_world_object @ T_object_middle
+    off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off
     # The scene has the object upright at its origin, and the hand from the side on which its table ends.
     R_scene_palm = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3] @ T_palm_middle[:3, :3].T
@@ -103,7 +103,7 @@ def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> 
     world = World(scenario, replace(grasp, T_palm_middle=T_palm_middle, R_world_palm=R_scene_palm))
     sensors = Sensors(scenario, world)
     sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
-    vision: PoseMeasurement | None = PoseMeasurement(found.T_palm_object, "world", found.covariance)
+    vision: PoseMeasurement | None = PoseMeasurement(found.T_a_b, "world", found.covariance)
     for sample in samples(scenario, world, sensors):
         stamp = begins + sample.observation.stamp
         yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))
