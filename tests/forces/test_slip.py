@@ -6,7 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
-from dynamics.loads import FINGERS, Clock, load, rig, sliding, steady
+from forces.loads import FINGERS, Clock, load, rig, sliding, steady
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dynamics.test_weigher import weighed
-from dynamics.weighed import CENTER, MASS, TILTS, Held, rig
+from forces.test_weigher import weighed
+from forces.weighed import CENTER, MASS, TILTS, Held, rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

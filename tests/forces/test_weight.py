@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dynamics.weighed import CENTER, MASS, TILTS, Held, rig, touched
+from forces.weighed import CENTER, MASS, TILTS, Held, rig, touched
 from scipy.stats import chi2
 
 from handsight import se3

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dynamics.loads import load
-from dynamics.loads import rig as some_rig
+from forces.loads import load
+from forces.loads import rig as some_rig
 
 from handsight import se3
 from handsight.contact import Contacts
