@@ -28,7 +28,12 @@ from handsight.search.sweep_choice import level_sweep, shortened
 from handsight.simulation import Scenario, model_of
 from handsight.simulation.motion import SETTLED, WEIGH_LEGS
 from handsight.simulation.probe import RADIUS
-from handsight.simulation.touch_search import TABLE_SIDE, begun, blind_rig, simulate_blind
+from handsight.simulation.touch_search import (
+    TABLE_SIDE,
+    simulate_touch_search,
+    start_search,
+    touch_search_rig,
+)
 from shared import figures, report, ycb
 from shared.report import Array, Row, Rows
 
@@ -78,12 +83,14 @@ POLICIES: dict[str, Callable[[Belief, Any, np.random.Generator], Sweep]] = {
 def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectModel | None = None) -> Rows:
     """A row after each touch of one search."""
     scenario = Scenario(object=name, seed=seed)
-    probe, belief = begun(scenario, model_of(scenario) if model is None else model)
+    probe, belief = start_search(scenario, model_of(scenario) if model is None else model)
     rng, start, rows = np.random.default_rng((seed, 20)), probe.T_world_object, list[Row]()
     for touch in range(1, touches + 1):
         belief = belief.after(probe.touch(POLICIES[policy](belief, probe.heights, rng)))
         T, best = probe.T_world_object, belief.modes[0]
-        shift, turn = (float(error[0]) for error in apart(belief.model, T[None], best.pose_world_object.T_a_b))
+        shift, turn = (
+            float(error[0]) for error in apart(belief.model, T[None], best.pose_world_object.T_a_b)
+        )
         row = {"object": Path(name).stem, "seed": seed, "policy": policy, "touch": touch}
         row |= {"met": belief.touches[-1].contact_world is not None, "sure": best.is_certain}
         row |= {"mm": 1e3 * shift, "deg": float(np.rad2deg(turn)), "located": shift < SHIFT and turn < TURN}
@@ -101,11 +108,11 @@ def _chi2(belief: Belief, T_world_object: Array) -> float:
 def whole_task(name: str, seed: int) -> Row:
     """Errors of a tracker that is told what a search has found, and nothing of any camera."""
     scenario = Scenario(object=name, seed=seed, motion="weigh")
-    rig = blind_rig(scenario)
+    rig = touch_search_rig(scenario)
     model = rig.objects[name].model()
     tracker, began = hs.Tracker(rig, model), np.inf
     row: Row = {"object": name, "seed": seed}
-    for sample in simulate_blind(scenario):
+    for sample in simulate_touch_search(scenario):
         estimate, now = tracker.update(sample.observation), sample.observation.stamp
         vision, T_world_palm = sample.observation.vision, sample.observation.T_world_palm
         if vision is not None and T_world_palm is not None:

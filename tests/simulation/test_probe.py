@@ -12,8 +12,8 @@ from handsight import se3
 from handsight.correction.modes import apart
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
-from handsight.simulation import Nuisances, Scenario, blind_rig, model_of, simulate_blind
-from handsight.simulation.touch_search import FELT_AT, begun
+from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
+from handsight.simulation.touch_search import TABLE_PROBES, start_search
 from simulation.simulated import NONE
 
 
@@ -28,7 +28,7 @@ def test_a_touch_is_on_the_object_and_what_was_swept_before_is_not():
     for name, seed in (("can", 0), ("box", 1)):
         scenario = Scenario(object=name, seed=seed, nuisances=NONE)
         model = model_of(scenario)
-        probe, belief = begun(scenario, model)
+        probe, belief = start_search(scenario, model)
         assert belief.area.table.height == pytest.approx(0.0, abs=1e-3)
         before = probe.T_world_object
         assert (np.abs(se3.apply(before, model.vertices)[:, :2].mean(axis=0)) < 0.15).all()
@@ -52,14 +52,14 @@ def test_the_same_seed_stands_and_feels_the_same():
     scenario = Scenario(object="can", seed=3)
     felt = []
     for _ in range(2):
-        probe, _ = begun(scenario, model_of(scenario))
+        probe, _ = start_search(scenario, model_of(scenario))
         felt.append(probe.touch(towards(probe)).contact_world.points_palm)
     assert (felt[0] == felt[1]).all()
 
 
 def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(monkeypatch):
     scenario = Scenario(object="can", seed=3, nuisances=NONE)
-    probe, _ = begun(scenario, model_of(scenario))
+    probe, _ = start_search(scenario, model_of(scenario))
     felt, calls = type(probe)._lowest_point, []
 
     def second_at_an_edge(self, observation):
@@ -67,7 +67,7 @@ def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(
         return calls[-1]
 
     monkeypatch.setattr(type(probe), "_lowest_point", second_at_an_edge)
-    assert probe.feel_table(np.repeat(FELT_AT, 2, axis=0)) == pytest.approx(0.0, abs=1e-3)
+    assert probe.feel_table(np.repeat(TABLE_PROBES, 2, axis=0)) == pytest.approx(0.0, abs=1e-3)
     assert len(calls) >= 3
     with pytest.raises(
         InvalidInput, match=r"^places: expected some over the table, felt nothing at any of 1$"
@@ -78,17 +78,17 @@ def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(
 def test_what_is_larger_than_its_place_on_the_table_is_said():
     scenario = Scenario(object="can")
     with pytest.raises(InvalidInput, match="object: expected one within 300 mm, got 400 x 400 x 100 mm"):
-        begun(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
+        start_search(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
 
 
 @pytest.mark.slow
 def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
     """Nothing of a camera in any sample but the pose that the search has found, once."""
     scenario = Scenario(object="can", seed=0, motion="weigh")
-    rig = blind_rig(scenario)
+    rig = touch_search_rig(scenario)
     model = rig.objects["can"].model()
     tracker, poses, last = hs.Tracker(rig, model), 0, None
-    for sample in simulate_blind(scenario):
+    for sample in simulate_touch_search(scenario):
         observation = sample.observation
         assert observation.color is None
         assert last is None or observation.stamp > last
@@ -118,7 +118,7 @@ def test_nuisances_of_a_blind_search_are_those_of_any_other():
     """Another size of one error does not move the object."""
     noisy = dataclasses.replace(Nuisances(), force_noise=0.02)
     placed = [
-        begun(Scenario(object="can", seed=5, nuisances=n), model_of(Scenario()))[0].T_world_object
+        start_search(Scenario(object="can", seed=5, nuisances=n), model_of(Scenario()))[0].T_world_object
         for n in (Nuisances(), noisy)
     ]
     assert (placed[0] == placed[1]).all()

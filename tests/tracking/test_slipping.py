@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from forces.loads import load
 from forces.loads import rig as some_rig
-
 from handsight import se3
 from handsight.contact import Contacts
 from handsight.tracking import FingertipContacts, Tracker

@@ -133,17 +133,17 @@ def record(
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
-    from handsight.simulation import blind_rig, rig_of, simulate, simulate_blind
+    from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
     from handsight.simulation.pull import pulls
 
     _recordable(path)
-    rig = blind_rig(scenario) if blind else rig_of(scenario)
+    rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # The one object there is need not be named to `track`.
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
         write_rig(rig, own_rig(path))
-        for sample in simulate_blind(scenario, grasp) if blind else simulate(scenario, advance, grasp):
+        for sample in simulate_touch_search(scenario, grasp) if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
@@ -181,7 +181,7 @@ def _found(scenario: "Scenario", path: Path) -> "Grasp":
         beside = path.with_suffix(".grasp.json")
         write_grasp(found, scenario.object, beside)
         before = f" ({found.failures})" if found.failures else ""
-        end = "the last one holds" if found.held else "none holds, this one did longest"
+        end = "the last one holds" if found.succeeded else "none holds, this one did longest"
         say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
     return found.grasp
 

@@ -126,7 +126,7 @@ def rests(body: Body) -> list[Array]:
     return found
 
 
-def holds(body: Body) -> list[Hold]:
+def grasp_candidates(body: Body) -> list[Hold]:
     """All that geometry and balanced forces let one hope for, best first."""
     found: list[Hold] = []
     for order, R in enumerate(rests(body)):
@@ -205,8 +205,8 @@ def _across(body: Body, R: Array, order: int) -> Iterator[Hold]:
         thumb = _met(body, (centre - offset * half)[None], -1.0)
         for fingers in ROWS:
             steps = APART * (np.arange(len(fingers))[::-1] - (len(fingers) - 1) / 2)
-            aside = zigzag * (-1.0) ** np.arange(len(fingers)) - offset
-            others = _met(body, centre + steps[:, None] * row + aside[:, None] * half, 1.0)
+            lateral = zigzag * (-1.0) ** np.arange(len(fingers)) - offset
+            others = _met(body, centre + steps[:, None] * row + lateral[:, None] * half, 1.0)
             points, normals = (np.vstack(pair) for pair in zip(thumb, others, strict=True))
             if np.isfinite(points).all() and (np.abs(normals[:, 0]) >= SLANT).all():
                 merit = (

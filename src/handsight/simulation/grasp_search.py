@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from handsight.errors import InvalidObject
-from handsight.simulation.grasp_candidates import Hold, body_of, holds
+from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
 from handsight.simulation.motion import FREE, LEGS, MOVES, OWN, POWER, SETTLED, Grasp
 from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import STEPS_PER_SECOND, Scenario
@@ -42,7 +42,7 @@ class GraspSearchResult:
     """How an object is grasped, and how that was found."""
 
     grasp: Grasp
-    held: bool
+    succeeded: bool
     """Whether a trial held it through the whole manipulation; else this is the grasp that held it longest."""
     trials: int
     """How many grasps were simulated."""
@@ -62,7 +62,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     if scenario.object in own:
         return GraspSearchResult(own[scenario.object], True, 0, "its own grasp", "")
     tried = replace(scenario, motion="manipulate", images=False)
-    built, promising = scene(scenario.object), holds(body_of(convex_hull(scenario.object)[0]))
+    built, promising = scene(scenario.object), grasp_candidates(body_of(convex_hull(scenario.object)[0]))
     failures: Counter[str] = Counter()
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
     trials = 0
@@ -108,7 +108,7 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
         world = World(scenario, grasp)
     except InvalidObject:
         return 0.0, "no room to open"
-    every, looked, felt = round(CHECKED * STEPS_PER_SECOND), 0, 0
+    every, checked, felt = round(CHECKED * STEPS_PER_SECOND), 0, 0
     while world.time < world.duration:
         world.step()
         if world.steps % every or world.time <= FREE:
@@ -124,8 +124,8 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
         if sum(force for geom, force, _ in touches if not geom.endswith("_tip")) > OTHERS:
             return world.time, "pressed by what does not feel"
         feel = {geom for geom, force, _ in touches if force > FELT and geom.endswith("_tip")}
-        looked, felt = looked + 1, felt + ("th_tip" in feel and len(feel) > 1)
-    return world.time, "" if felt >= MOSTLY * looked else "hardly felt"
+        checked, felt = checked + 1, felt + ("th_tip" in feel and len(feel) > 1)
+    return world.time, "" if felt >= MOSTLY * checked else "hardly felt"
 
 
 def _named(hold: Hold) -> str:

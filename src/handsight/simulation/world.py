@@ -19,7 +19,7 @@ from handsight.simulation.motion import (
     palm_poses,
     perturbed,
 )
-from handsight.simulation.payload import Loaded
+from handsight.simulation.payload import Payload
 from handsight.simulation.pull import BEGINS, LASTS, Pull, pulls
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module
@@ -45,7 +45,7 @@ class World:
         Raises InvalidObject where hand and object overlap.
         """
         self._mujoco = mujoco_module()
-        self._load = Loaded.of(scenario)
+        self._load = Payload.of(scenario)
         self.scene = self._load.scene
         self.data: Any = self._mujoco.MjData(self.scene.model)
         low, high = self.scene.bounds_object
@@ -218,8 +218,8 @@ class World:
             self._mujoco.mj_step(self.scene.model, self.data)
         self.refresh()
         contacts = self.data.contact[: self.data.ncon]
-        body_of, held = self.scene.model.geom_bodyid, self.scene.model.body("object").id
-        between = [c.dist for c in contacts if held in body_of[c.geom] and 0 not in body_of[c.geom]]
+        body_of, object_body = self.scene.model.geom_bodyid, self.scene.model.body("object").id
+        between = [c.dist for c in contacts if object_body in body_of[c.geom] and 0 not in body_of[c.geom]]
         if min(between, default=0.0) < -MAX_OVERLAP:
             size = " x ".join(f"{1000 * side:.0f}" for side in self._size)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
