@@ -10,7 +10,7 @@ import trimesh
 
 from handsight.errors import InvalidFile, InvalidObject
 from handsight.simulation import Scenario, find_grasp, grasp_search, read_grasp, simulate, write_grasp
-from handsight.simulation.grasp_candidates import body_of, holds
+from handsight.simulation.grasp_candidates import body_of, grasp_candidates
 from handsight.simulation.motion import CAN
 from handsight.simulation.posture import FAR, Posture
 from handsight.simulation.scene import convex_hull, mujoco_module, scene, tip_shape
@@ -29,7 +29,7 @@ def block(tmp_path_factory):
 @pytest.fixture(scope="module")
 def fitted(block):
     """The first hold of the block that the hand can have, and its grasp."""
-    found = holds(body_of(convex_hull(block)[0]))
+    found = grasp_candidates(body_of(convex_hull(block)[0]))
     return next(
         (hold, grasp) for hold in found for grasp in [Posture(scene(block), hold).grasp()[0]] if grasp
     )

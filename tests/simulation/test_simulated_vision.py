@@ -13,7 +13,7 @@ from handsight.simulation import (
     rig_of,
     simulate,
 )
-from handsight.simulation.camera import LOOKS_AT, displacement
+from handsight.simulation.camera import TARGET, displacement
 from simulation.simulated import NONE, only, samples
 
 
@@ -29,7 +29,7 @@ def test_without_nuisances_vision_is_right():
 
 def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
     moved = np.array(
-        [se3.apply(displacement(Nuisances(), seed), LOOKS_AT[None])[0] - LOOKS_AT for seed in range(1000)]
+        [se3.apply(displacement(Nuisances(), seed), TARGET[None])[0] - TARGET for seed in range(1000)]
     )
     np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1).mean(), 0.08, rtol=0.05)
     np.testing.assert_allclose(moved[:, 2].std(), 0.064, rtol=0.1)

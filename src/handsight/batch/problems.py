@@ -187,12 +187,12 @@ def answer_text(reader: Reader, line: bytes) -> str:
     try:
         return json.dumps(answer(reader.read(line)), allow_nan=False, default=np.ndarray.tolist)
     except HandsightError as error:
-        said = str(error)
+        message = str(error)
     except MemoryError:
-        said = "line: expected a problem that fits into memory, got a larger one"
+        message = "line: expected a problem that fits into memory, got a larger one"
     except Exception as error:  # our own fault: told in its place, and the other lines are still answered
-        said = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
-    return json.dumps({"error": said})
+        message = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
+    return json.dumps({"error": message})
 
 
 def _fields(line: bytes) -> ProblemFields:
@@ -214,18 +214,18 @@ def _fields(line: bytes) -> ProblemFields:
     try:
         return msgspec.convert(raw, ProblemFields)
     except msgspec.ValidationError as error:
-        field, said = explain(error, ProblemFields, raw)
-        raise InvalidInput(f"{named(field)}: {said}") from None
+        field, message = explain(error, ProblemFields, raw)
+        raise InvalidInput(f"{named(field)}: {message}") from None
     except UnicodeEncodeError as error:
         raise InvalidInput(f"line: expected text, got half a character in {error.object[:40]!r}") from None
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
+    unique = dict(pairs)
+    if len(unique) < len(pairs):
         twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
         raise InvalidInput(f"{twice}: expected once, got it twice in one object")
-    return made
+    return unique
 
 
 def _contacts(rows: list[ContactFields], *, of_residual: bool) -> Contacts:

@@ -168,7 +168,7 @@ def _answer(
     source = _source(problems)
     size = os.fstat(source.fileno()).st_size  # a pipe has none
     whole, folder = problems.endswith(".json"), _folder(problems)
-    run = answering(source, folder, whole=whole, workers=workers, cluster=cluster, first=announce_compiling)
+    run = answering(source, folder, single=whole, workers=workers, cluster=cluster, first=announce_compiling)
     began, read = time.monotonic(), 0
     with (
         run as answered,
