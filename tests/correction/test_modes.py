@@ -6,12 +6,11 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight._kernels import records
-from handsight._kernels.evidence import prior_term
+from handsight._kernels.evidence import prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.posterior import uncertainty
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
-from handsight._kernels.solve import levenberg
 from handsight._kernels.solve.settings import LEAST_FACTOR, STRIDE
 from handsight.correction import modes
 from handsight.correction.outside import NO_OUTSIDE
@@ -37,10 +36,12 @@ def _second_order(model, values, vectors, answers):
 
 
 @kept
-def _calibrated(model, nodes, vision, outside, descents, values, vectors):
+def _calibrated(model, nodes, constraints, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
-    prior_term.vision_prior(model[0], vision[0], prior, local(UNCERTAINTY))
-    evidence = levenberg.Evidence(model[0], nodes, np.empty(0, TERM), outside, prior, (0.0, 0.0, 0.0))
+    prior_term.vision_prior(model[0], constraints[0].prior, prior, local(UNCERTAINTY))
+    evidence = terms.Evidence(
+        model[0], nodes, np.empty(0, TERM), outside, constraints[0].weight, prior, (0.0, 0.0, 0.0)
+    )
     pose, rises = pose_of(descents[0].pose), np.empty(6)
     uncertainty.calibrated_information(evidence, pose, STRIDE, values, vectors, rises)
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.posterior.propagation import inflate
-from handsight._kernels.records import ANSWER, PRIOR
+from handsight._kernels.records import ANSWER, CONSTRAINTS
 from handsight.checks import Array
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
@@ -29,7 +29,7 @@ class PosePrior:
     covariance: Array
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) along the palm's axes."""
     record: NDArray[np.void] = field(init=False, repr=False, compare=False)
-    """(1,) the same as kernels take it."""
+    """(1,) CONSTRAINTS: the same as kernels take it, without the object's weight."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "vision.T_palm_object"))
@@ -61,10 +61,12 @@ class PosePrior:
 
 
 def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
-    # Numbers of PRIOR, one after another: by their names they take three times as long. Of the weight it says nothing.
-    numbers = np.zeros(PRIOR.itemsize // 8)
+    # Numbers of CONSTRAINTS, one after another: by their names they take three times as long.
+    numbers = np.zeros(CONSTRAINTS.itemsize // 8)
     numbers[:9], numbers[9:12], numbers[12:48] = T[:3, :3].ravel(), T[:3, 3], covariance.ravel()
-    return numbers.view(PRIOR)
+    record = numbers.view(CONSTRAINTS)
+    record["has_prior"] = 1
+    return record
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,7 +46,7 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
         rows["departure"][0] = np.inf
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(estimate.outliers)] = False
-    mean.integrate(*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside, rows)
+    mean.integrate(*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside, rows)
     if len(rows) > 1:
         rows = rows[rows["weight"] >= 0]
         order = np.argsort(-rows["log_weight"], kind="stable")

@@ -98,6 +98,8 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
     outside, model = evidence.outside, evidence.model
     (R, p), (center, radius) = pose, frame
     n, link, total = len(outside), 0, 0.0
+    if n == 0:
+        return
     by_shift, by_turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for i in range(n + 1):  # one more, for the last link's row
         u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]

@@ -9,15 +9,13 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import largest_move, pass_over
-from handsight._kernels.evidence.prior_term import prior_cost
-from handsight._kernels.evidence.weight_term import weight_cost
+from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.vec3 import cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import information, posterior_cost
 from handsight._kernels.posterior.uncertainty import calibrated_information, retract_body
 from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
 from handsight._kernels.solve.settings import (
     DEPARTS,
     FAR,
@@ -139,7 +137,7 @@ def without_dents(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> fl
     """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
     explains is alike."""
     if slide.give > 0.0:
-        by_prior = prior_cost(evidence.prior, pose) + weight_cost(evidence.prior.weight, pose)
+        by_prior = evidence_cost(evidence, PRIOR | LOADS, pose)
         cost = by_prior + max(cost - by_prior, slide.level)
     return cost
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import Mat33, add, cross, matmul, mul, norm, scale, sub, transpose
 from handsight._kernels.posterior.flat_directions import (
@@ -17,7 +18,6 @@ from handsight._kernels.posterior.flat_directions import (
     without_dents,
 )
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence, evaluate
 from handsight._kernels.solve.settings import NEAR2
 
 
@@ -64,7 +64,8 @@ def visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: 
     count, fine = slide.count_across, evidence.model.fine
     coordinates_at(slide, place, u.row)
     pose = moved_to(evidence, mode, u.row)
-    evaluate(evidence, fine, pose, True, u.equations)
+    u.equations[:] = 0.0
+    add_evidence(evidence, ALL, fine, pose, (evidence.center, evidence.model.radius), True, u.equations)
     if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
         return -np.inf
     cost = u.equations[6, 6]

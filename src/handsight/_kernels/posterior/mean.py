@@ -15,8 +15,8 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import look
-from handsight._kernels.evidence.prior_term import prior_cost, rotation_log
-from handsight._kernels.evidence.weight_term import weight_cost
+from handsight._kernels.evidence.prior_term import rotation_log
+from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import nearest, pose_of
@@ -38,7 +38,6 @@ from handsight._kernels.records import (
 )
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import fill_prior, load_terms
-from handsight._kernels.solve.levenberg import Evidence
 from handsight._kernels.solve.settings import (
     DEPARTS,
     DEPTH,
@@ -95,9 +94,11 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: A
     choose(evidence, mode, slide, local(UNCERTAINTY))
     rows = np.empty(len(evidence.outside), OUTSIDE)
     look(evidence, evidence.model.fine, mode, np.inf, rows)
-    near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
+    near = Evidence(
+        evidence.model, evidence.nodes, evidence.terms, rows, evidence.weight, evidence.prior, evidence.center
+    )
     slide.give, here = GIVE * wavering(evidence, mode), posterior_cost(evidence, mode)
-    by_prior = prior_cost(evidence.prior, mode) + weight_cost(evidence.prior.weight, mode)
+    by_prior = evidence_cost(evidence, PRIOR | LOADS, mode)
     slide.level = here - by_prior + slide.give
     measure(near, mode, slide, here + slide.give)
     for _ in range(ROUNDS):
@@ -155,7 +156,7 @@ def _coordinates(model: Any, pose: Pose, mode: Pose, out: Any) -> None:
 
 
 @entry
-def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any) -> None:
     """Makes means of the first of the answers (K,) that depart from a Gaussian; the first set of contacts counts.
 
     Another mode that is reached along a slide is part of that mean: its weight becomes -1. `log_weight` becomes the
@@ -164,7 +165,7 @@ def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, a
     term, slide, sums = local(PRIOR_TERM), local(SLIDE), local(SUMS)
     terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
     center = load_terms(contacts[0], terms)
-    fill_prior(model[0], prior, center, term)
+    fill_prior(model[0], constraints[0], center, term)
     floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
     best = -np.inf
     for k in range(min(len(answers), MOST_MEANS)):
@@ -174,7 +175,7 @@ def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, a
         mode = pose_of(row.pose)
         for n in range(k + 1, len(answers)):
             _coordinates(model[0], pose_of(answers[n].pose), mode, others[n])
-        evidence = Evidence(model[0], nodes, terms, outside, term, mode[1])
+        evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, mode[1])
         if _integrated(evidence, mode, others[k + 1 :], slide, sums):
             _store_mean(model[0], mode, slide, sums, row)
             spins = 6 - slide.count - slide.count_across

@@ -17,12 +17,12 @@ from handsight._kernels.evidence.contact_term import (
     residual_covariance,
     surface_at,
 )
+from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.vec3 import cross, outer, sub, sub33, vector
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
 
 LEND = 3.84
 """Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""

@@ -10,6 +10,7 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import NOT_LOOKED, nearby
 from handsight._kernels.evidence.prior_term import IDENTITY
+from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.vec3 import (
@@ -30,7 +31,6 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
 from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
 from handsight._kernels.solve.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, SLIDE, STRIDE
 
 
@@ -84,7 +84,13 @@ def calibrated_information(
                     look = nearby(evidence, model.fine, beside, look, rows)
                     left = rows[: look[1]]
                     near = Evidence(
-                        model, evidence.nodes, evidence.terms, left, evidence.prior, evidence.center
+                        model,
+                        evidence.nodes,
+                        evidence.terms,
+                        left,
+                        evidence.weight,
+                        evidence.prior,
+                        evidence.center,
                     )
                 there = posterior_cost(near, beside)
                 if k < 0:
@@ -280,4 +286,4 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
         contact = evidence.terms[i].contact
         if contact.used:
             row.rows += 3 if contact.has_normal else 1
-    row.rows += 3 if evidence.prior.weight.known else 0
+    row.rows += 3 if evidence.weight.known else 0

@@ -5,13 +5,12 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.evidence.prior_term import add_prior
-from handsight._kernels.evidence.weight_term import add_weight
+from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, add_evidence
 from handsight._kernels.math.simd import accumulate, local, scan
 from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
-from handsight._kernels.records import NO_PRIOR, WORKSPACE
+from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence, damped_step, retract
+from handsight._kernels.solve.levenberg import damped_step, retract
 from handsight._kernels.solve.settings import MATCH_STEPS, MATCH_TOLERANCE
 
 
@@ -82,9 +81,8 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
             term = evidence.terms[i]
             if term.contact.used:
                 add_match(model, term, pose, frame, equations)
-        if evidence.prior.kind != NO_PRIOR:
-            add_prior(evidence.prior, pose, frame, equations)
-        add_weight(evidence.prior.weight, pose, frame, equations)
+        # Walls would hold the object back on the way to its place: they hurt from far away.
+        add_evidence(evidence, PRIOR | LOADS, model.coarse, pose, frame, False, equations)
         step = damped_step(equations, model.radius, 1e-9, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0
