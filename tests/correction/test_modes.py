@@ -10,8 +10,8 @@ from handsight._kernels.evidence import prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.posterior import uncertainty
+from handsight._kernels.posterior.options import CALIBRATION
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
-from handsight._kernels.solve.settings import LEAST_FACTOR, STRIDE
 from handsight.correction import modes
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import descents_at
@@ -43,7 +43,7 @@ def _calibrated(model, nodes, constraints, outside, descents, values, vectors):
         model[0], nodes, np.empty(0, TERM), outside, constraints[0].weight, prior, (0.0, 0.0, 0.0)
     )
     pose, rises = pose_of(descents[0].pose), np.empty(6)
-    uncertainty.calibrated_information(evidence, pose, STRIDE, values, vectors, rises)
+    uncertainty.calibrated_information(evidence, pose, CALIBRATION.stride, values, vectors, rises)
 
 
 def along_palm_axes(information):
@@ -94,25 +94,32 @@ def test_more_information_stays_more_along_the_palm():
     assert np.linalg.eigvalsh(modes.in_metres(more, RADIUS)).min() > -1e-6
 
 
-SHARP, OPEN = np.array([1e8, 1e6, 1e6, 1e6, 1e6, 1e6]), np.array([6.25e4, 1e6, 1e6, 1e6, 1e6, 1e6])
+SHARP, CALIBRATION.open_sigma = (
+    np.array([1e8, 1e6, 1e6, 1e6, 1e6, 1e6]),
+    np.array([6.25e4, 1e6, 1e6, 1e6, 1e6, 1e6]),
+)
 """Deviations along x of 0.1 mm and of 4 mm."""
 
 
 def test_a_gaussians_information_is_its_own_secant():
     T = se3.random(np.random.default_rng(0), spread=0.1)
-    np.testing.assert_allclose(secant(OPEN, OPEN, T), OPEN, rtol=1e-6)
+    np.testing.assert_allclose(
+        secant(CALIBRATION.open_sigma, CALIBRATION.open_sigma, T), CALIBRATION.open_sigma, rtol=1e-6
+    )
 
 
 def test_a_bump_at_the_mode_does_not_pass_for_knowledge():
-    np.testing.assert_allclose(secant(SHARP, OPEN, np.eye(4)), OPEN, rtol=1e-6)
+    np.testing.assert_allclose(
+        secant(SHARP, CALIBRATION.open_sigma, np.eye(4)), CALIBRATION.open_sigma, rtol=1e-6
+    )
 
 
 def test_a_wall_on_one_side_of_the_mode_counts_by_half():
     wall = np.zeros(1, OUTSIDE)
     wall["point"], wall["sigma"] = (0.030, 0.001, 0.002), 1e-4
-    values = secant(SHARP, OPEN, np.eye(4), wall)
+    values = secant(SHARP, CALIBRATION.open_sigma, np.eye(4), wall)
     # One side rises as the slope at the mode says, the other hardly: least factor, counted with it.
-    assert values[0] == pytest.approx((1 + LEAST_FACTOR) / 2 * 1e8)
+    assert values[0] == pytest.approx((1 + CALIBRATION.min_factor) / 2 * 1e8)
     assert values[1] == pytest.approx(1e6)
 
 
@@ -120,7 +127,7 @@ def test_the_cost_is_read_a_deviation_and_a_half_away():
     # Walls on both sides that stand 0.03 mm off: what they cost depends on how far away the cost is read.
     walls = np.zeros(2, OUTSIDE)
     walls["point"], walls["sigma"] = [(0.03003, 0.001, 0.002), (-0.03003, 0.001, 0.002)], 1e-4
-    values = secant(SHARP, OPEN, np.eye(4), walls)
+    values = secant(SHARP, CALIBRATION.open_sigma, np.eye(4), walls)
     assert values[0] == pytest.approx(((1.5 - 0.3) / 1.5) ** 2 * 1e8, rel=2e-3)
 
 

@@ -47,14 +47,14 @@ def _costs(model, nodes, outside, descents, coarse, costs):
     weight = local(OBJECT_WEIGHT)
     field = model[0].coarse if coarse else model[0].fine
     evidence = terms.Evidence(model[0], nodes, contacts, outside, weight, nothing, center)
-    look, rows = outside_term.NOT_LOOKED, np.empty(len(outside), OUTSIDE)
+    clearances, rows = outside_term.NEVER_MEASURED, np.empty(len(outside), OUTSIDE)
     for k in range(len(descents)):
         pose = pose_of(descents[k].pose)
-        look = outside_term.nearby(evidence, field, pose, look, rows)
-        near = terms.Evidence(model[0], nodes, contacts, rows[: look[1]], weight, nothing, center)
+        clearances = outside_term.nearby(evidence, field, pose, clearances, rows)
+        near = terms.Evidence(model[0], nodes, contacts, rows[: clearances[1]], weight, nothing, center)
         costs[k, 0] = outside_term.outside_cost(evidence, field, pose)
         costs[k, 1] = outside_term.outside_cost(near, field, pose)
-        costs[k, 2] = look[1]
+        costs[k, 2] = clearances[1]
 
 
 @pytest.mark.parametrize("name", ["box", "can", "mustard"])

@@ -21,7 +21,7 @@ from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.threads import alone, in_parts
 from handsight._kernels.solve import batch, match
-from handsight._kernels.solve.settings import CANDIDATE_APART
+from handsight._kernels.solve.options import SEARCH
 from handsight.correction import WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
@@ -370,7 +370,7 @@ def test_many_problems_are_answered_as_each_alone():
 
 
 @pytest.mark.parametrize("name", ["can", "box", "egg"])
-@pytest.mark.parametrize("limits", [modes.APART, CANDIDATE_APART])
+@pytest.mark.parametrize("limits", [modes.APART, SEARCH.same_after_coarse])
 def test_distinct_poses_are_told_as_in_plain_numpy(name, limits):
     rng, thing = np.random.default_rng(4), model(name)
     Ts = np.repeat(se3.random(rng, 20, spread=0.1), 10, axis=0)

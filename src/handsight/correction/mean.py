@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight import checks
 from handsight._kernels.posterior import mean
-from handsight._kernels.solve.settings import DEPARTS, MOST_MEANS
+from handsight._kernels.posterior.options import INTEGRATION
 from handsight.correction import modes, solve
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, descents_at
@@ -27,7 +27,7 @@ def checked_answer(answer: object, name: str = "answer") -> str:
 
 def _departs(problem: Problem, row: np.void) -> bool:
     """Whether a mode is answered by its mean."""
-    return bool(row["departure"] > DEPARTS and (row["complete"] or not problem.blind))
+    return bool(row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind))
 
 
 def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
@@ -37,7 +37,7 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     are not apart. Blind, a mode with a direction that is not known stays its maximum: such a slide ends nowhere, and
     several maxima along it say more than one mean.
     """
-    departs = [_departs(problem, row) for row in estimate.modes[:MOST_MEANS]]
+    departs = [_departs(problem, row) for row in estimate.modes[: INTEGRATION.max_modes]]
     if answer == "maximum" or not (answer == "mean" or any(departs)):
         return estimate
     rows = np.array(estimate.modes)

@@ -9,7 +9,7 @@ import numpy as np
 from handsight._kernels import records
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
-from handsight._kernels.solve.settings import CANDIDATE_APART, WIDEST_OF_ONE
+from handsight._kernels.solve.options import SEARCH
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
@@ -77,12 +77,12 @@ def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstim
     """
     # One by one takes twice as long.
     width, converged, cost, coarse_cost, chi2, gain, freedom = answer[ENDED].item()
-    if not width < WIDEST_OF_ONE or not converged:
+    if not width < SEARCH.single_start_width or not converged:
         return None
     if searched:
         stands = modes.fits(cost, freedom)
     else:
-        stands = modes.beyond_doubt(cost, coarse_cost, freedom, width / WIDEST_OF_ONE)
+        stands = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
         stands = stands and modes.unsuspicious(cost, freedom, gain)
     if not stands:
         return None
@@ -187,7 +187,7 @@ def _survivors(problem: Problem, descents: Records, ended: Indices) -> Indices:
     """Those of some descents that are no repeats of cheaper ones, cheapest first."""
     order = ended[np.argsort(descents["cost"][ended], kind="stable")]
     most = KEPT_BLIND if problem.blind else KEPT
-    return distinct(problem.model, descents, order, most, CANDIDATE_APART)
+    return distinct(problem.model, descents, order, most, SEARCH.same_after_coarse)
 
 
 def _weigh(problem: Problem, minima: Records, used: Mask) -> None:

@@ -8,27 +8,15 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import largest_move, pass_over
+from handsight._kernels.evidence.outside_term import largest_move, mark_far
 from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.vec3 import cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import information, posterior_cost
+from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
 from handsight._kernels.posterior.uncertainty import calibrated_information, retract_body
 from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.settings import (
-    DEPARTS,
-    FAR,
-    MOST_OPEN,
-    NARROW,
-    OPEN,
-    PLACES,
-    PROBES,
-    RISE,
-    SPREAD,
-    STRIDE,
-    SWEEPS,
-)
 
 SPIN = 1e6
 """What stands for a spin about a declared axis, in traces of a matrix, so that it is told from what is open."""
@@ -67,10 +55,12 @@ def choose(evidence: Evidence, pose: Pose, slide: Any, u: Any) -> None:
     slopes, calibrated = np.empty(6), np.empty(6)
     _departures(evidence, pose, slopes, calibrated, departs, u)
     slide.count = slide.count_across = 0
-    for n in range(MOST_OPEN):
+    for n in range(INTEGRATION.max_directions):
         widest = -1
         for k in range(6):
-            if departs[k] > (DEPARTS if n else -1.0) and (widest < 0 or _before(departs, slopes, k, widest)):
+            if departs[k] > (INTEGRATION.max_gaussian_rise if n else -1.0) and (
+                widest < 0 or _before(departs, slopes, k, widest)
+            ):
                 widest = k
         if widest >= 0:
             slide.along[:, n] = u.vectors[:, widest]
@@ -78,7 +68,7 @@ def choose(evidence: Evidence, pose: Pose, slide: Any, u: Any) -> None:
             slide.count, departs[widest] = n + 1, -np.inf
     blind, slide.proper = evidence.prior.kind == WEAK_PRIOR, True
     for k in range(6):
-        slide.proper = slide.proper and not (blind and slopes[k] * (OPEN * radius) ** 2 < 1)
+        slide.proper = slide.proper and not (blind and slopes[k] * (CALIBRATION.open_sigma * radius) ** 2 < 1)
         if departs[k] >= 0:
             slide.across[:, slide.count_across] = u.vectors[:, k]
             slide.stretch[slide.count_across] = np.sqrt(slopes[k] / calibrated[k]) if slopes[k] > 0 else 1.0
@@ -99,9 +89,11 @@ def _departures(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, de
     for far in range(2):
         for k in range(6):
             u.values[k] = 0.0 if slopes[k] > limit else slopes[k]
-        calibrated_information(evidence, pose, FAR if far else STRIDE, u.values, u.vectors, u.row)
+        calibrated_information(
+            evidence, pose, INTEGRATION.wall_stride if far else CALIBRATION.stride, u.values, u.vectors, u.row
+        )
         for k in range(6):
-            if slopes[k] * (NARROW * model.radius) ** 2 < 1:
+            if slopes[k] * (INTEGRATION.narrow_sigma * model.radius) ** 2 < 1:
                 departs[k] = max(departs[k], np.inf if u.values[k] == 0.0 else u.row[k])
             calibrated[k] = calibrated[k] if far else u.values[k]
     for k in range(6):
@@ -112,8 +104,8 @@ def _departures(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, de
 @inner
 def _before(departs: Any, slopes: Any, k: int, other: int) -> bool:
     """Whether a direction is integrated along rather than another: one that departs, then the wider one."""
-    if (departs[k] > DEPARTS) != (departs[other] > DEPARTS):
-        return departs[k] > DEPARTS
+    if (departs[k] > INTEGRATION.max_gaussian_rise) != (departs[other] > INTEGRATION.max_gaussian_rise):
+        return departs[k] > INTEGRATION.max_gaussian_rise
     return slopes[k] < slopes[other]
 
 
@@ -128,7 +120,7 @@ def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
     """As `at_coordinates`; outside points, looked at from the mode, are passed over where they are too far."""
     pose = at_coordinates(mode, evidence.model.radius, six)
     if len(evidence.outside):
-        pass_over(evidence.outside, largest_move(evidence.model, pose, mode))
+        mark_far(evidence.outside, largest_move(evidence.model, pose, mode))
     return pose
 
 
@@ -152,18 +144,18 @@ def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
     is followed from the middle of the one before, twice.
     """
     radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
-    for m in range(slide.count * (SWEEPS if slide.count > 1 else 1)):
+    for m in range(slide.count * (INTEGRATION.sweeps if slide.count > 1 else 1)):
         n, ends = m % slide.count, (0.0, 0.0)
         for side in range(2):
             length, near, far = slide.spacing[n], 0.0, 2 * radius
-            for _ in range(PROBES):
+            for _ in range(INTEGRATION.max_probes):
                 for i in range(6):
                     six[i] = middle[i] + slide.along[i, n] * (-length if side else length)
                 pose = moved_to(evidence, mode, six)
                 rise = without_dents(evidence, slide, pose, posterior_cost(evidence, pose)) - here
-                if 0.5 * RISE < rise < 2 * RISE:
+                if 0.5 * INTEGRATION.rise < rise < 2 * INTEGRATION.rise:
                     break
-                if rise > RISE:
+                if rise > INTEGRATION.rise:
                     far = length
                 else:
                     near = length
@@ -173,7 +165,9 @@ def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
             middle[i] += 0.5 * slide.along[i, n] * (ends[0] - ends[1])
         slide.spacing[n] = 0.5 * (ends[0] + ends[1])
     for n in range(slide.count):
-        slide.spacing[n] *= SPREAD[slide.count - 1] / PLACES[slide.count - 1]
+        slide.spacing[n] *= (
+            INTEGRATION.sigma_of_reach[slide.count - 1] / INTEGRATION.points_per_sigma[slide.count - 1]
+        )
 
 
 @inner
@@ -205,7 +199,7 @@ def coordinates_at(slide: Any, place: Any, out: Any) -> None:
 @inner
 def fine_enough(slide: Any, sums: Any, radius: float) -> bool:
     """Whether deviations along the slide have places enough; else brings these closer together."""
-    fine, wanted = True, PLACES[slide.count - 1]
+    fine, wanted = True, INTEGRATION.points_per_sigma[slide.count - 1]
     for k in range(slide.count):
         mean = square = 0.0
         for i in range(6):

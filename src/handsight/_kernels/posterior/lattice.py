@@ -17,8 +17,8 @@ from handsight._kernels.posterior.flat_directions import (
     moved_to,
     without_dents,
 )
+from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.settings import NEAR2
 
 
 @inner
@@ -145,5 +145,5 @@ def cover(slide: Any, others: Any, u: Any) -> None:
         for a in range(slide.count_across):
             for b in range(slide.count_across):
                 square += u.column[a] * u.matrix[a, b] * u.column[b]
-        if beside and square < NEAR2:
+        if beside and square < INTEGRATION.same_mode:
             others[n, 6] = 1.0

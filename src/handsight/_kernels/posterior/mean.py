@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import look
+from handsight._kernels.evidence.outside_term import measure_clearances
 from handsight._kernels.evidence.prior_term import rotation_log
 from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen
@@ -24,6 +24,7 @@ from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
 from handsight._kernels.posterior.density import posterior_cost
 from handsight._kernels.posterior.flat_directions import choose, fine_enough, lay_lattice, mark_spins, measure
 from handsight._kernels.posterior.lattice import cover, visit
+from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.posterior.spurious_information import wavering
 from handsight._kernels.posterior.uncertainty import retract_body
 from handsight._kernels.records import (
@@ -38,22 +39,16 @@ from handsight._kernels.records import (
 )
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import fill_prior, load_terms
-from handsight._kernels.solve.settings import (
-    DEPARTS,
-    DEPTH,
-    GIVE,
-    LIGHT,
-    MOST_MEANS,
-    MOST_PLACES,
-    REACH,
-    ROUNDS,
-)
 
 
 @inner
 def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -> bool:
     """Whether all that has density was visited, from the mode on."""
-    u, places, reach = local(UNCERTAINTY), np.zeros(MOST_PLACES, PLACE), REACH[slide.count - 1]
+    u, places, reach = (
+        local(UNCERTAINTY),
+        np.zeros(INTEGRATION.max_points, PLACE),
+        INTEGRATION.max_extent[slide.count - 1],
+    )
     side = 2 * reach + 1
     seen = np.zeros(side**slide.count, np.bool_)
     sums.total, sums.best = 0.0, -np.inf
@@ -64,7 +59,7 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
         place = places[done]
         done += 1
         log_weight = visit(evidence, mode, slide, place, sums, u)
-        if not log_weight > sums.best - 0.5 * DEPTH:
+        if not log_weight > sums.best - 0.5 * INTEGRATION.max_cost:
             continue
         cover(slide, others, u)
         where = middle
@@ -76,7 +71,7 @@ def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -
                 next_to = where + step * side**k
                 if abs(place.index[k] + step) > reach or seen[next_to]:
                     continue
-                if count == MOST_PLACES:
+                if count == INTEGRATION.max_points:
                     return False
                 seen[next_to] = True
                 added = places[count]
@@ -93,15 +88,15 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: A
     """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, slide, local(UNCERTAINTY))
     rows = np.empty(len(evidence.outside), OUTSIDE)
-    look(evidence, evidence.model.fine, mode, np.inf, rows)
+    measure_clearances(evidence, evidence.model.fine, mode, np.inf, rows)
     near = Evidence(
         evidence.model, evidence.nodes, evidence.terms, rows, evidence.weight, evidence.prior, evidence.center
     )
-    slide.give, here = GIVE * wavering(evidence, mode), posterior_cost(evidence, mode)
+    slide.give, here = INTEGRATION.bump_sigmas * wavering(evidence, mode), posterior_cost(evidence, mode)
     by_prior = evidence_cost(evidence, PRIOR | LOADS, mode)
     slide.level = here - by_prior + slide.give
     measure(near, mode, slide, here + slide.give)
-    for _ in range(ROUNDS):
+    for _ in range(INTEGRATION.max_lattices):
         cell = lay_lattice(slide)
         others[:, 6] = 0.0
         if not _flood(near, mode, slide, others, sums):
@@ -168,9 +163,13 @@ def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: 
     fill_prior(model[0], constraints[0], center, term)
     floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
     best = -np.inf
-    for k in range(min(len(answers), MOST_MEANS)):
+    for k in range(min(len(answers), INTEGRATION.max_modes)):
         row = answers[k]
-        if row.weight < 0 or not row.departure > DEPARTS or row.log_weight < best - LIGHT:
+        if (
+            row.weight < 0
+            or not row.departure > INTEGRATION.max_gaussian_rise
+            or row.log_weight < best - INTEGRATION.min_log_weight
+        ):
             continue
         mode = pose_of(row.pose)
         for n in range(k + 1, len(answers)):

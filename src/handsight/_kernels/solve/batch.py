@@ -29,9 +29,9 @@ from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
+from handsight._kernels.solve.options import DESCENT, SEARCH
 
-LIMITS = COARSE_LIMITS, FINE_LIMITS
+LIMITS = DESCENT.coarse, DESCENT.fine
 
 
 @inner
@@ -117,7 +117,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
     for k in range(len(problems)):
         problem, answer = problems[k], problems[k].answer
         answer.width = 0.0 if problem.follows else prior_width(model[0], problem.constraints.prior)
-        if not answer.width < WIDEST_OF_ONE:
+        if not answer.width < SEARCH.single_start_width:
             continue
         terms = np.empty(problem.last - problem.first, TERM)
         center = load_terms(contacts[problem.first : problem.last], terms)

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import NOT_LOOKED, nearby
+from handsight._kernels.evidence.outside_term import NEVER_MEASURED, nearby
 from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.vec3 import Vec3, add, matmul, mul, norm, scale, sub
 from handsight._kernels.records import OUTSIDE, WORKSPACE
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.settings import MAX_TURN, SHORT_STEP
+from handsight._kernels.solve.options import DESCENT
 
 
 @inner
@@ -27,7 +27,7 @@ def damped_step(equations: Any, radius: float, damping: float, workspace: Any) -
     s = workspace.step
     solve(workspace.factor, 6, equations[6], s)
     shift, turn = (s[0], s[1], s[2]), (s[3], s[4], s[5])
-    shorter = -MAX_TURN / max(norm(turn) / radius, MAX_TURN)
+    shorter = -DESCENT.max_turn / max(norm(turn) / radius, DESCENT.max_turn)
     return scale(shift, shorter), scale(turn, shorter)
 
 
@@ -74,16 +74,16 @@ def descend(
     most, small = limits
     step = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     candidate, damping, tried, converged = pose, 1e-6, -1, False
-    near, look, rows = evidence, NOT_LOOKED, np.empty(len(evidence.outside), OUTSIDE)
+    near, clearances, rows = evidence, NEVER_MEASURED, np.empty(len(evidence.outside), OUTSIDE)
     while True:
         if len(rows):
-            look = nearby(evidence, field, candidate, look, rows)
+            clearances = nearby(evidence, field, candidate, clearances, rows)
             # No function can answer with it: it holds a record.
             near = Evidence(
                 model,
                 evidence.nodes,
                 evidence.terms,
-                rows[: look[1]],
+                rows[: clearances[1]],
                 evidence.weight,
                 evidence.prior,
                 center,
@@ -97,7 +97,7 @@ def descend(
             if tried > 0:
                 longest, square = step_size(now, step)
                 # At an edge the cost has a kink: there steps get short long before the slope does.
-                converged = square < small * small or longest < SHORT_STEP * radius
+                converged = square < small * small or longest < DESCENT.short_step * radius
                 damping = max(damping * 0.1, 1e-9)
             pose = candidate
             for i in range(7):

@@ -11,7 +11,7 @@ from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import damped_step, retract
-from handsight._kernels.solve.settings import MATCH_STEPS, MATCH_TOLERANCE
+from handsight._kernels.solve.options import MATCH
 
 
 @inner
@@ -75,7 +75,7 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)
-    for taken in range(1, MATCH_STEPS + 1):
+    for taken in range(1, MATCH.max_steps + 1):
         equations[:] = 0.0
         for i in range(len(evidence.terms)):
             term = evidence.terms[i]
@@ -88,6 +88,6 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
         longest = 0.0
         for k in range(3):
             longest = max(longest, max(abs(step[0][k]), abs(step[1][k])))
-        if longest < MATCH_TOLERANCE * model.radius:
+        if longest < MATCH.tolerance * model.radius:
             return pose, taken
-    return pose, MATCH_STEPS
+    return pose, MATCH.max_steps

@@ -34,10 +34,10 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import fill_prior, load_terms
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.settings import CANDIDATE_APART, COARSE_LIMITS, FINE_LIMITS, MATCHED_APART
+from handsight._kernels.solve.options import DESCENT, SEARCH
 
-LIMITS = COARSE_LIMITS, FINE_LIMITS
-COSINE = float(np.cos(MATCHED_APART[1]))
+LIMITS = DESCENT.coarse, DESCENT.fine
+COSINE = float(np.cos(SEARCH.same_after_match[1]))
 WORST = 1e300
 """The cost of what is no number: a descent all the same, where there is no better one."""
 
@@ -133,7 +133,7 @@ def _is_near(model: Any, a: Pose, b: Pose) -> bool:
     (R, p), (Q, q) = a, b
     gap = add(sub(p, q), sub(mul(R, vector(model.center)), mul(Q, vector(model.center))))
     trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
-    return dot(gap, gap) < MATCHED_APART[0] ** 2 and trace > 1 + 2 * COSINE
+    return dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE
 
 
 @inner
@@ -164,7 +164,7 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
         taken[best], new = True, True
         for j in range(count):
             if not are_apart(
-                model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), CANDIDATE_APART
+                model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), SEARCH.same_after_coarse
             ):
                 new = False
                 break
