@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from handsight.correction.modes import apart
+from handsight.correction.modes import pose_distances
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
 from handsight.search.sweep_choice import level_sweep, shortened
@@ -89,7 +89,7 @@ def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectMode
         belief = belief.after(probe.touch(POLICIES[policy](belief, probe.heights, rng)))
         T, best = probe.T_world_object, belief.modes[0]
         shift, turn = (
-            float(error[0]) for error in apart(belief.model, T[None], best.pose_world_object.T_a_b)
+            float(error[0]) for error in pose_distances(belief.model, T[None], best.pose_world_object.T_a_b)
         )
         row = {"object": Path(name).stem, "seed": seed, "policy": policy, "touch": touch}
         row |= {"met": belief.touches[-1].contact_world is not None, "sure": best.is_certain}
@@ -128,7 +128,7 @@ def whole_task(name: str, seed: int) -> Row:
 
 def _errors(stage: str, model: hs.ObjectModel, T_true: Array, T_hat: Array) -> Row:
     """Of the middle and of the turn, modulo symmetry."""
-    shift, turn = (float(error[0]) for error in apart(model, T_true[None], T_hat))
+    shift, turn = (float(error[0]) for error in pose_distances(model, T_true[None], T_hat))
     return {f"{stage} mm": 1e3 * shift, f"{stage} deg": float(np.rad2deg(turn))}
 
 

@@ -370,7 +370,7 @@ def test_many_problems_are_answered_as_each_alone():
 
 
 @pytest.mark.parametrize("name", ["can", "box", "egg"])
-@pytest.mark.parametrize("limits", [modes.APART, SEARCH.same_after_coarse])
+@pytest.mark.parametrize("limits", [modes.SAME_MODE, SEARCH.same_after_coarse])
 def test_distinct_poses_are_told_as_in_plain_numpy(name, limits):
     rng, thing = np.random.default_rng(4), model(name)
     Ts = np.repeat(se3.random(rng, 20, spread=0.1), 10, axis=0)

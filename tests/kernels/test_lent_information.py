@@ -102,7 +102,7 @@ def _wavering(model, nodes, contacts, constraints, outside, descents):
     center = batch.load_terms(contacts, rows)
     batch.fill_prior(model[0], constraints[0], center, prior)
     evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
-    return spurious_information.wavering(evidence, pose_of(descents[0].pose))
+    return spurious_information.cost_deviation(evidence, pose_of(descents[0].pose))
 
 
 @pytest.mark.parametrize("bare", [False, True])
@@ -114,7 +114,7 @@ def test_costs_waver_from_bump_to_bump_as_drawn_bumps_make_them(sigma, bare):
         said = _wavering(
             *record, given.contacts.record, given.constraints, given.outside, descents_at(T[None])
         )
-        assert said == pytest.approx(oracle.wavering(given, T), rel=0.1)
+        assert said == pytest.approx(oracle.cost_deviation(given, T), rel=0.1)
 
 
 def test_costs_of_a_model_without_bumps_do_not_waver():

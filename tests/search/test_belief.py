@@ -6,7 +6,7 @@ import pytest
 import handsight as hs
 from blind_touches import RADIUS, area, box, can, level, touched
 from handsight import se3
-from handsight.correction.modes import apart
+from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
 from handsight.rig import Table
 from handsight.search import Belief, Touch, best_sweep, candidates, expected_information
@@ -22,7 +22,7 @@ def truth(model, seed):
 
 
 def errors(belief, T):
-    shift, turn = apart(belief.model, T[None], belief.pose.T_a_b)
+    shift, turn = pose_distances(belief.model, T[None], belief.pose.T_a_b)
     return float(shift[0]), float(turn[0])
 
 
@@ -66,7 +66,7 @@ def test_a_belief_after_a_touch_holds_the_truth():
         T, rng, belief = truth(can(), seed), np.random.default_rng(seed), Belief(can(), area(), seed)
         for _ in range(3):
             belief = belief.after(touched(can(), T, best_sweep(belief, HEIGHTS, RADIUS), rng))
-            shift, _ = apart(can(), belief.Ts_world_object, T)
+            shift, _ = pose_distances(can(), belief.Ts_world_object, T)
             assert shift.min() < 0.02
             assert sum(mode.probability for mode in belief.modes) == pytest.approx(1.0)
 

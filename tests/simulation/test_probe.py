@@ -9,7 +9,7 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.correction.modes import apart
+from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
@@ -96,7 +96,7 @@ def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
         estimate = tracker.update(observation)
         assert (estimate is None) == (poses == 0)
     assert poses == 1
-    shift, turn = apart(model, sample.T_palm_object[None], estimate.T_palm_object)
+    shift, turn = pose_distances(model, sample.T_palm_object[None], estimate.T_palm_object)
     assert shift[0] < 3e-3
     assert turn[0] < np.deg2rad(4)
     assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)

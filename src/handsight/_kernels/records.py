@@ -200,7 +200,7 @@ UNCERTAINTY = record(
 )
 
 # Along what a mode is integrated: columns of (s, radius θ), straight along the object.
-SLIDE = record(
+FLAT_DIRECTIONS = record(
     ("count", "i8"),  # of directions along, of those across
     ("count_across", "i8"),
     ("along", "f8", (6, 3)),
@@ -209,7 +209,10 @@ SLIDE = record(
     ("across", "f8", (6, 6)),
     ("stretch", "f8", (6,)),  # how much wider these are than the slope at the mode says
     ("proper", "i8"),  # whether all is known: blind, a direction may not be
-    ("give", "f8"),  # how far a bumpy model's dents may lower the cost of contacts and walls, and the cost
+    (
+        "bump_margin",
+        "f8",
+    ),  # how far a bumpy model's dents may lower the cost of contacts and walls, and the cost
     ("level", "f8"),  # below which places are therefore alike
 )
 # Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
@@ -221,7 +224,7 @@ SUMS = record(
     ("within", "f8", (6, 6)),
 )
 # One of them: where on the lattice, and the coordinates across.
-PLACE = record(("index", "i8", (3,)), ("aside", "f8", (6,)))
+LATTICE_POINT = record(("index", "i8", (3,)), ("lateral", "f8", (6,)))
 
 # A joint on the way from a base to a body: its axis and a point on it, in the base, when all joints are at their zero.
 CHAIN_JOINT = record(

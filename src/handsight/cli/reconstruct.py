@@ -106,7 +106,7 @@ class Run:
         from handsight import se3
         from handsight.recording.object_views import camera_of, in_hand_views, views_of
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
-        from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, on_table
+        from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
 
         seen = (each for each in recording.observations() if each.depth is not None)
         first = next(seen, None)
@@ -116,7 +116,7 @@ class Run:
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.held else views_of)(chain([first], seen), rig, camera):
             if self.reconstruction is None:
-                begun = (view.T_camera_object, HELD_BOUNDS) if self.held else on_table(camera, view.depth)
+                begun = (view.T_camera_object, IN_HAND_BOUNDS) if self.held else on_table(camera, view.depth)
                 if begun is None:
                     self.begun = self.images = self.images + 1
                     continue

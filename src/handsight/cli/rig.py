@@ -130,8 +130,8 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     if touched is None and seen is None and isinstance(end.error, HandsightError):
         raise end.error
     _print_calibrated(seen, touched)
-    if seen is None and views.looked_at:
-        say(f"the hand was hardly seen: {views.looked_at} pictures, {_counted(views.refusals)}")
+    if seen is None and views.images:
+        say(f"the hand was hardly seen: {views.images} pictures, {_counted(views.refusals)}")
     for sentence in refusals(tally):
         say(sentence)
     if end.said:
@@ -159,7 +159,7 @@ def _print_calibrated(seen: "HandCalibration | None", touched: "CameraCalibratio
     typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
     if seen is not None:
         views = (
-            f"{seen.views} of {seen.looked_at} pictures, apart by {_mm(seen.spread)}, {_degrees(seen.spread)}"
+            f"{seen.views} of {seen.images} pictures, apart by {_mm(seen.spread)}, {_degrees(seen.spread)}"
         )
         typer.echo(f"# from the hand seen in {views} (root mean square)")
     if touched is None:

@@ -78,7 +78,7 @@ def correct_pose(
         return _by_paper(problem, options)
     solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
     if vision is not None and isinstance(outside, Outside) and outside.skin is not None:
-        problem = replace(problem, starts=_begun(problem, options, limit))
+        problem = replace(problem, starts=_array_starts(problem, options, limit))
     estimate = solved(problem)
     estimate = estimate if problem.weight is None else _weighed(problem, estimate, solved)
     return less_certain(estimate, outside)
@@ -124,7 +124,7 @@ def refine_pose(
     return estimate if weight is None else replace(estimate, weight_fits=True)
 
 
-def _begun(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
+def _array_starts(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
     """(K, 4, 4) poses to begin from where an array of taxels says how far faces reach."""
     alone = replace(problem, outside=NO_OUTSIDE, weight=None)
     by_contacts = _solved(alone, options=options, limit=limit, answer="maximum", samples=0)

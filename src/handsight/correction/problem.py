@@ -34,8 +34,8 @@ class TwoPhase:
 
     def __post_init__(self) -> None:
         given = self.starts
-        whole = isinstance(given, int) and not isinstance(given, bool)
-        if given is not None and not (whole and 1 <= given <= MOST_STARTS):
+        is_integer = isinstance(given, int) and not isinstance(given, bool)
+        if given is not None and not (is_integer and 1 <= given <= MOST_STARTS):
             raise InvalidInput(
                 f"starts: expected a whole number from 1 to {MOST_STARTS}, got {checks.brief(given)}"
             )

@@ -235,7 +235,7 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
-        chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.APART))
+        chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.SAME_MODE))
     answers = _summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]

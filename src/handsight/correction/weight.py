@@ -72,7 +72,7 @@ class WeightEvidence:
         J = np.hstack([np.eye(3), -se3.skew(arm)])
         root = np.linalg.cholesky(self.covariance)
         off = np.linalg.solve(root, T[:3, 3] + arm - self.center_palm)
-        told = np.linalg.solve(root, J)
-        values, vectors = np.linalg.eigh(np.eye(3) - told @ C @ told.T)
+        whitened = np.linalg.solve(root, J)
+        values, vectors = np.linalg.eigh(np.eye(3) - whitened @ C @ whitened.T)
         along = (vectors.T @ off) ** 2
         return bool((along / np.maximum(values, PAID)).sum() > CONTRADICTS)

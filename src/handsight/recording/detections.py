@@ -49,8 +49,8 @@ class Located:
     @property
     def explained(self) -> float:
         """Of the pixels that should be the object's those that are, 0 to 1."""
-        look = self.found.looks[0]
-        return float(np.clip(look["explained"] / max(look["expected"], 1.0), 0, 1))
+        candidate = self.found.candidates[0]
+        return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
 def answer(located: Located) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
 from handsight.vision import PinholeCamera
 from handsight.vision.reconstruction.reconstruct import View, within
-from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, LEAST_PIXELS, Held
+from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, LEAST_PIXELS, InHandView
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
@@ -50,7 +50,7 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Pinhole
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, to tell where the hand is, got none")
-    pixels, held = HandPixels(rig), Held(rig.hand, rig.sigma_joint_offset)
+    pixels, held = HandPixels(rig), InHandView(rig.hand, rig.sigma_joint_offset)
     T_palm_object: Array | None = None
     for seen in observations:
         joints = seen.joint_positions
@@ -65,7 +65,7 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Pinhole
             se3.compose(np.eye(3), held.middle(joints)) if T_palm_object is None else T_palm_object
         )
         view = View(held.without_hand(camera, depth, joints, T), T_camera_object)
-        if within(camera, view, HELD_BOUNDS).sum() < LEAST_PIXELS:
+        if within(camera, view, IN_HAND_BOUNDS).sum() < LEAST_PIXELS:
             continue
         T_palm_object = se3.inverse(T) @ T_camera_object
         yield view

@@ -10,7 +10,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
-from handsight.correction.modes import apart, distinct
+from handsight.correction.modes import distinct, pose_distances
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
@@ -146,7 +146,7 @@ class Belief:
         chosen = distinct(model, Ts, order, PARTICLES.max_modes)
         distances = []
         for i in chosen:
-            shift, turn = apart(model, Ts, Ts[i])
+            shift, turn = pose_distances(model, Ts, Ts[i])
             distances.append(np.hypot(shift, model.radius * turn))
         mode_of = np.argmin(np.array(distances), axis=0)
         modes = [self._mode(Ts[i], Ts[mode_of == k]) for k, i in enumerate(chosen)]

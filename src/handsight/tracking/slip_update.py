@@ -33,19 +33,21 @@ class SlipUpdate:
         """After the last observation."""
         return self.detector.now
 
-    def update(self, stamp: float, felt: FingertipContacts, smoother: PoseBiasSmoother) -> PoseBiasSmoother:
+    def update(
+        self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
+    ) -> PoseBiasSmoother:
         """The smoother after loads were felt, the same one where the object holds.
 
         A slip goes on in one direction, so its sigma, not its variance, grows with time.
         """
-        now = self.detector.update(stamp, felt.fingers, felt.loads)
-        if not now.slipping or felt.contacts is None or felt.loads is None:
+        now = self.detector.update(stamp, fingertips.fingers, fingertips.loads)
+        if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
             self._spread = 0.0
             return smoother
         before, self._spread = self._spread, min(SPEED * (stamp - now.began + BEFORE), FARTHEST)
         more = max(self._spread**2 - before**2, 0.0)
         state = smoother.now
-        twist = slip_twist(felt.contacts, felt.loads, state.T_palm_object[:3, 3])
+        twist = slip_twist(fingertips.contacts, fingertips.loads, state.T_palm_object[:3, 3])
         along = EVERY_WAY if twist is None else np.outer(twist, twist) + SIDEWAYS**2 * EVERY_WAY
         return smoother.restarted(state.spread(more * along))
 

@@ -21,12 +21,12 @@ from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargin
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import Correction, sigma_of_point, walked
+from handsight.tracking.propagation import Correction, random_walk, sigma_of_point
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import NOTHING, SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
-from handsight.tracking.trust import CONTRADICTED, SEEN_ALONE, SLIPS, State, TrackStatus
+from handsight.tracking.trust import CONTRADICTED, SLIPS, VISION_ALONE, State, TrackStatus
 from handsight.tracking.weight_update import WeightUpdate
 
 Correct = Callable[..., PoseEstimate]
@@ -76,7 +76,7 @@ class Track:
         self.fingertips = FingertipContacts((), None, {})
         self.T_world_palm: Array | None = None
         self.estimate: PoseEstimate | None = None
-        self.looked: Observation | None = None
+        self.processed: Observation | None = None
         """The last one, with what its image says as its vision."""
         self.vision, self._slipping = VisionUpdate(self.rig, self.model), SlipUpdate(self.rig)
         self._images = ImageVision(self.rig, self.model, on=self.settings.images)
@@ -105,14 +105,14 @@ class Track:
             )
             observation = replace(observation, T_world_palm=T)
         self.fingertips = self._sensors.contacts(observation, self._offsets)
-        self.skin = self._skin.felt(observation, touched=self.fingertips.contacts is not None)
+        self.skin = self._skin.observed(observation, touched=self.fingertips.contacts is not None)
         self._predict(observation.T_world_palm, stamp)
         if self.skin.pressed:
             self._weight.weigher.forget("the skin of the hand bears a part of it")
         else:
             self._weight.update(observation, self.fingertips, self._offsets, grasped=self._grasp.grasped)
         before, touched = self.smoother, self.fingertips.contacts
-        self.smoother = self._seen(observation, before)
+        self.smoother = self._with_vision(observation, before)
         vision = self.smoother is not before
         if self.smoother is not None and not self.smoother.is_near:
             # The palm has gone so far that it is in no hand.
@@ -129,7 +129,7 @@ class Track:
             now = self.smoother.now
             self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
         elif stamp - self._propagated_to > RENEW_AFTER:
-            self.estimate = last.estimate.inflated(walked(self._process_noise, stamp - last.stamp))
+            self.estimate = last.estimate.inflated(random_walk(self._process_noise, stamp - last.stamp))
             self._propagated_to = stamp
         self._trust = self._trust.answered(stamp, consistent=self.estimate.consistent)
         self.state, self.reason = self._trust.judged(stamp, self.sigma, self._doubt(self.estimate))
@@ -152,22 +152,24 @@ class Track:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
         last = self._correction
         if last is not None:
-            since = walked(self._process_noise, self.stamp - last.stamp)
+            since = random_walk(self._process_noise, self.stamp - last.stamp)
             return math.sqrt(last.variance + since[0])
         if self.estimate is None:
             return math.inf
         return sigma_of_point(self.estimate, self.model, self.model.center_object)
 
-    def _seen(self, observation: Observation, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
+    def _with_vision(
+        self, observation: Observation, smoother: PoseBiasSmoother | None
+    ) -> PoseBiasSmoother | None:
         """The smoother after what vision says: of an image that is looked at, else a pose of another's."""
         rides = self.estimate.T_palm_object if self.estimate is not None and self._grasp.grasped else None
-        looked = self._images.look(observation, self.vision.camera_from_palm, rides)
-        self.looked = looked.observation
-        if looked.hand is not None:
-            smoother = self.vision.palm_detected(looked.hand, smoother)
+        processed = self._images.observe(observation, self.vision.camera_from_palm, rides)
+        self.processed = processed.observation
+        if processed.hand is not None:
+            smoother = self.vision.palm_detected(processed.hand, smoother)
         # What is held has gone with the palm since it was seen, else it stayed in the world.
-        T = looked.then.T_world_palm if looked.then is not None and self._grasp.grasped else None
-        return self.vision.update(looked.observation, smoother, self.T_world_palm if T is None else T)
+        T = processed.then.T_world_palm if processed.then is not None and self._grasp.grasped else None
+        return self.vision.update(processed.observation, smoother, self.T_world_palm if T is None else T)
 
     def _predict(self, T_world_palm: Array | None, stamp: float) -> None:
         """Propagates the smoother to `stamp`, and through what has become of the grasp since."""
@@ -176,7 +178,7 @@ class Track:
                 # Nothing holds it: it stays in the world while the palm goes.
                 self.smoother = self.smoother.transformed(se3.inverse(T_world_palm) @ self.T_world_palm)
             if stamp > self.stamp > -math.inf:
-                self.smoother = self.smoother.inflated(walked(self._process_noise, stamp - self.stamp))
+                self.smoother = self.smoother.inflated(random_walk(self._process_noise, stamp - self.stamp))
         if T_world_palm is not None:
             self.T_world_palm = T_world_palm
         self.stamp, fingers = stamp, self.fingertips.fingers
@@ -239,8 +241,8 @@ class Track:
         given["answer"] = self.settings.answer
         correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
         # What vision says anew is little beside an array that is pressed, whose search takes long.
-        seen = vision and pressed is None
-        near = None if seen or last is None or fingers != last.fingers else last.estimate
+        vision_alone = vision and pressed is None
+        near = None if vision_alone or last is None or fingers != last.fingers else last.estimate
         estimate = None
         if near is not None and near.consistent and not near.outliers and not samples:
             # Nothing new asks for another minimum than that answer's own, if it still fits.
@@ -255,8 +257,8 @@ class Track:
             self._recovered_at = now
             estimate, smoother = self._recovered(estimate, smoother, correct)
             self.smoother, prior = smoother, smoother.without_touch
-        felt = None if remembered or pressed is not None else self.fingertips
-        estimate = self._weight.shared(estimate, felt, prior, self._offsets)
+        sensed = None if remembered or pressed is not None else self.fingertips
+        estimate = self._weight.shared(estimate, sensed, prior, self._offsets)
         for i in estimate.outliers:
             if len(touched) <= i < len(touched) + len(remembered):
                 self._memory.forget(remembered[i - len(touched)])
@@ -297,4 +299,4 @@ class Track:
         if not estimate.consistent:
             return CONTRADICTED
         by_vision = self._correction is None and not self.vision.camera_from_palm.believed
-        return SEEN_ALONE if by_vision else ""
+        return VISION_ALONE if by_vision else ""

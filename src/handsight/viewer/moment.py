@@ -63,8 +63,8 @@ class Moment:
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
         """Of a tracker, after the last observation that it has taken."""
-        vision = tracker.vision.in_palm(tracker.looked, tracker.T_world_palm)
-        return cls._made(tracker, tracker.looked, vision)
+        vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
+        return cls._made(tracker, tracker.processed, vision)
 
     @classmethod
     def of(cls, step: Step, observation: Observation) -> "Moment":

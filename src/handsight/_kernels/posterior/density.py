@@ -26,10 +26,10 @@ from handsight._kernels.runtime.compilation import inner
 
 
 @inner
-def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[float, float]:
+def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[float, float]:
     """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
 
-    Adds to `lent` those of what the model's bumps lend.
+    Adds to `spurious` those of what the model's bumps lend.
     """
     model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
     chi2, log_spread = 0.0, 0.0
@@ -42,7 +42,7 @@ def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[floa
             factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
             invert_covariance(factor4, has_normal, term.weight)
             log_spread += log_determinant(factor4, has_normal)
-            add_spurious_information(model, evidence.nodes, term, surface, pose, lent)
+            add_spurious_information(model, evidence.nodes, term, surface, pose, spurious)
             if at_edge(model, term.contact, surface):
                 square = mahalanobis2(term.contact, surface, factor4)
                 add_contact(term, flattened(term.contact, surface), frame, term.equations)

@@ -45,14 +45,14 @@ def add_spurious_information(
     if slope + curvature == 0.0:
         return
     W, n, lever = term.weight, surface[2], sub(vector(term.contact.point), pose[1])
-    lent = W[0, 0] * slope + CURVATURE_SHARE * (W[1, 1] + W[2, 2] + W[3, 3]) * curvature
+    spurious = W[0, 0] * slope + CURVATURE_SHARE * (W[1, 1] + W[2, 2] + W[3, 3]) * curvature
     along = sub33(UNIT, outer(n, n))
     rows = (
         along[0] + cross(lever, along[0]) + (0.0,),
         along[1] + cross(lever, along[1]) + (0.0,),
         along[2] + cross(lever, along[2]) + (0.0,),
     )
-    accumulate((lent, lent, lent), rows, equations)
+    accumulate((spurious, spurious, spurious), rows, equations)
 
 
 @inner
@@ -77,7 +77,7 @@ def subtract_spurious_information(by_touch: Any, equations: Any, radius: float) 
 
 
 @inner
-def wavering(evidence: Evidence, pose: Pose) -> float:
+def cost_deviation(evidence: Evidence, pose: Pose) -> float:
     """How far touch's cost moves from bump to bump along a slide, as a standard deviation; 0 where there are none.
 
     The finger's error n ~ N(0, S) stays what it is, the bumps' e ~ N(0, V) changes from place to place. With

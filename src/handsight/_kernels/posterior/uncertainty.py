@@ -35,9 +35,9 @@ from handsight._kernels.runtime.compilation import inner
 
 
 @inner
-def retract_body(pose: Pose, slide: tuple[Vec3, Vec3]) -> Pose:
+def retract_body(pose: Pose, flat: tuple[Vec3, Vec3]) -> Pose:
     """The pose after a slide (s, δθ), straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
-    (R, p), (s, w) = pose, slide
+    (R, p), (s, w) = pose, flat
     half = 0.5 * norm(w)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
     S = skew(w)
@@ -78,8 +78,8 @@ def calibrated_information(
             change = steeper = 0.0
             for side in range(2):
                 # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
-                slide = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
-                beside = retract_body(pose, slide)
+                flat = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
+                beside = retract_body(pose, flat)
                 if len(rows):
                     clearances = nearby(evidence, model.fine, beside, clearances, rows)
                     left = rows[: clearances[1]]

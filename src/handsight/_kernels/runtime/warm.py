@@ -81,7 +81,7 @@ def _time() -> None:
     surface_at_contacts.warm(model, nodes)
 
 
-def _sight() -> None:
+def _vision() -> None:
     model, nodes, *_ = _ball()
     warm_vision.warm(model, nodes)
 
@@ -94,7 +94,7 @@ GROUPS: dict[str, Callable[[], None]] = {
     "contact sensing": sensing.warm,
     "hands": _hands,
     "time": _time,
-    "sight": _sight,
+    "sight": _vision,
 }
 
 

@@ -15,7 +15,7 @@ from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import (
-    are_apart,
+    are_distinct,
     nearest,
     pose_of,
     store_pose,
@@ -229,7 +229,7 @@ def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) ->
         new = True
         for k in range(count):
             pose, other = pose_of(descents[index].pose), pose_of(descents[chosen[k]].pose)
-            if not are_apart(model[0], pose, other, limits):
+            if not are_distinct(model[0], pose, other, limits):
                 new = False
                 break
         if new:

@@ -43,10 +43,10 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
     point, n = vector(contact.point), mul(R, normal)
     offset = sub(sub(point, p), mul(R, place))
     distance = dot(offset, n)
-    aside = sub(offset, scale(n, distance))
-    reach = norm(aside)
+    lateral = sub(offset, scale(n, distance))
+    reach = norm(lateral)
     lever = scale(sub(point, center), 1 / radius)
-    by_distance, by_reach = neg(n), scale(aside, -1 / max(reach, 1e-300))
+    by_distance, by_reach = neg(n), scale(lateral, -1 / max(reach, 1e-300))
     turned, error = skew(scale(n, -1 / radius)), sub(n, vector(contact.normal))
     facing = 0.0
     if contact.has_normal:

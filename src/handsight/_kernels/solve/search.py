@@ -13,7 +13,7 @@ from handsight._kernels.evidence.prior_term import rotation_exp
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import factor
 from handsight._kernels.math.simd import local
-from handsight._kernels.math.symmetry import are_apart, pose_of, store_pose
+from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -163,7 +163,7 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
             break
         taken[best], new = True, True
         for j in range(count):
-            if not are_apart(
+            if not are_distinct(
                 model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), SEARCH.same_after_coarse
             ):
                 new = False

@@ -76,16 +76,16 @@ def _keep_tangent(C: Any, n: Vec3) -> None:
 
 
 @inner
-def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, felt: Any) -> None:
+def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contacts: Any) -> None:
     """A contact sensed in its tip's frame, into the palm, with what tip and joints add to its covariance."""
-    R, C = matrix(T_palm_surface), felt.covariance
-    point = add(mul(R, vector(felt.point)), vector(T_palm_surface[:3, 3]))
-    normal = mul(R, vector(felt.normal))
-    store(point, felt.point)
-    store(normal, felt.normal)
+    R, C = matrix(T_palm_surface), contacts.covariance
+    point = add(mul(R, vector(contacts.point)), vector(T_palm_surface[:3, 3]))
+    normal = mul(R, vector(contacts.normal))
+    store(point, contacts.point)
+    store(normal, contacts.normal)
     _rotate(R, C)
     _add_joints(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
-    two = chance_of_touch(felt.gap)  # the sensor then feels the sum of two contacts
+    two = chance_of_touch(contacts.gap)  # the sensor then feels the sum of two contacts
     for i in range(3):
         C[i, i] += finger.variance_point + two * TWO_AT_ONCE[0]
         C[3 + i, 3 + i] += finger.variance_normal + two * TWO_AT_ONCE[1]
@@ -94,13 +94,13 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, felt: An
 
 @entry
 def contacts_to_palm(
-    fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, felt: Any
+    fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, contacts: Any
 ) -> None:
     """What n `fingers` FINGER feel, by raw `readings` (n, 6), NaN where a sensor is silent.
 
     `by_error` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by one standard
     deviation of each of j independent errors; of a finger with a contact it becomes how that one's point and normal
-    change. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `felt` (n)
+    change. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `contacts` (n)
     PALM_CONTACT.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
@@ -110,7 +110,7 @@ def contacts_to_palm(
         center = add(mul(R, vector(finger.center_tip)), vector(Ts_palm_tip[i, :3, 3]))
         store(center, Ts_palm_surface[i, :, 3])
     n, nearest, loads = len(fingers), np.zeros((len(fingers), 4)), np.zeros((len(fingers), 6))
-    set_gaps(fingers, Ts_palm_surface, nearest, felt)
+    set_gaps(fingers, Ts_palm_surface, nearest, contacts)
     gravity = vector(gravity_palm)
     for i in range(n):
         R_palm_sensor = matmul(matrix(Ts_palm_surface[i]), matrix(fingers[i].tip.R_surface_sensor))
@@ -118,7 +118,7 @@ def contacts_to_palm(
         store(force, loads[i, :3])
         store(torque, loads[i, 3:])
     for i in range(n):
-        finger, contact, load = fingers[i], felt[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
+        finger, contact, load = fingers[i], contacts[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
         tip = fingertip(finger.tip)
         sigmas = vector(finger.sigmas[:3]), vector(finger.sigmas[3:])
         answer = uncertain_contact(load, tip, sigmas, contact.covariance)

@@ -13,12 +13,12 @@ TABLE_WITHIN = 3.0
 
 
 @entry
-def mark_on_table(T_world_palm: Any, table: Any, reason: int, felt: Any) -> None:
-    """Gives a `reason` to those of `felt` (n) PALM_CONTACT that touch the table and not the object: no object's surface
-    faces up where it stands. `table` (3): its height and the sigmas of that [m] and of its tilt [rad]."""
+def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> None:
+    """Gives a `reason` to those of `contacts` (n) PALM_CONTACT that touch the table and not the object: no object's
+    surface faces up where it stands. `table` (3): its height and the sigmas of that [m] and of its tilt [rad]."""
     up = vector(T_world_palm[2, :3])
-    for i in range(len(felt)):
-        contact = felt[i]
+    for i in range(len(contacts)):
+        contact = contacts[i]
         if contact.reason != 0:
             continue
         height = dot(vector(contact.point), up) + T_world_palm[2, 3] - table[0]

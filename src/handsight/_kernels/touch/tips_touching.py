@@ -74,18 +74,18 @@ def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec
 
 
 @inner
-def set_gaps(fingers: Any, Ts_palm_surface: Any, nearest: Any, felt: Any) -> None:
+def set_gaps(fingers: Any, Ts_palm_surface: Any, nearest: Any, contacts: Any) -> None:
     """Each tip's distance to the nearest other one; `nearest` (n, 4): which that is, and the direction to it."""
-    for i in range(len(felt)):
-        felt[i].gap = np.inf
+    for i in range(len(contacts)):
+        contacts[i].gap = np.inf
         for j in range(i):
             axes, axes_other = vector(fingers[i].tip.semi_axes), vector(fingers[j].tip.semi_axes)
             gap, u = _gap(Ts_palm_surface[i], axes, Ts_palm_surface[j], axes_other)
-            if gap < felt[i].gap:
-                felt[i].gap, nearest[i, 0] = gap, j
+            if gap < contacts[i].gap:
+                contacts[i].gap, nearest[i, 0] = gap, j
                 store(u, nearest[i, 1:])
-            if gap < felt[j].gap:
-                felt[j].gap, nearest[j, 0] = gap, i
+            if gap < contacts[j].gap:
+                contacts[j].gap, nearest[j, 0] = gap, i
                 store(scale(u, -1.0), nearest[j, 1:])
 
 
@@ -97,7 +97,7 @@ def chance_of_touch(gap: float) -> float:
 
 @inner
 def add_press(
-    load: Vec6, tip: Fingertip, T_palm_surface: Any, toward: Vec3, lighter: float, felt: Any
+    load: Vec6, tip: Fingertip, T_palm_surface: Any, toward: Vec3, lighter: float, contacts: Any
 ) -> None:
     """Moves a contact in its tip's frame by what the nearest other tip may press on its tip, and widens its covariance.
 
@@ -105,9 +105,9 @@ def add_press(
     twice `PRESS` times `lighter` [N]: so the object's own load is that much more along `toward`, and its contact
     somewhere between c and c + 2 δ. With a chance P of a touch its mean is c + P δ, its variance (4/3 P - P²) δ δᵀ.
     """
-    if not felt.gap < NEAR_TIP:
+    if not contacts.gap < NEAR_TIP:
         return
-    chance = chance_of_touch(felt.gap)
+    chance = chance_of_touch(contacts.gap)
     R = matrix(T_palm_surface)
     along = tmul(R, toward)
     reach = times(tip.semi_axes, along)
@@ -119,19 +119,19 @@ def add_press(
         answer = wrench_to_contact(add(load[0], more), add(load[1], cross(at, more)), tip)
         if answer[0] == CONTACT:
             change = np.empty(6)
-            store(scale(sub(answer[1], vector(felt.point)), 1.0 / share), change[:3])
-            store(scale(sub(answer[2], vector(felt.normal)), 1.0 / share), change[3:])
-            _move(change, chance, felt)
+            store(scale(sub(answer[1], vector(contacts.point)), 1.0 / share), change[:3])
+            store(scale(sub(answer[2], vector(contacts.normal)), 1.0 / share), change[3:])
+            _move(change, chance, contacts)
             return
         share *= 0.5
 
 
 @inner
-def _move(change: Any, chance: float, felt: Any) -> None:
+def _move(change: Any, chance: float, contacts: Any) -> None:
     variance = chance * (4.0 / 3.0 - chance)
     for i in range(6):
         for j in range(6):
-            felt.covariance[i, j] += variance * change[i] * change[j]
-    store(add(vector(felt.point), scale(vector(change[:3]), chance)), felt.point)
-    normal = add(vector(felt.normal), scale(vector(change[3:]), chance))
-    store(scale(normal, 1.0 / norm(normal)), felt.normal)
+            contacts.covariance[i, j] += variance * change[i] * change[j]
+    store(add(vector(contacts.point), scale(vector(change[:3]), chance)), contacts.point)
+    normal = add(vector(contacts.normal), scale(vector(change[3:]), chance))
+    store(scale(normal, 1.0 / norm(normal)), contacts.normal)
