@@ -26,7 +26,7 @@ from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
 from handsight.search.sweep_choice import level_sweep, shortened
 from handsight.simulation import Scenario, model_of
-from handsight.simulation.motion import SETTLED, WEIGH_LEGS
+from handsight.simulation.motion import AT_REST, WEIGH_LEGS
 from handsight.simulation.probe import RADIUS
 from handsight.simulation.touch_search import (
     TABLE_SIDE,
@@ -44,7 +44,7 @@ SHIFT, TURN = 0.008, float(np.deg2rad(8.0))
 REACH = TABLE_SIDE
 """Half the length of a line through the area [m]."""
 STAGES = dict(
-    zip(("gripped", "lifted", "weighed"), SETTLED + np.cumsum(WEIGH_LEGS[:, 0])[[0, 2, 12]], strict=True)
+    zip(("gripped", "lifted", "weighed"), AT_REST + np.cumsum(WEIGH_LEGS[:, 0])[[0, 2, 12]], strict=True)
 )
 """When a stage of the whole task ends, after the fingers began to close [s]."""
 

@@ -167,8 +167,8 @@ def _answer(
     apart(plot, "the picture", place, "the answers")
     source = _source(problems)
     size = os.fstat(source.fileno()).st_size  # a pipe has none
-    whole, folder = problems.endswith(".json"), _folder(problems)
-    run = answering(source, folder, single=whole, workers=workers, cluster=cluster, first=announce_compiling)
+    single, folder = problems.endswith(".json"), _folder(problems)
+    run = answering(source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling)
     began, read = time.monotonic(), 0
     with (
         run as answered,

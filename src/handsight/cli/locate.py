@@ -132,7 +132,7 @@ def locate(
         frames = _boxed(frames, box)
     ended = run(frames, sought, output)
     if plot is not None and ended.panels:
-        ended.said.append(draw(ended.panels, plot))
+        ended.messages.append(draw(ended.panels, plot))
     for sentence in ended.sentences(output):
         say(sentence)
     if ended.exit_code:
@@ -182,8 +182,8 @@ def _numbers(asked: Asked, models: "dict[str, ObjectModel]", library: str | None
     from handsight.objects import Library
 
     opened = Library(library)
-    told = zip(models, asked.names or models, strict=True)
-    return {name: opened.entry(as_told).number for name, as_told in told}
+    declared = zip(models, asked.names or models, strict=True)
+    return {name: opened.entry(name_of).number for name, name_of in declared}
 
 
 def _noise(kind: str | None) -> "DepthNoise":
@@ -196,8 +196,8 @@ def _noise(kind: str | None) -> "DepthNoise":
             return noise
     if kind is None:
         return STRUCTURED_LIGHT
-    said = f"expected one of {', '.join(PRESETS)}, got {kind!r:.80}{among(kind, PRESETS)}"
-    raise InvalidInput(f"--depth-camera: {said}")
+    message = f"expected one of {', '.join(PRESETS)}, got {kind!r:.80}{among(kind, PRESETS)}"
+    raise InvalidInput(f"--depth-camera: {message}")
 
 
 def _is_csv(output: Path | None) -> bool:

@@ -78,9 +78,9 @@ def with_settings(command: Callable[..., None]) -> Callable[..., None]:
         shown |= options if name == "settings" else {name: parameter}
 
     @wraps(command)
-    def run(**told: Any) -> None:
-        settings = _settings(**{name: told.pop(name) for name in options})
-        command(settings=settings, **told)
+    def run(**options: Any) -> None:
+        settings = _settings(**{name: options.pop(name) for name in options})
+        command(settings=settings, **options)
 
     # What typer reads.
     run.__annotations__ = {name: parameter.annotation for name, parameter in shown.items()}
@@ -95,7 +95,7 @@ def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tupl
     found, path = _rig_of(recording, rig)
     if name is None:
         if len(found.objects) != 1:
-            raise _nothing_told(found, path)
+            raise _no_object(found, path)
         name = next(iter(found.objects))
     return found, object_named(name, objects=found.objects, of=str(path))
 
@@ -107,7 +107,7 @@ def rig_and_objects(
     found, path = _rig_of(recording, rig)
     wanted = tuple(names) or tuple(found.objects)
     if not wanted:
-        raise _nothing_told(found, path)
+        raise _no_object(found, path)
     return found, by_name(object_named(name, objects=found.objects, of=str(path)) for name in wanted)
 
 
@@ -116,13 +116,13 @@ def library_objects(library: str | None) -> "dict[str, ObjectModel]":
     from handsight.objects import Library
     from handsight.objects.library import NoLibrary
 
-    opened, said = Library(library), "expected a name of the library or a mesh file, got nothing"
+    opened, message = Library(library), "expected a name of the library or a mesh file, got nothing"
     try:
         entries = opened.entries()
     except NoLibrary:
-        raise InvalidInput(f"--object: {said}; there is no library at {opened.place}") from None
+        raise InvalidInput(f"--object: {message}; there is no library at {opened.place}") from None
     if not entries:
-        raise InvalidInput(f"--object: {said}; the library {opened.place} is empty")
+        raise InvalidInput(f"--object: {message}; the library {opened.place} is empty")
     return by_name(opened.model(entry.name) for entry in entries)
 
 
@@ -188,7 +188,7 @@ def _rig_of(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
     return Rig.from_file(path), path
 
 
-def _nothing_told(rig: "Rig", path: Path) -> InvalidInput:
+def _no_object(rig: "Rig", path: Path) -> InvalidInput:
     known = ", ".join(rig.objects) or "none"
     return InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
 

@@ -75,12 +75,12 @@ def reconstruct(
         if end.error is not None and run.reconstruction is None:
             raise end.error
         cut = opened.report.truncated
-        said = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
-        said += [end.said] if end.said else []
+        messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
+        messages += [end.message] if end.message else []
     try:
-        said += write(run, output)
+        messages += write(run, output)
     finally:
-        for sentence in said:
+        for sentence in messages:
             say(sentence)
     if end.exit_code:
         raise typer.Exit(end.exit_code)
@@ -95,7 +95,7 @@ class Run:
     reconstruction: "Reconstruction | None" = None
     images: int = 0
     """Depth images that were looked at."""
-    begun: int = 0
+    started: int = 0
     """How many of them before the object was seen."""
     fitted: int = 0
 
@@ -108,20 +108,22 @@ class Run:
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
         from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
 
-        seen = (each for each in recording.observations() if each.depth is not None)
-        first = next(seen, None)
+        with_depth = (each for each in recording.observations() if each.depth is not None)
+        first = next(with_depth, None)
         if first is None:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
         camera = camera_of(rig, recording.intrinsics)
         T_reference_object = np.eye(4)
-        for view in (in_hand_views if self.held else views_of)(chain([first], seen), rig, camera):
+        for view in (in_hand_views if self.held else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
-                begun = (view.T_camera_object, IN_HAND_BOUNDS) if self.held else on_table(camera, view.depth)
-                if begun is None:
-                    self.begun = self.images = self.images + 1
+                started = (
+                    (view.T_camera_object, IN_HAND_BOUNDS) if self.held else on_table(camera, view.depth)
+                )
+                if started is None:
+                    self.started = self.images = self.images + 1
                     continue
-                T_reference_object = se3.inverse(view.T_camera_object) @ begun[0]
-                self.reconstruction = Reconstruction(camera, begun[1])
+                T_reference_object = se3.inverse(view.T_camera_object) @ started[0]
+                self.reconstruction = Reconstruction(camera, started[1])
             placed = View(view.depth, view.T_camera_object @ T_reference_object)
             self.fitted += self.reconstruction.grow(placed, estimate=self.estimate) is not None
             self.images += 1
@@ -133,8 +135,8 @@ class Run:
 
         if self.reconstruction is None:
             where = "in the hand" if self.held else "on a table"
-            said = f"expected an object {where}, got none in {self.images} depth images"
-            raise InvalidInput(f"recording: {said}")
+            messages = f"expected an object {where}, got none in {self.images} depth images"
+            raise InvalidInput(f"recording: {messages}")
         volume = self.reconstruction.volume
         if volume.views < LEAST_FUSED:
             raise InvalidInput(
@@ -168,9 +170,9 @@ def write(run: Run, output: Path) -> list[str]:
         output.write_bytes(content)
     size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
     views = run.reconstruction.volume.views if run.reconstruction else 0
-    said = [
-        f"{views} views fused of {run.images} depth images, {run.images - run.begun - run.fitted} did not fit"
+    messages = [
+        f"{views} views fused of {run.images} depth images, {run.images - run.started - run.fitted} did not fit"
     ]
     guessed = "; ".join(model.guesses) or "nothing"
-    said.append(f"{size} mm, {100 * model.share_measured:.0f} % of the surface seen; guessed: {guessed}")
-    return [*said, f"wrote {output}: {len(model.points)} points"]
+    messages.append(f"{size} mm, {100 * model.share_measured:.0f} % of the surface seen; guessed: {guessed}")
+    return [*messages, f"wrote {output}: {len(model.points)} points"]

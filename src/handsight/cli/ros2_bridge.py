@@ -56,5 +56,5 @@ def ros2_bridge(
         f"the bridge is ready: it follows {live.tracker.model.name}, {len(live.subscriptions)} topics are heard"
     )
     while not ended.wait(1.0):
-        bridge.look()
+        bridge.check_network()
     worker.join(1.0)

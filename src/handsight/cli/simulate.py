@@ -118,8 +118,8 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
         try:
             chosen = dataclasses.replace(chosen, **{name: float(value)})
         except ValueError as error:
-            said = str(error) if isinstance(error, InvalidInput) else f"expected a number, got {value!r}"
-            raise InvalidInput(f"--nuisance {name}: {said.removeprefix(f'{name}: ')}") from None
+            message = str(error) if isinstance(error, InvalidInput) else f"expected a number, got {value!r}"
+            raise InvalidInput(f"--nuisance {name}: {message.removeprefix(f'{name}: ')}") from None
     return chosen
 
 

@@ -16,7 +16,7 @@ from handsight.cli.options import (
     with_settings,
 )
 from handsight.cli.terminal import announce_compiling, live_rows, say
-from handsight.cli.track_summary import Run, weight_said
+from handsight.cli.track_summary import Run, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import written
 
@@ -70,7 +70,7 @@ def track(
         # Before anything is said: Ctrl-C while a terminal is being written to must not cost the results.
         wrote.extend(write(ended, found, model, folder))
     finally:
-        for sentence in (*ended.said, *ended.sentences(), *wrote):
+        for sentence in (*ended.messages, *ended.sentences(), *wrote):
             say(sentence)
     if code := ended.exit_code:
         raise typer.Exit(code)
@@ -88,7 +88,7 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
         ("σ", f"{1e3 * step.sigma:.1f} mm"),
         ("touching", ", ".join(step.fingers) or "nothing"),
         ("grip", grip(step.slip)),
-        ("weight", weight_said(tracker.weight, tracker.unweighed)),
+        ("weight", weight_text(tracker.weight, tracker.unweighed)),
     ]
 
 
@@ -124,7 +124,7 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
         ended.tally.answered = len(ended.steps)
         if isinstance(end.error, HandsightError) and not ended.steps:
             raise end.error
-        ended.said = [*recording.report.sentences(), *recording.lacks()]
+        ended.messages = [*recording.report.sentences(), *recording.lacks()]
         ended.truths = Truths(recording.truth)
     ended.images = tracker.images
     ended.corrections, ended.margins = tracker.corrections, tracker.link_margins

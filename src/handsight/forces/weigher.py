@@ -154,9 +154,9 @@ class Weigher:
             return
         found, passed = moved_with_tips(last, load), max(load.stamp - last.stamp, 0.0)
         T, creep = (np.eye(4), np.zeros(6)) if found is None else found
-        random_walk = (LOOSE_CREEP_RATE if found is None else CREEP_RATE) * np.sqrt(passed)
+        creep_sigma = (LOOSE_CREEP_RATE if found is None else CREEP_RATE) * np.sqrt(passed)
         self._kept = tuple(
-            replace(kept, carried=_moved(kept.carried, T, creep, float(random_walk))) for kept in self._kept
+            replace(kept, carried=_moved(kept.carried, T, creep, float(creep_sigma))) for kept in self._kept
         )
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
@@ -206,13 +206,13 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _moved(carried: Carried, T: Array, creep: Array, random_walk: float) -> Carried:
+def _moved(carried: Carried, T: Array, creep: Array, creep_sigma: float) -> Carried:
     """An instant after another step: T (4, 4) as the tips tell, the creep (6,), and the sigma of what they do not."""
     return Carried(
         carried.load,
         T @ carried.T_now_then,
         carried.creep + creep,
-        float(np.hypot(carried.sigma, random_walk)),
+        float(np.hypot(carried.sigma, creep_sigma)),
     )
 
 

@@ -39,7 +39,7 @@ class HandPixels:
         """A camera that is calibrated as well as the rig says."""
         self._rig, self._hand = rig, HandInImage(rig)
         # Of the palm in the camera, as constant as the calibration's error.
-        self._T_seen_believed: Array | None = None
+        self._T_measured_believed: Array | None = None
 
     def mask(self, camera: PinholeCamera, depth: Depth, detected: Observation) -> Mask | None:
         """(h, w); None where nobody knows of a hand."""
@@ -53,14 +53,14 @@ class HandPixels:
         believed, joints, of = believed_palm(self._rig, detected), detected.joint_positions, self._rig.camera
         if believed is None or of is None:
             return None
-        last = self._T_seen_believed
+        last = self._T_measured_believed
         off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
         near = believed if last is None else last @ believed
         detect = self._hand.detected if last is None else self._hand.followed
         found = detect(camera, depth, joints, near, off) if min(off) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
-            self._T_seen_believed = near @ se3.inverse(believed)
+            self._T_measured_believed = near @ se3.inverse(believed)
         return near
 
 
@@ -73,8 +73,8 @@ def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
             camera = camera or _camera(recording, rig)
             if detected.depth.shape != camera.size[::-1]:
                 (width, height), (h, w) = camera.size, detected.depth.shape
-                said = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
-                raise InvalidFile(f"{path}: {said}")
+                message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
+                raise InvalidFile(f"{path}: {message}")
             alike = detected.color is not None and detected.color.shape[:2] == detected.depth.shape
             yield Frame(
                 name=f"{detected.stamp:.3f} s",

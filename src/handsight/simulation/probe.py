@@ -125,8 +125,8 @@ class Probe(World):
             ways = _ways(2 * TABLE_FROM)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, ways)):
                 on_sample(sample)
-                felt = self._tips.contacts(sample.observation)
-                if FINGER in felt.fingers or felt.reasons[FINGER] == "on the table":
+                sensed = self._tips.contacts(sample.observation)
+                if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
                     found.append(self._lowest_point(sample.observation))
                     break
         if not found:
@@ -151,9 +151,9 @@ class Probe(World):
         ways = _ways(sweep.length)
         for sample in self._along(self._palms(R, sweep, ways)):
             on_sample(sample)
-            felt = self._felt(sample.observation)
-            if felt is not None:
-                contact = self._at_rest(on_sample) or felt
+            sensed = self._sensed_contact(sample.observation)
+            if sensed is not None:
+                contact = self._at_rest(on_sample) or sensed
                 break
             tip = self._tip(sample.observation)[:3, 3]
             if not free or np.linalg.norm(tip - free[-1]) >= EVERY:
@@ -164,15 +164,15 @@ class Probe(World):
         )
         return Touch(np.array(free).reshape(-1, 3), RADIUS, SIGMA, contact)
 
-    def _felt(self, observation: Observation) -> Contacts | None:
+    def _sensed_contact(self, observation: Observation) -> Contacts | None:
         """The contact of the stretched finger in the world, where it is pressed hard enough."""
-        felt = self._tips.contacts(observation)
-        if FINGER not in felt.fingers or felt.contacts is None or felt.loads is None:
+        sensed = self._tips.contacts(observation)
+        if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
-        k = felt.fingers.index(FINGER)
-        if np.linalg.norm(felt.loads[k, :4]) < PRESSED:
+        k = sensed.fingers.index(FINGER)
+        if np.linalg.norm(sensed.loads[k, :4]) < PRESSED:
             return None
-        return felt.contacts.select([k]).moved(_placed(observation)[0])
+        return sensed.contacts.select([k]).moved(_placed(observation)[0])
 
     def _at_rest(self, on_sample: Callable[[Sample], None]) -> Contacts | None:
         """The contact by the mean wrench of a hand that stays; None where it is lost."""
@@ -182,7 +182,7 @@ class Probe(World):
             on_sample(sample)
         last = [sample.observation for sample in samples[-READ:]]
         mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
-        return self._felt(replace(last[-1], wrenches={FINGER: mean}))
+        return self._sensed_contact(replace(last[-1], wrenches={FINGER: mean}))
 
     def _along(self, Ts_world_palm: Array, *, sampled: bool = True) -> Iterator[Sample]:
         """Samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.

@@ -34,7 +34,7 @@ class Correction:
     skin: SkinContacts = NOTHING
 
 
-def random_walk(process_noise: Array, seconds: float) -> Array:
+def process_variance(process_noise: Array, seconds: float) -> Array:
     """(6,) variance of a random walk of `process_noise` (6,) a second, after so long [s]."""
     return np.minimum(process_noise * seconds, MAX_PROPAGATION)
 

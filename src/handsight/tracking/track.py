@@ -21,7 +21,7 @@ from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargin
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import Correction, random_walk, sigma_of_point
+from handsight.tracking.propagation import Correction, process_variance, sigma_of_point
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import NOTHING, SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
@@ -129,7 +129,7 @@ class Track:
             now = self.smoother.now
             self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
         elif stamp - self._propagated_to > RENEW_AFTER:
-            self.estimate = last.estimate.inflated(random_walk(self._process_noise, stamp - last.stamp))
+            self.estimate = last.estimate.inflated(process_variance(self._process_noise, stamp - last.stamp))
             self._propagated_to = stamp
         self._trust = self._trust.answered(stamp, consistent=self.estimate.consistent)
         self.state, self.reason = self._trust.judged(stamp, self.sigma, self._doubt(self.estimate))
@@ -152,7 +152,7 @@ class Track:
         """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
         last = self._correction
         if last is not None:
-            since = random_walk(self._process_noise, self.stamp - last.stamp)
+            since = process_variance(self._process_noise, self.stamp - last.stamp)
             return math.sqrt(last.variance + since[0])
         if self.estimate is None:
             return math.inf
@@ -178,7 +178,9 @@ class Track:
                 # Nothing holds it: it stays in the world while the palm goes.
                 self.smoother = self.smoother.transformed(se3.inverse(T_world_palm) @ self.T_world_palm)
             if stamp > self.stamp > -math.inf:
-                self.smoother = self.smoother.inflated(random_walk(self._process_noise, stamp - self.stamp))
+                self.smoother = self.smoother.inflated(
+                    process_variance(self._process_noise, stamp - self.stamp)
+                )
         if T_world_palm is not None:
             self.T_world_palm = T_world_palm
         self.stamp, fingers = stamp, self.fingertips.fingers

@@ -31,9 +31,9 @@ def follow(
     for step in replay(heard(), tracker, tally):
         observation = next(o for o in reversed(taken) if o.stamp == step.stamp)
         if step.stamp - pictured >= PICTURES_EVERY:
-            made = picture(tracker.rig, observation, tracker.vision.camera_from_palm, step.T_world_palm)
-            if made is not None:
-                pictured, waiting = step.stamp, [made.packed()]
+            image = picture(tracker.rig, observation, tracker.vision.camera_from_palm, step.T_world_palm)
+            if image is not None:
+                pictured, waiting = step.stamp, [image.packed()]
         moment = Moment.of(step, observation).after(last, waiting[0] if waiting else None)
         if timeline.append(moment):
             last, waiting = moment, []
