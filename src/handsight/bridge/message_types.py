@@ -45,8 +45,8 @@ def message_type(kind: str) -> Any:
 
     def fill(namespace: dict[str, Any]) -> None:
         namespace.setdefault("__annotations__", {}).update(fields)
-        made = classmethod(_from_bytes)
-        namespace.update(__init__=_keep, serialize=_bytes, deserialize=made, deserialize_key=made)
+        decode = classmethod(_from_bytes)
+        namespace.update(__init__=_keep, serialize=_bytes, deserialize=decode, deserialize_key=decode)
 
     # A plain `type(...)` call would lose the name that the metaclass is given.
     return new_class(

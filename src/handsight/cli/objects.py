@@ -42,8 +42,8 @@ def list_(library: Place = None) -> None:
         facts = entry.facts
         mass = f"{1e3 * facts.mass:.4g}" if facts and facts.mass is not None else "-"
         texts = (entry.name, _symmetries(entry.symmetries), facts.licence if facts else "")
-        columns = (*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass)
-        rows.append([printable(cell) for cell in columns])
+        cells = (*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass)
+        rows.append([printable(cell) for cell in cells])
     columns = ("name", "symmetries", "licence", "number", "diameter [mm]", "mass [g]")
     style: dict[str, Any] = {"box": None, "pad_edge": False, "padding": (0, 2, 0, 0)}
     Console(markup=False, highlight=False).print(table(columns, rows, texts=3, **style))

@@ -78,9 +78,9 @@ def with_settings(command: Callable[..., None]) -> Callable[..., None]:
         shown |= options if name == "settings" else {name: parameter}
 
     @wraps(command)
-    def run(**options: Any) -> None:
-        settings = _settings(**{name: options.pop(name) for name in options})
-        command(settings=settings, **options)
+    def run(**given: Any) -> None:
+        settings = _settings(**{name: given.pop(name) for name in options})
+        command(settings=settings, **given)
 
     # What typer reads.
     run.__annotations__ = {name: parameter.annotation for name, parameter in shown.items()}

@@ -117,7 +117,7 @@ def _best_spins(votes: Any, most: Any, spins: Any) -> None:
 
 
 @entry
-def vote(table: Any, model: Any, points: Any, references: Any, limits: Any, candidates: Any) -> None:
+def vote(table: Any, model: Any, observed: Any, references: Any, limits: Any, candidates: Any) -> None:
     """Fills in the LOOK (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
 
     table: starts of cells (CELLS + 1,), the model's pairs in them. model: points and normals (2, m, 3). limits:
@@ -128,9 +128,9 @@ def vote(table: Any, model: Any, points: Any, references: Any, limits: Any, cand
     best, spins = np.empty(len(points)), np.empty(len(points), np.int64)
     for n in range(len(references)):
         votes[:] = 0
-        _count(table, points, references[n], limits[0], most, votes)
+        _count(table, observed, references[n], limits[0], most, votes)
         _best_spins(votes, best, spins)
-        reference = points[references[n]]
+        reference = observed[references[n]]
         back = transpose(about_normal(vector(reference.normal)))
         for peak in range(PEAKS):
             i = np.argmax(best)

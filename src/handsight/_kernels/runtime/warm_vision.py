@@ -35,25 +35,25 @@ def warm(model: Any, nodes: Any) -> None:
     wanted = np.isfinite(depth)
     depth_image.sort_pixels(rays, (depth, wanted, wanted), np.ones(5), depth, labels)
     depth_image.label_parts(depth, labels, 1, np.empty(64))
-    points, candidates = np.zeros(2, dtype=DEPTH_POINT), np.zeros(4, dtype=CANDIDATE)
+    observed, candidates = np.zeros(2, dtype=DEPTH_POINT), np.zeros(4, dtype=CANDIDATE)
     chosen = np.zeros(2, dtype=np.int64)
     depth_image.spread(rays, depth, chosen, 1.0, chosen)
-    depth_image.normals_at(rays, depth, labels, chosen, points)
+    depth_image.normals_at(rays, depth, labels, chosen, observed)
 
     points, normals = (model["samples"][0, :4, k].copy() for k in range(2))
     cells, spins = np.empty((4, 4), dtype=np.int64), np.empty((4, 4))
     votes.pairs_of(points, normals, 0.1, cells, spins)
     pairs = np.zeros(votes.CELLS + 1, dtype=np.int32), np.zeros(1, dtype=np.int32)
     voters, voted = np.stack([points, normals]), np.zeros((1, votes.PEAKS), dtype=CANDIDATE)
-    votes.vote(pairs, voters, points, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
+    votes.vote(pairs, voters, observed, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
 
     sides = voters, np.eye(3), np.empty((3, 4), dtype=np.bool_)
     visible = sides[2]
     pose_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
-    depth_term.refine_poses(model, nodes, points, np.array([1, 0.01, 0.01, 2]), candidates)
-    depth_term.closeness(model, nodes, points, np.full(4, 0.01), candidates)
-    depth_term.refine_near(model, nodes, points, np.ones((1, 5)), np.eye(6), candidates[:1])
-    depth_term.inform_all(model, nodes, points, np.ones((4, 11)), candidates, np.empty((4, 3, 6, 6)))
+    depth_term.refine_poses(model, nodes, observed, np.array([1, 0.01, 0.01, 2]), candidates)
+    depth_term.closeness(model, nodes, observed, np.full(4, 0.01), candidates)
+    depth_term.refine_near(model, nodes, observed, np.ones((1, 5)), np.eye(6), candidates[:1])
+    depth_term.inform_all(model, nodes, observed, np.ones((4, 11)), candidates, np.empty((4, 3, 6, 6)))
     depth_covariance.largest_shift(model, nodes, np.eye(3), np.eye(6))
     group, order = (np.eye(4)[None], np.zeros((0, 3))), np.arange(4)
     distinct_poses.distinct_candidates(group, np.ones(5), candidates, order, np.empty(4, dtype=np.int64))
@@ -63,7 +63,7 @@ def warm(model: Any, nodes: Any) -> None:
     window, image = np.zeros(1, dtype=WINDOW), (rays, depth, labels)
     window["step"] = 1
     near_points.leave_out_plane(image, window)
-    near_points.near_points((model, nodes), image, window, candidates[:1], points)
+    near_points.near_points((model, nodes), image, window, candidates[:1], observed)
     _warm_hand(camera, rays, depth)
 
 
