@@ -106,7 +106,7 @@ def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
 def test_a_blind_recording_is_tracked_without_a_camera(tmp_path, monkeypatch, capsys):
     arguments = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
     assert called(monkeypatch, tmp_path, *arguments) == 0
-    assert called(monkeypatch, tmp_path, "track", "can.mcap", "-o", "out") == 0
+    assert called(monkeypatch, tmp_path, "track", "can.mcap", "--output-folder", "out") == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["poses"] > 150
     assert summary["errors_mm_deg"]["tracked"]["base_last"] < 5

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from itertools import islice
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handsight.cli.terminal import say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -18,6 +20,23 @@ if TYPE_CHECKING:
     from handsight.recording import Recording
     from handsight.rig import ObjectEntry, Rig
     from handsight.tracking import TrackerSettings
+
+
+class AnswerKind(StrEnum):
+    """Which pose of the best mode is answered, as `correct_pose` takes it."""
+
+    best = "best"
+    maximum = "maximum"
+    mean = "mean"
+
+
+class DepthCameraKind(StrEnum):
+    """How a camera measures depth, and so what is wrong with it (`handsight.vision.depth_noise`)."""
+
+    structured_light = "structured_light"
+    time_of_flight = "time_of_flight"
+    stereo = "stereo"
+
 
 MOST_WITHOUT_INFO = 1000
 """Observations of a recording in which a camera is looked for."""
@@ -39,7 +58,8 @@ Rate = Annotated[
     float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
 ]
 Answer = Annotated[
-    str, typer.Option(help="best (the mean where the maximum is at a slide's end), maximum, or mean.")
+    AnswerKind,
+    typer.Option(help="best: the mean where the posterior is not Gaussian, else the maximum."),
 ]
 Samples = Annotated[
     int, typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check.")
@@ -60,7 +80,7 @@ WithImages = Annotated[
 
 def _settings(
     rate: Rate = None,
-    answer: Answer = "best",
+    answer: Answer = AnswerKind.best,
     samples: Samples = 0,
     outside: OutsideCount = 200,
     images: WithImages = True,
@@ -68,6 +88,13 @@ def _settings(
     from handsight.tracking import TrackerSettings
 
     return TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+
+
+def renamed(new: bool, old: bool, names: tuple[str, str]) -> bool:
+    """Returns a switch that was given under its new or its former name; a warning on stderr names the new one."""
+    if old:
+        say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
+    return new or old
 
 
 def with_settings(command: Callable[..., None]) -> Callable[..., None]:

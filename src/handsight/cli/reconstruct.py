@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import Recorded, RigFile, rig_of_recording
+from handsight.cli.options import Recorded, RigFile, renamed, rig_of_recording
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
 from handsight.errors import InvalidInput
 from handsight.files import written
@@ -27,26 +27,29 @@ def reconstruct(
     recording: Recorded,
     output: Annotated[Path, typer.Option("--output", "-o", help="The model, a PLY of points in metres.")],
     rig: RigFile = None,
-    given: Annotated[
+    robot_poses: Annotated[
         bool,
         typer.Option(
-            "--given",
-            help="Take the views to be where the robot says; default: where the growing surface says, from there on.",
+            "--robot-poses",
+            help="Take the views to be where the robot has them; default: align each to the surface, from there on.",
         ),
     ] = False,
-    held: Annotated[
+    in_hand: Annotated[
         bool,
         typer.Option(
-            "--held", help="The hand holds it and turns it before the camera; default: it stands on a table."
+            "--in-hand",
+            help="The hand holds the object and turns it before the camera; default: it stands on a table.",
         ),
     ] = False,
+    old_given: Annotated[bool, typer.Option("--given", hidden=True)] = False,
+    old_held: Annotated[bool, typer.Option("--held", hidden=True)] = False,
 ) -> None:
     """Make an object's model out of a recording with depth images of many sides of it.
 
     Move the camera around what stands on a table, nearest to the middle of the first image; a hand in the picture is
-    left out. Or hold it in the hand and turn that before the camera, clear of all else (`--held`): where it is goes by
-    the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views a few
-    degrees apart are enough; the more sides they show, the less is guessed.
+    left out. Or hold it in the hand and turn that before the camera, clear of all else (`--in-hand`): where it is
+    goes by the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views
+    a few degrees apart are enough; the more sides they show, the less is guessed.
 
     What no view shows is guessed where a symmetry contradicts nothing that was seen, and from the lowest that was seen
     straight down to the table, if there is one. The file's property `measured` is 1 for points that were seen and 0 for
@@ -68,7 +71,9 @@ def reconstruct(
     found = rig_of_recording(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
-    run = Run(not given and not held, held)
+    in_hand = renamed(in_hand, old_held, ("--in-hand", "--held"))
+    robot_poses = renamed(robot_poses, old_given, ("--robot-poses", "--given"))
+    run = Run(not robot_poses and not in_hand, in_hand)
     with open_recording(recording, found) as opened, live_rows(recording.name, Run.progress) as watch:
         with kept_going() as end:
             run.through(opened, found, watch)
@@ -91,7 +96,7 @@ class Run:
     """A recording's way into a surface."""
 
     estimate: bool
-    held: bool
+    in_hand: bool
     reconstruction: "Reconstruction | None" = None
     images: int = 0
     """Depth images that were looked at."""
@@ -114,10 +119,10 @@ class Run:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
         camera = camera_of(rig, recording.intrinsics)
         T_reference_object = np.eye(4)
-        for view in (in_hand_views if self.held else views_of)(chain([first], with_depth), rig, camera):
+        for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
                 started = (
-                    (view.T_camera_object, IN_HAND_BOUNDS) if self.held else on_table(camera, view.depth)
+                    (view.T_camera_object, IN_HAND_BOUNDS) if self.in_hand else on_table(camera, view.depth)
                 )
                 if started is None:
                     self.started = self.images = self.images + 1
@@ -134,7 +139,7 @@ class Run:
         from handsight.vision.reconstruction.completion import closed, one_object
 
         if self.reconstruction is None:
-            where = "in the hand" if self.held else "on a table"
+            where = "in the hand" if self.in_hand else "on a table"
             messages = f"expected an object {where}, got none in {self.images} depth images"
             raise InvalidInput(f"recording: {messages}")
         volume = self.reconstruction.volume
@@ -143,13 +148,13 @@ class Run:
                 f"recording: expected at least {LEAST_FUSED} views of different sides, got {volume.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted"
             )
-        surface = one_object(volume.surface(), volume, table=not self.held)
+        surface = one_object(volume.surface(), volume, table=not self.in_hand)
         if len(surface.points) < LEAST_POINTS:
             raise InvalidInput(
                 f"recording: expected a surface of at least {LEAST_POINTS} points, got {len(surface.points)} "
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
-        return closed(surface, volume, table=not self.held)
+        return closed(surface, volume, table=not self.in_hand)
 
     def progress(self) -> list[tuple[str, str]]:
         """How it goes, as names and values."""

@@ -11,6 +11,7 @@ from handsight.cli.options import (
     ObjectName,
     Recorded,
     RigFile,
+    renamed,
     rig_and_object,
     with_intrinsics,
     with_settings,
@@ -35,10 +36,11 @@ def track(
     recording: Recorded,
     rig: RigFile = None,
     object: ObjectName = None,
-    output: Annotated[
+    output_folder: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder for results; default: RECORDING-track, here."),
+        typer.Option("--output-folder", help="Folder for results; default: RECORDING-track, here."),
     ] = None,
+    old_output: Annotated[Path | None, typer.Option("--output", "-o", hidden=True)] = None,
     *,
     settings: "TrackerSettings",
 ) -> None:
@@ -54,7 +56,7 @@ def track(
     handsight simulate can --output can.mcap
     handsight track can.mcap
     handsight simulate can --images --output seen.mcap && handsight track seen.mcap
-    handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output results
+    handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output-folder results
     ```
 
     Whatever ends it early, what was tracked by then is written. The exit code is 0 only if nothing did, and there is a
@@ -62,7 +64,9 @@ def track(
     """
     announce_compiling()
     found, model = rig_and_object(recording, rig, object)
-    folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
+    if renamed(False, old_output is not None, ("--output-folder", "--output")):
+        output_folder = output_folder or old_output
+    folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
         ended = run(recording, found, model, settings, watch)
     wrote = list[str]()
