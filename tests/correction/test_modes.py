@@ -94,7 +94,7 @@ def test_more_information_stays_more_along_the_palm():
     assert np.linalg.eigvalsh(modes.in_metres(more, RADIUS)).min() > -1e-6
 
 
-SHARP, CALIBRATION.open_sigma = (
+SHARP, OPEN = (
     np.array([1e8, 1e6, 1e6, 1e6, 1e6, 1e6]),
     np.array([6.25e4, 1e6, 1e6, 1e6, 1e6, 1e6]),
 )
@@ -103,21 +103,17 @@ SHARP, CALIBRATION.open_sigma = (
 
 def test_a_gaussians_information_is_its_own_secant():
     T = se3.random(np.random.default_rng(0), spread=0.1)
-    np.testing.assert_allclose(
-        secant(CALIBRATION.open_sigma, CALIBRATION.open_sigma, T), CALIBRATION.open_sigma, rtol=1e-6
-    )
+    np.testing.assert_allclose(secant(OPEN, OPEN, T), OPEN, rtol=1e-6)
 
 
 def test_a_bump_at_the_mode_does_not_pass_for_knowledge():
-    np.testing.assert_allclose(
-        secant(SHARP, CALIBRATION.open_sigma, np.eye(4)), CALIBRATION.open_sigma, rtol=1e-6
-    )
+    np.testing.assert_allclose(secant(SHARP, OPEN, np.eye(4)), OPEN, rtol=1e-6)
 
 
 def test_a_wall_on_one_side_of_the_mode_counts_by_half():
     wall = np.zeros(1, OUTSIDE)
     wall["point"], wall["sigma"] = (0.030, 0.001, 0.002), 1e-4
-    values = secant(SHARP, CALIBRATION.open_sigma, np.eye(4), wall)
+    values = secant(SHARP, OPEN, np.eye(4), wall)
     # One side rises as the slope at the mode says, the other hardly: least factor, counted with it.
     assert values[0] == pytest.approx((1 + CALIBRATION.min_factor) / 2 * 1e8)
     assert values[1] == pytest.approx(1e6)
@@ -127,7 +123,7 @@ def test_the_cost_is_read_a_deviation_and_a_half_away():
     # Walls on both sides that stand 0.03 mm off: what they cost depends on how far away the cost is read.
     walls = np.zeros(2, OUTSIDE)
     walls["point"], walls["sigma"] = [(0.03003, 0.001, 0.002), (-0.03003, 0.001, 0.002)], 1e-4
-    values = secant(SHARP, CALIBRATION.open_sigma, np.eye(4), walls)
+    values = secant(SHARP, OPEN, np.eye(4), walls)
     assert values[0] == pytest.approx(((1.5 - 0.3) / 1.5) ** 2 * 1e8, rel=2e-3)
 
 

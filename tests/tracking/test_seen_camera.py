@@ -111,9 +111,9 @@ def test_the_past_is_what_was_nearest_to_a_stamp():
     past = History()
     assert past.at(None) is None
     for k in range(300):
-        past.put(Instant(k / 100, {"j": float(k)}, None))
+        past = past.after(Instant(k / 100, {"j": float(k)}, None))
     assert past.at(None).stamp == 2.99
     assert past.at(2.504).stamp == 2.5
     assert past.at(1.0) is None
-    past.put(Instant(2.5, {"j": 0.0}, None))  # the jump ahead was taken back
+    past = past.after(Instant(2.5, {"j": 0.0}, None))  # the jump ahead was taken back
     assert past.at(9.0).stamp == 2.5

@@ -322,7 +322,7 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
         cells[4, 4, 0] = 1.0
         found = np.empty((1, 1, 2))
         palm_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
-        scores.append(found[0, 0, 0] * (len(on) + palm_scan.UNSEEN))
+        scores.append(found[0, 0, 0] * (len(on) + palm_scan.VISIBLE_SLACK))
     np.testing.assert_allclose(scores, [len(on) - palm_scan.BESIDE * len(air), len(on), len(on)])
 
 

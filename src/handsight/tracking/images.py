@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array, Mask
+from handsight.copies import shallow_copy
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig
@@ -42,10 +43,16 @@ class ImageVision:
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
         """Whether it is `on`: else, and without the camera's intrinsics, observations stay as they are."""
-        self._rig, self._model, self._past = rig, model, History()
+        self._rig, self._model, self._history = rig, model, History()
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
         self.eye: Eye | None = None
         """What looks, from the first depth image on."""
+
+    def copied(self) -> "ImageVision":
+        """Returns a copy that evolves apart from this one."""
+        copy = shallow_copy(self)
+        copy.eye = None if self.eye is None else self.eye.copied()
+        return copy
 
     @property
     def counts(self) -> dict[str, int]:
@@ -68,19 +75,21 @@ class ImageVision:
         T_palm_object: (4, 4) of an object that rides in the hand; None where nothing holds it. Raises InvalidInput for
         images that are none of the camera's.
         """
-        self._past.put(Instant(observation.stamp, observation.joint_positions, observation.T_world_palm))
+        self._history = self._history.after(
+            Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
+        )
         camera, hand = self._rig.camera, None
         if self._on and camera is not None and observation.depth is not None:
             self.eye = self.eye or Eye(self._rig, camera, self._model)
             stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
-            then = self._past.at(stamp)
+            then = self._history.at(stamp)
             if then is not None:
                 vision, hand = self.eye.observe(stamp, observation.depth, then, from_palm, T_palm_object)
                 observation = replace(observation, vision=vision)
         elif self.eye is not None and observation.vision is not None and observation.vision.frame == "camera":
             observation = replace(observation, vision=None)  # the same camera says more in its images
         vision = observation.vision
-        return ImageResult(observation, hand, None if vision is None else self._past.at(vision.stamp))
+        return ImageResult(observation, hand, None if vision is None else self._history.at(vision.stamp))
 
 
 class Eye:
@@ -100,6 +109,12 @@ class Eye:
         self.images = self.poses = self.searches = self.hands = 0
         """How many images were looked at and in how many the object was seen; how often the hand was looked for, and
         seen."""
+
+    def copied(self) -> "Eye":
+        """Returns a copy that evolves apart from this one; both share the room that an image is worked on in."""
+        copy = shallow_copy(self)
+        copy.tracker = shallow_copy(self.tracker)
+        return copy
 
     def observe(
         self,

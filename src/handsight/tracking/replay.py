@@ -12,9 +12,10 @@ from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.forces import Slip
 from handsight.observation import Observation
+from handsight.tracking.clock import MAX_JUMP
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.skin import NOTHING, SkinContacts
-from handsight.tracking.tracker import MAX_JUMP, State, Tracker
+from handsight.tracking.tracker import State, Tracker
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from handsight.copies import shallow_copy
 from handsight.forces import Slip, SlipDetector, slip_twist
 from handsight.forces.slip_motion import LENGTH
 from handsight.rig import Rig
@@ -27,6 +28,13 @@ class SlipUpdate:
         """Nothing is felt yet."""
         self.detector = SlipDetector(rig)
         self._spread = 0.0
+
+    def copied(self) -> "SlipUpdate":
+        """Returns a copy that evolves apart from this one."""
+        copy = shallow_copy(self)
+        copy.detector = shallow_copy(self.detector)
+        copy.detector.friction = shallow_copy(self.detector.friction)
+        return copy
 
     @property
     def now(self) -> Slip:

@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.copies import shallow_copy
 from handsight.correction import PoseEstimate, PosePrior, WeightEvidence
 from handsight.forces import Weigher, Weighing
 from handsight.objects import ObjectModel
@@ -59,6 +60,12 @@ class WeightUpdate:
         """By the last correction."""
         self._height: float | None = None
         """Of the palm in the world when the object was grasped [m]."""
+
+    def copied(self) -> "WeightUpdate":
+        """Returns a copy that evolves apart from this one."""
+        copy = shallow_copy(self)
+        copy.weigher = shallow_copy(self.weigher)
+        return copy
 
     def update(
         self, observation: Observation, touch: FingertipContacts, offsets: JointOffsets, *, grasped: bool
