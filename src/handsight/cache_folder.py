@@ -28,35 +28,35 @@ def cache_folder() -> Path:
     home that can be written to.
     """
     if named := os.environ.get("HANDSIGHT_CACHE"):
-        return own(Path(named))
+        return private_folder(Path(named))
     base = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(base):  # else it is not to be used, says its specification
-        return own(Path(base, "handsight"))
+        return private_folder(Path(base, "handsight"))
     home = Path(os.path.expanduser("~"))
     folder = home / ".cache/handsight"
-    if home.is_absolute() and home.is_dir() and _can_be_had(folder):
-        return own(folder)
-    return _instead(f"{home}: no home folder that can be written to")
+    if home.is_absolute() and home.is_dir() and _can_be_created(folder):
+        return private_folder(folder)
+    return _fallback(f"{home}: no home folder that can be written to")
 
 
-def own(base: Path, name: str = "") -> Path:
+def private_folder(base: Path, name: str = "") -> Path:
     """`base / name` where nobody but the user and root can put files; else `name` in a temporary folder of the user's.
 
     What is kept is believed, and kernels are code: who can write there could have it run.
     """
-    why = _others(base / name)
-    return base / name if why is None else _instead(why) / name
+    why = _other_writer(base / name)
+    return base / name if why is None else _fallback(why) / name
 
 
-def read(path: Path, name: str) -> memoryview:
-    """What `write` has put there under that name. Raises OSError where there is no file, ValueError for another one."""
+def read_entry(path: Path, name: str) -> memoryview:
+    """What `write_entry` has put there under that name. Raises OSError where there is no file, ValueError for another one."""
     data = memoryview(path.read_bytes())
     if data[:4] != checksum(name, data[4:]):
         raise ValueError("damaged, or of another name")
     return data[4:]
 
 
-def write(path: Path, name: str, content: bytes) -> None:
+def write_entry(path: Path, name: str, content: bytes) -> None:
     """Safe under several processes: the file appears complete or not at all. Raises OSError."""
     for folder in reversed([path.parent, *path.parent.parents]):
         folder.mkdir(mode=0o755, exist_ok=True)  # for others to read at most, whatever the umask
@@ -72,11 +72,11 @@ def write(path: Path, name: str, content: bytes) -> None:
 
 
 def checksum(name: str, content: bytes | memoryview) -> bytes:
-    """What a file begins with: against damage and mixing up, not against malice, which `own` keeps out."""
+    """What a file begins with: against damage and mixing up, not against malice, which `private_folder` keeps out."""
     return zlib.crc32(content, zlib.crc32(name.encode())).to_bytes(4, "little")
 
 
-def _others(folder: Path) -> str | None:
+def _other_writer(folder: Path) -> str | None:
     """Who else could put files there, directly or by moving a folder above it; None: nobody, or no such modes here."""
     if not hasattr(os, "getuid"):
         return None
@@ -92,12 +92,14 @@ def _others(folder: Path) -> str | None:
             return f"{folder}: {path} belongs to another user ({found.st_uid})"
         # Where a folder is sticky, as /tmp is, others can add to it but not move what is the user's.
         sticky = path != place and found.st_mode & stat.S_ISVTX
-        if not sticky and found.st_mode & (EVERYBODY if _is_mine_alone(found.st_gid) else EVERYBODY | GROUP):
+        if not sticky and found.st_mode & (
+            EVERYBODY if _is_private_group(found.st_gid) else EVERYBODY | GROUP
+        ):
             return f"{folder}: others can write to {path} (mode {stat.S_IMODE(found.st_mode):04o})"
     return None
 
 
-def _is_mine_alone(gid: int) -> bool:
+def _is_private_group(gid: int) -> bool:
     """Whether a group is the user's own, as many systems give each user one and let it write by default."""
     import grp
     import pwd
@@ -109,25 +111,27 @@ def _is_mine_alone(gid: int) -> bool:
     return group.gr_name == name and set(group.gr_mem) <= {name}
 
 
-def _can_be_had(folder: Path) -> bool:
+def _can_be_created(folder: Path) -> bool:
     """Whether a folder is there, or can be made."""
     nearest = next(path for path in (folder, *folder.parents) if os.path.exists(path))
     return nearest == folder or os.access(nearest, os.W_OK | os.X_OK)
 
 
-def _instead(why: str) -> Path:
-    folder = _temporary()
-    _tell(f"{why}; {folder} is used as cache instead (HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another)")
+def _fallback(why: str) -> Path:
+    folder = _temporary_folder()
+    _warn_once(
+        f"{why}; {folder} is used as cache instead (HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another)"
+    )
     return folder
 
 
 @cache
-def _tell(sentence: str) -> None:
+def _warn_once(sentence: str) -> None:
     warnings.warn(sentence, CacheWarning, stacklevel=2)
 
 
 @cache
-def _temporary() -> Path:
+def _temporary_folder() -> Path:
     """A folder of the user's own, the same for all processes; one of this process alone where that is another's."""
     try:
         base = Path(tempfile.gettempdir())
@@ -136,7 +140,7 @@ def _temporary() -> Path:
     lasting = base / f"handsight-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
     with contextlib.suppress(OSError):
         lasting.mkdir(mode=0o700, exist_ok=True)
-        if _others(lasting) is None and os.access(lasting, os.W_OK | os.X_OK):
+        if _other_writer(lasting) is None and os.access(lasting, os.W_OK | os.X_OK):
             return lasting
     folder = tempfile.mkdtemp(prefix="handsight-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -13,15 +13,15 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-FARTHEST = 1e3
+MAX_DISTANCE = 1e3
 """No position on or near a robot is farther from any frame's origin [m]; beyond it numbers are not measurements."""
-REACH = 5.0
+MAX_REACH = 5.0
 """Nothing that a hand touches or holds is farther from its palm [m]: beyond it the unit is another."""
-STRONGEST = 1e5
+MAX_LOAD = 1e5
 """No fingertip reads a larger force [N] or torque [N m]."""
-FINEST = 1e-9
+MIN_SIGMA = 1e-9
 """Nothing is known more finely [m, rad]; squares of less than it drown in rounding."""
-LONGEST_NAME, MOST_COMPARED = 100, 200
+MAX_NAME_LENGTH, MAX_COMPARED = 100, 200
 """Characters of a name that may be a slip of another's, and names it is compared with: it takes time with both."""
 
 
@@ -32,24 +32,24 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     except ValueError:  # ragged
         array = np.array("")
     # Neither numbers in strings nor truth values nor integers beyond 64 bits pass for numbers.
-    if array.size and (array.dtype.kind not in "iuf" or _holds_truth(value)):
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {brief(value)}")
+    if array.size and (array.dtype.kind not in "iuf" or _contains_bool(value)):
+        raise InvalidInput(f"{name}: expected {describe_shape(shape)}, got {brief(value)}")
     if array.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
     ):
         came = brief(value) if array.size <= 8 else f"shape {array.shape}"
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
+        raise InvalidInput(f"{name}: expected {describe_shape(shape)}, got {came}")
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
         came = brief(value) if array.size <= 8 else "NaN or infinity"
-        raise InvalidInput(f"{name}: expected {describe(shape)}, got {came}")
+        raise InvalidInput(f"{name}: expected {describe_shape(shape)}, got {came}")
     return array
 
 
-def _holds_truth(value: ArrayLike) -> bool:
+def _contains_bool(value: ArrayLike) -> bool:
     """Whether a list of numbers has a truth value among them, which NumPy would read as 0 or 1."""
     if isinstance(value, list | tuple):
-        return any(_holds_truth(item) for item in value)
+        return any(_contains_bool(item) for item in value)
     return isinstance(value, bool)
 
 
@@ -61,7 +61,7 @@ def positive(value: ArrayLike, name: str) -> float:
     return number
 
 
-def whole(value: object, name: str, most: int) -> int:
+def integer(value: object, name: str, most: int) -> int:
     """`value` as a whole number from 0 to `most`; raises InvalidInput otherwise."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= most:
         raise InvalidInput(f"{name}: expected a whole number from 0 to {most}, got {brief(value)}")
@@ -69,13 +69,13 @@ def whole(value: object, name: str, most: int) -> int:
 
 
 def position(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
-    """`value` [m] as `finite` takes it, each number within `FARTHEST`; raises InvalidInput otherwise."""
-    return _within(finite(value, name, shape), name, FARTHEST, "metres")
+    """`value` [m] as `finite` takes it, each number within `MAX_DISTANCE`; raises InvalidInput otherwise."""
+    return _within(finite(value, name, shape), name, MAX_DISTANCE, "metres")
 
 
 def load(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
-    """`value` [N, N m] as `finite` takes it, each number within `STRONGEST`; raises InvalidInput otherwise."""
-    return _within(finite(value, name, shape), name, STRONGEST, "newtons and newton metres")
+    """`value` [N, N m] as `finite` takes it, each number within `MAX_LOAD`; raises InvalidInput otherwise."""
+    return _within(finite(value, name, shape), name, MAX_LOAD, "newtons and newton metres")
 
 
 def _within(array: Array, name: str, limit: float, unit: str) -> Array:
@@ -85,7 +85,7 @@ def _within(array: Array, name: str, limit: float, unit: str) -> Array:
     return array
 
 
-def in_metres(length: float | list[float], most: float) -> str:
+def metres_text(length: float | list[float], most: float) -> str:
     """A length or position [m] beyond `most`, for a message: with what it is if it was meant in millimetres."""
     lengths = np.atleast_1d(np.asarray(length, dtype=np.float64))
     texts = [f"[{', '.join(f'{value:g}' for value in row)}]" for row in (lengths, 1e-3 * lengths)]
@@ -98,27 +98,31 @@ def in_metres(length: float | list[float], most: float) -> str:
 
 
 def in_reach(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
-    """`value` [m] in the palm's frame as `finite` takes it, each number within `REACH`; raises InvalidInput."""
+    """`value` [m] in the palm's frame as `finite` takes it, each number within `MAX_REACH`; raises InvalidInput."""
     array = finite(value, name, shape)
-    if (np.abs(array) > REACH).any():
-        came = in_metres(array.tolist(), REACH) if array.ndim < 2 else "more (millimetres?)"
-        raise InvalidInput(f"{name}: expected metres within {REACH:g}, got {came}")
+    if (np.abs(array) > MAX_REACH).any():
+        came = metres_text(array.tolist(), MAX_REACH) if array.ndim < 2 else "more (millimetres?)"
+        raise InvalidInput(f"{name}: expected metres within {MAX_REACH:g}, got {came}")
     return array
 
 
 def sigma(value: ArrayLike, name: str) -> float:
-    """`value` as a standard deviation [m or rad] from `FINEST` to `FARTHEST`; raises InvalidInput otherwise."""
+    """`value` as a standard deviation [m or rad] from `MIN_SIGMA` to `MAX_DISTANCE`; raises InvalidInput otherwise."""
     number = positive(value, name)
-    if not FINEST <= number <= FARTHEST:
-        raise InvalidInput(f"{name}: expected a number from {FINEST:g} to {FARTHEST:g}, got {number:g}")
+    if not MIN_SIGMA <= number <= MAX_DISTANCE:
+        raise InvalidInput(
+            f"{name}: expected a number from {MIN_SIGMA:g} to {MAX_DISTANCE:g}, got {number:g}"
+        )
     return number
 
 
 def sigma_point(value: ArrayLike, name: str) -> float:
-    """As `sigma`, of where a contact is [m]: within `REACH`."""
+    """As `sigma`, of where a contact is [m]: within `MAX_REACH`."""
     number = sigma(value, name)
-    if number > REACH:
-        raise InvalidInput(f"{name}: expected metres within {REACH:g}, got {in_metres(number, REACH)}")
+    if number > MAX_REACH:
+        raise InvalidInput(
+            f"{name}: expected metres within {MAX_REACH:g}, got {metres_text(number, MAX_REACH)}"
+        )
     return number
 
 
@@ -153,11 +157,11 @@ def covariance(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Ar
     widest = np.sqrt(
         np.abs(variances.reshape(*variances.shape[:-1], variances.shape[-1] // 3, 3)).max(axis=-1)
     )
-    strange = (widest > FARTHEST * (1 + 1e-9)) | ((widest > 0) & (widest < FINEST * (1 - 1e-9)))
+    strange = (widest > MAX_DISTANCE * (1 + 1e-9)) | ((widest > 0) & (widest < MIN_SIGMA * (1 - 1e-9)))
     if strange.any():
-        expected = f"expected standard deviations from {FINEST:g} to {FARTHEST:g}"
+        expected = f"expected standard deviations from {MIN_SIGMA:g} to {MAX_DISTANCE:g}"
         raise InvalidInput(f"{name}: {expected}, got {widest[strange][0]:g}")
-    if (np.abs(array) > 2 * FARTHEST**2).any():  # none is larger than the largest variance
+    if (np.abs(array) > 2 * MAX_DISTANCE**2).any():  # none is larger than the largest variance
         raise InvalidInput(f"{name}: expected a positive semidefinite covariance, got a negative eigenvalue")
     transposed = np.swapaxes(array, -1, -2)
     # Entries differ in unit (m², m rad, rad²): compare each with what its own variances allow.
@@ -172,7 +176,7 @@ def covariance(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Ar
     return array
 
 
-def axes(value: object) -> int:
+def ndim(value: object) -> int:
     """How many axes `value` has; one where its rows differ in length and numpy refuses to count."""
     try:
         return np.ndim(value)  # type: ignore[arg-type]
@@ -180,7 +184,7 @@ def axes(value: object) -> int:
         return 1
 
 
-def describe(shape: tuple[int | None, ...]) -> str:
+def describe_shape(shape: tuple[int | None, ...]) -> str:
     """What an array of that shape is called in a message."""
     if shape == ():
         return "a finite number"
@@ -189,18 +193,18 @@ def describe(shape: tuple[int | None, ...]) -> str:
     return f"finite numbers of shape ({', '.join('n' if s is None else str(s) for s in shape)})"
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
+def nearest_name(name: str, known: Iterable[str]) -> str | None:
     """The one that a name may be a slip of, whatever its letters' case; None where none is alike."""
-    lower = {one.lower(): one for one in islice(known, MOST_COMPARED) if len(one) <= LONGEST_NAME}
-    like = name.lower() if len(name) <= LONGEST_NAME else ""
+    lower = {one.lower(): one for one in islice(known, MAX_COMPARED) if len(one) <= MAX_NAME_LENGTH}
+    like = name.lower() if len(name) <= MAX_NAME_LENGTH else ""
     alike = difflib.get_close_matches(like, lower, n=1, cutoff=0.5)
     return lower[alike[0]] if alike else None
 
 
-def among(name: str, valid: Iterable[str]) -> str:
+def suggestion(name: str, valid: Iterable[str]) -> str:
     """`; the nearest valid one is 'x'`, or, where none is alike, the first few of them: for the end of a message."""
     known = sorted(valid)
-    if (alike := nearest(name, known)) is not None:
+    if (alike := nearest_name(name, known)) is not None:
         return f"; the nearest valid one is {alike!r}"
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; valid: {listed}" if known else ""

@@ -11,7 +11,7 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.tracking.replay import Step
 
-TRUTH_APART = 0.05
+MAX_TRUTH_AGE = 0.05
 """A truth farther from an observation than this is not its truth [s]."""
 
 
@@ -77,7 +77,7 @@ class Truths:
         if not self._rows:
             return None
         nearest_stamp, T = self._rows[np.searchsorted(self._between, stamp)]
-        return T if abs(nearest_stamp - stamp) <= TRUTH_APART else None
+        return T if abs(nearest_stamp - stamp) <= MAX_TRUTH_AGE else None
 
 
 def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, vision: bool) -> TrackErrors:

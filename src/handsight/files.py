@@ -48,7 +48,7 @@ def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None)
 
 
 @contextmanager
-def written(name: str | os.PathLike[str]) -> Iterator[None]:
+def write_errors(name: str | os.PathLike[str]) -> Iterator[None]:
     """What the system refuses within is a NotWritten that begins with the name; that nobody reads is not."""
     try:
         yield
@@ -58,7 +58,7 @@ def written(name: str | os.PathLike[str]) -> Iterator[None]:
         raise NotWritten(f"{name}: cannot be written: {error.strerror or error}") from None
 
 
-def called(stream: Any) -> str:
+def stream_name(stream: Any) -> str:
     """What a stream is called in a message."""
     name = getattr(stream, "name", "stream")
     if isinstance(name, int) and name in range(len(STREAMS)):
@@ -66,18 +66,18 @@ def called(stream: Any) -> str:
     return str(name).strip("<>")
 
 
-def apart(written: Any, what: str, other: Any, whose: str) -> None:
+def check_not_overwritten(destination: Any, what: str, other: Any, whose: str) -> None:
     """Raises InvalidFile where writing `what` to one place would overwrite the other; places are paths and streams.
 
     Links to one file are one place. A terminal, a pipe or None is no place: nothing there is overwritten.
     """
-    place = _place(written)
-    if place is not None and place == _place(other):
-        name = written if isinstance(written, str | os.PathLike) else called(written)
+    place = _file_identity(destination)
+    if place is not None and place == _file_identity(other):
+        name = destination if isinstance(destination, str | os.PathLike) else stream_name(destination)
         raise InvalidFile(f"{name}: {what} would overwrite {whose}")
 
 
-def _place(given: Any) -> tuple[Any, ...] | None:
+def _file_identity(given: Any) -> tuple[Any, ...] | None:
     """What two names of the same file have in common."""
     if given is None:
         return None

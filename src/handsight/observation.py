@@ -15,7 +15,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 
 VisionFrame = Literal["camera", "world", "palm"]
-LATEST = 1e11
+MAX_STAMP = 1e11
 """No stamp is beyond it [s], some 3000 years: what is, is in milliseconds or nanoseconds."""
 VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
@@ -85,7 +85,7 @@ class Observation:
     """
 
     stamp: float
-    """When [s], of one clock for all that is in it; within `LATEST`."""
+    """When [s], of one clock for all that is in it; within `MAX_STAMP`."""
     joint_positions: Mapping[str, float] | None = None
     """By joint name [rad]; joints of other parts of the robot may be among them."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
@@ -109,7 +109,7 @@ class Observation:
     """By tactile array: (rows, columns) what its taxels read; NaN: that taxel reads nothing."""
 
 
-def checked(observation: Observation) -> Observation:
+def check_observation(observation: Observation) -> Observation:
     """The observation with its stamp as a float and a `T_world_palm` of its own; raises InvalidInput.
 
     Joint positions, wrenches and images are left to those who read them: they know of which joints and fingers.
@@ -117,7 +117,7 @@ def checked(observation: Observation) -> Observation:
     if not isinstance(observation, Observation):
         raise InvalidInput(f"observation: expected an Observation, got {type(observation).__name__}")
     stamp, vision, T = observation.stamp, observation.vision, observation.T_world_palm
-    if type(stamp) is not float or not -LATEST <= stamp <= LATEST:
+    if type(stamp) is not float or not -MAX_STAMP <= stamp <= MAX_STAMP:
         stamp = _seconds(stamp, "observation.stamp")
     if vision is not None and not isinstance(vision, PoseMeasurement):
         came = type(vision).__name__
@@ -136,7 +136,7 @@ def checked(observation: Observation) -> Observation:
 def _seconds(stamp: float, name: str) -> float:
     """A stamp as a float; raises InvalidInput where it is none."""
     seconds = float(checks.finite(stamp, name, ()))
-    if abs(seconds) > LATEST:
-        expected = f"expected seconds within {LATEST:g}"
+    if abs(seconds) > MAX_STAMP:
+        expected = f"expected seconds within {MAX_STAMP:g}"
         raise InvalidInput(f"{name}: {expected}, got {seconds:g} (milliseconds or nanoseconds?)")
     return seconds

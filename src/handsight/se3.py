@@ -13,7 +13,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handsight.checks import FARTHEST, Array, finite, position, unit
+from handsight.checks import MAX_DISTANCE, Array, finite, position, unit
 from handsight.errors import InvalidInput, InvalidTransform
 
 
@@ -52,7 +52,7 @@ def _surely_rigid(T: object) -> bool:
         + abs(b * c + e * f + h * i)
     )
     right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0
-    near = min(x, y, z) > -FARTHEST and max(x, y, z) < FARTHEST
+    near = min(x, y, z) > -MAX_DISTANCE and max(x, y, z) < MAX_DISTANCE
     # Half of what is allowed: rounding decides nothing.
     return isfinite(x + y + z) and drift < 5e-7 and right_handed and near and last == [0.0, 0.0, 0.0, 1.0]
 

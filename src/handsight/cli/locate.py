@@ -9,7 +9,7 @@ from handsight.cli.locate_images import MOST_PANELS, Sought, draw, run
 from handsight.cli.options import RigFile, by_name, library_objects, object_named, rig_and_objects
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
-from handsight.files import apart
+from handsight.files import check_not_overwritten
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
@@ -120,8 +120,8 @@ def locate(
     beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
     for place, what in ((output, "the answers"), (plot, "the picture")):
         for source in (pictures, camera, color, mask, rig):
-            apart(place, what, source, "what is read")
-    apart(plot, "the picture", output, "the answers")
+            check_not_overwritten(place, what, source, "what is read")
+    check_not_overwritten(plot, "the picture", output, "the answers")
     if plot is not None:
         from handsight.viewer.correction_figures import require_matplotlib
 
@@ -188,7 +188,7 @@ def _numbers(asked: Asked, models: "dict[str, ObjectModel]", library: str | None
 
 def _noise(kind: str | None) -> "DepthNoise":
     """Of a kind of depth camera; raises InvalidInput for what is none."""
-    from handsight.checks import among
+    from handsight.checks import suggestion
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
     for known, noise in PRESETS.items():
@@ -196,7 +196,7 @@ def _noise(kind: str | None) -> "DepthNoise":
             return noise
     if kind is None:
         return STRUCTURED_LIGHT
-    said = f"expected one of {', '.join(PRESETS)}, got {kind!r:.80}{among(kind, PRESETS)}"
+    said = f"expected one of {', '.join(PRESETS)}, got {kind!r:.80}{suggestion(kind, PRESETS)}"
     raise InvalidInput(f"--depth-camera: {said}")
 
 

@@ -117,12 +117,12 @@ def compensate(
     In the sensor's frame, about its origin, as `contact_from_wrench` takes it; readings of the sensor on the
     tip are turned round. One gravity (3,) [m/s²] serves for many readings. Raises InvalidInput.
     """
-    stack: tuple[int | None, ...] = (3,) if checks.axes(forces) == 1 else (None, 3)
+    stack: tuple[int | None, ...] = (3,) if checks.ndim(forces) == 1 else (None, 3)
     if not isinstance(calibration, WrenchCalibration):
         came = type(calibration).__name__
         raise InvalidInput(f"calibration: expected a WrenchCalibration, got {came}")
     F, M = checks.load(forces, "forces", stack), checks.load(torques, "torques", stack)
-    G = checks.finite(gravities, "gravities", (3,) if checks.axes(gravities) == 1 else stack)
+    G = checks.finite(gravities, "gravities", (3,) if checks.ndim(gravities) == 1 else stack)
     if np.abs(G).max(initial=0.0) > GRAVITY_RANGE[1]:
         raise InvalidInput(f"gravities: expected m/s² within {GRAVITY_RANGE[1]:g}, got {np.abs(G).max():g}")
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):

@@ -20,7 +20,7 @@ from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.contact.wrench_table import WRENCHES_HELP, Place, WrenchRows, read_wrenches
 from handsight.errors import InvalidInput
-from handsight.files import apart, called, written
+from handsight.files import check_not_overwritten, stream_name, write_errors
 
 Format = Literal["csv", "jsonl"]
 
@@ -74,7 +74,7 @@ def convert(
     writers = {"csv": _write_csv, "jsonl": _write_json}
     if format not in writers:
         raise InvalidInput(f"format: expected one of {', '.join(writers)}, got {format!r}")
-    apart(destination, "the contacts", source, "the wrenches")
+    check_not_overwritten(destination, "the contacts", source, "the wrenches")
     counts: Counter[int] = Counter()
     sigmas = {"sigma_force": sigma_force, "sigma_torque": sigma_torque}
     with _destination(destination) as file:
@@ -129,12 +129,12 @@ def _json_label(key: str, value: object) -> object:
 def _destination(destination: Place) -> Iterator[TextIO]:
     """A stream to write to; a file gets its name only when all is well. Raises NotWritten."""
     if not isinstance(destination, str | os.PathLike):
-        with written(called(destination)):
+        with write_errors(stream_name(destination)):
             yield destination
             destination.flush()
         return
     path = Path(os.path.realpath(destination))
-    with written(destination):
+    with write_errors(destination):
         if path.exists() and not path.is_file():
             with path.open("w", encoding="utf-8", newline="") as file:  # a pipe cannot be renamed onto
                 yield file

@@ -187,7 +187,7 @@ def _of_residual(value: ArrayLike, normals: Array, has_normal: Mask, covariance:
 
 
 def _points(points_palm: Any) -> Array:
-    if checks.axes(points_palm) and not len(points_palm):
+    if checks.ndim(points_palm) and not len(points_palm):
         raise InvalidInput("points_palm: expected at least one contact, got no contacts")
     return _by_row(checks.in_reach, points_palm, "points_palm", (3,))
 
@@ -210,11 +210,11 @@ def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
 def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
     """(n,) positive, and no larger than what they are sigmas of."""
     check = checks.sigma_point if name == "sigma_point" else checks.sigma_normal
-    if checks.axes(value) == 0:
+    if checks.ndim(value) == 0:
         return np.full(n, check(value, name))
     sigmas = checks.finite(value, name, (None,))
     _same_length(sigmas, name, n)
-    for i in np.flatnonzero(~((sigmas >= checks.FINEST) & (sigmas <= np.pi))):
+    for i in np.flatnonzero(~((sigmas >= checks.MIN_SIGMA) & (sigmas <= np.pi))):
         check(sigmas[i], f"{name}[{i}]")
     return sigmas
 
@@ -224,7 +224,7 @@ def _by_row(check: Callable[..., Array], value: Any, name: str, shape: tuple[int
     try:
         return check(value, name, (None, *shape))
     except InvalidInput:
-        for i, row in enumerate(value if checks.axes(value) else ()):
+        for i, row in enumerate(value if checks.ndim(value) else ()):
             check(row, f"{name}[{i}]", shape)
         raise
 

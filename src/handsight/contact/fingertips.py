@@ -57,7 +57,7 @@ class Ellipsoid:
         if cap is not None:
             cap = float(checks.finite(cap, "cap", ()))
             if not -top < cap < top:
-                came = checks.in_metres(cap, top) if abs(cap) > 1 else f"{cap:g}"
+                came = checks.metres_text(cap, top) if abs(cap) > 1 else f"{cap:g}"
                 raise InvalidInput(f"cap: expected metres within the tip's ends ±{top:g}, got {came}")
         if max_friction is not None:
             max_friction = checks.positive(max_friction, "max_friction")
@@ -122,7 +122,7 @@ def unambiguous_cap(fingertip: Fingertip) -> float:
 
 def _check_length(length: float, name: str) -> None:
     if length > LARGEST:
-        came = checks.in_metres(length, LARGEST)
+        came = checks.metres_text(length, LARGEST)
         raise InvalidInput(f"{name}: expected metres, at most {LARGEST}, got {came}")
     if not length >= SMALLEST:
         raise InvalidInput(f"{name}: expected metres, at least {SMALLEST:g}, got {length:g}")

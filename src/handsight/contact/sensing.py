@@ -140,10 +140,10 @@ def _same_on_all_axes(sigma_force: float, sigma_torque: float) -> Array:
 
 def _sigma(value: ArrayLike, name: str) -> Array:
     """(3,) positive."""
-    array = checks.finite(value, name, (3,) if checks.axes(value) else ())
+    array = checks.finite(value, name, (3,) if checks.ndim(value) else ())
     if not (array > 0).all():
         raise InvalidInput(f"{name}: expected a number above 0, or three, got {checks.brief(value)}")
-    if not (array >= checks.FINEST).all() or not (array <= checks.STRONGEST).all():
-        limits = f"{checks.FINEST:g} to {checks.STRONGEST:g}"
+    if not (array >= checks.MIN_SIGMA).all() or not (array <= checks.MAX_LOAD).all():
+        limits = f"{checks.MIN_SIGMA:g} to {checks.MAX_LOAD:g}"
         raise InvalidInput(f"{name}: expected numbers from {limits}, got {checks.brief(value)}")
     return np.broadcast_to(array, (3,))

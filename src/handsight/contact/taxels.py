@@ -22,9 +22,9 @@ FINEST, COARSEST = 2e-4, 0.05
 """Pitch of an array [m]; beyond these the unit is wrong."""
 COVERED = 0.5
 """A taxel that feels less than this share of what its hardest neighbour feels may be pressed at its rim alone."""
-MOST_CONTACTS = 32
+MAX_CONTACTS = 32
 """Of one array: pressed taxels as far apart as can be, for those between say nothing new."""
-RAISED, SIGMA_RAISED = 5e-4, 3e-4
+CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
 """So far above an untouched taxel there is no object [m], for a face that lies on the skin is at no depth in it; and
 how far wrong that may be: one standard deviation. A can's side is that high 6 mm beside where it touches."""
 
@@ -165,7 +165,7 @@ class SkinTouch:
         places = array.places_grid[self.pressed]
         if not len(places):
             return None
-        points, R = se3.apply(T_palm_grid, places[_apart(places, MOST_CONTACTS)]), T_palm_grid[:3, :3]
+        points, R = se3.apply(T_palm_grid, places[_apart(places, MAX_CONTACTS)]), T_palm_grid[:3, :3]
         sideways = array.pitch**2 / 12
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = R @ np.diag([sideways, sideways, array.sigma_point**2]) @ R.T
@@ -175,7 +175,7 @@ class SkinTouch:
 
     def outside(self, T_palm_frame: ArrayLike) -> Array:
         """(m, 3) points in the palm that cannot be inside the object: RAISED above the untouched taxels [m]."""
-        places = self.array.places_grid[self.untouched] + [0.0, 0.0, RAISED]
+        places = self.array.places_grid[self.untouched] + [0.0, 0.0, CLEARANCE]
         return se3.apply(self._T_palm_grid(T_palm_frame), places)
 
     def _T_palm_grid(self, T_palm_frame: ArrayLike) -> Array:

@@ -17,8 +17,8 @@ import numpy as np
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile
-from handsight.explain import explain, named
-from handsight.files import called
+from handsight.files import stream_name
+from handsight.msgspec_errors import explain, field_name
 
 Place = str | os.PathLike[str] | TextIO
 
@@ -28,7 +28,7 @@ CHUNK = 8192
 """Rows at a time."""
 LONGEST = 100_000
 """Characters of a line."""
-BOUND = f"expected newtons and newton metres within {checks.STRONGEST:g}"
+BOUND = f"expected newtons and newton metres within {checks.MAX_LOAD:g}"
 WRENCHES_HELP = """\
 Wrenches: CSV with a header, columns in any order
   fx, fy, fz  force of the object on the tip [N]
@@ -62,7 +62,7 @@ def read_wrenches(source: Place, *, chunk: int = CHUNK) -> Iterator[WrenchRows]:
     Blank lines are no rows. Raises InvalidFile naming the file, the line, the column, what was expected and what came;
     also for a file without a row.
     """
-    name = str(source) if isinstance(source, str | os.PathLike) else called(source)
+    name = str(source) if isinstance(source, str | os.PathLike) else stream_name(source)
     empty = True
     try:
         with _source(source) as file:
@@ -153,7 +153,7 @@ def _number(cell: str, where: str, column: str) -> float:
 
 def _too_strong(number: float) -> bool:
     """Infinity is a reading that is missing, as NaN is."""
-    return not -checks.STRONGEST <= number <= checks.STRONGEST and math.isfinite(number)
+    return not -checks.MAX_LOAD <= number <= checks.MAX_LOAD and math.isfinite(number)
 
 
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
@@ -195,7 +195,7 @@ def _json_rows(lines: Iterator[str], name: str) -> Iterator[_Row]:
             wrench = msgspec.convert(row, _Line)
         except msgspec.ValidationError as error:
             field, said = explain(error, _Line, row)
-            raise InvalidFile(f"{where}: {named(field) or 'wrench'}: {said}") from None
+            raise InvalidFile(f"{where}: {field_name(field) or 'wrench'}: {said}") from None
         except (ValueError, RecursionError) as error:
             raise InvalidFile(f"{where}: expected a JSON object, got {error}") from None
         labels = {key: row[key] for key in LABELS if key in row}

@@ -69,7 +69,7 @@ def correct_pose(
         )
     if vision is not None and not isinstance(vision, PosePrior):
         raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
-    samples, answer = checks.whole(samples, "samples", MOST_SAMPLES), checked_answer(answer)
+    samples, answer = checks.integer(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     limit = Budget.of(budget)
     problem = Problem(
         model, contacts, vision, outside_records(model, contacts, outside), _weight(weight, model)

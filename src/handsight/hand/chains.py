@@ -61,10 +61,10 @@ class Chains:
         return out
 
 
-def carried(points: Array, bodies: Indices, Ts: Array) -> Array:
+def transform_points(points: Array, bodies: Indices, Ts: Array) -> Array:
     """(k, 3) where points (k, 3), each fixed on one of the `bodies` (k,), are with these at their poses (t, 4, 4)."""
     out = np.empty_like(points)
-    chain.carried(points, bodies, Ts, out)
+    chain.transform_points(points, bodies, Ts, out)
     return out
 
 
@@ -80,7 +80,7 @@ def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
         checks.finite(joint_positions[name], f"joint_positions[{name!r}]", ())
 
 
-def chains(model: Any, base: int, bodies: Sequence[int], file: str) -> Chains:
+def build_chains(model: Any, base: int, bodies: Sequence[int], file: str) -> Chains:
     """How `bodies` of a compiled MuJoCo model move with respect to the body `base`.
 
     Raises InvalidInput where a joint on the way is neither hinge nor slide, or has no name.
@@ -113,7 +113,7 @@ def ancestors(model: Any, body: int) -> list[int]:
     return found
 
 
-def joints_of(model: Any, body: int) -> range:
+def body_joints(model: Any, body: int) -> range:
     """The joints between a body and its parent, as they follow each other."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body]))
@@ -131,8 +131,8 @@ def _path(model: Any, base: int, body: int) -> list[tuple[int, float]]:
     """Joints from base to body; those that are passed towards their parent turn the other way round."""
     up, down = ancestors(model, base), ancestors(model, body)
     up, down = [b for b in up if b not in down], [b for b in down if b not in up]
-    against = [(joint, -1.0) for b in up for joint in reversed(joints_of(model, b))]
-    return against + [(joint, 1.0) for b in reversed(down) for joint in joints_of(model, b)]
+    against = [(joint, -1.0) for b in up for joint in reversed(body_joints(model, b))]
+    return against + [(joint, 1.0) for b in reversed(down) for joint in body_joints(model, b)]
 
 
 def _step(model: Any, joint: int, sign: float, Ts_base_body: Array, place: int) -> tuple[Any, ...]:

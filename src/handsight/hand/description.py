@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight.checks import FARTHEST
+from handsight.checks import MAX_DISTANCE
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.hand.chains import HINGE, SLIDE
 from handsight.hand.mjcf import Mjcf
@@ -109,8 +109,8 @@ def _check(model: Any, name: str) -> None:
     if not all(np.isfinite(part).all() for part in (*lengths, *directions, model.qpos0, model.jnt_range)):
         raise InvalidFile(f"{name}: expected finite numbers for all links and joints, got NaN")
     farthest = max(np.abs(part).max(initial=0.0) for part in lengths)
-    if farthest > FARTHEST:
-        raise InvalidFile(f"{name}: expected lengths within {FARTHEST:g} m, got {farthest:g}")
+    if farthest > MAX_DISTANCE:
+        raise InvalidFile(f"{name}: expected lengths within {MAX_DISTANCE:g} m, got {farthest:g}")
     if any(np.abs(np.linalg.norm(part, axis=1) - 1).max(initial=0.0) > 1e-6 for part in directions):
         raise InvalidFile(
             f"{name}: expected axes and rotations of some length, got one of none or beyond numbers"

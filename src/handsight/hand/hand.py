@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, chains, joints_of
+from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, body_joints, build_chains
 from handsight.hand.description import read
 from handsight.hand.paths import find_file
 from handsight.hand.shape import HandShape, LinkMesh
-from handsight.hand.surface import HandSurface, spread, triangles_of, visible_triangles
+from handsight.hand.surface import HandSurface, collision_triangles, sample_evenly, visual_triangles
 
 _WORLD = 0
 MOST_CHAINS = 8
@@ -77,7 +77,7 @@ class Hand:
         self._bodies = {name: i for i in range(self._model.nbody) if (name := str(self._model.body(i).name))}
         self._palm = self._body(palm, "palm")
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
-        self._chains = chains(self._model, self._palm, bodies, self._name)
+        self._chains = build_chains(self._model, self._palm, bodies, self._name)
         self.moving = self._chains.joints
         joints = [self._model.joint(i) for i in range(self._model.njnt)]
         joints = [joint for joint in joints if joint.name and joint.type in (HINGE, SLIDE)]
@@ -119,14 +119,14 @@ class Hand:
         neither hinge nor slide.
         """
         if self._arm is None:
-            self._arm = chains(self._model, _WORLD, [self._palm], self._name)
+            self._arm = build_chains(self._model, _WORLD, [self._palm], self._name)
         Ts_world_palm, _ = self._arm.poses(joint_positions)
         return np.asarray(Ts_world_palm[0])
 
     def chains_to(self, links: Mapping[str, str]) -> Chains:
         """How links move in the palm; by what they are called in an error, their bodies. Raises InvalidInput."""
         bodies = [self._body(body, argument) for argument, body in links.items()]
-        return chains(self._model, self._palm, bodies, self._name)
+        return build_chains(self._model, self._palm, bodies, self._name)
 
     def surface(
         self, count: int, *, seed: int = 0, shrink: float = 0.0015, without: Collection[str] = ()
@@ -142,8 +142,8 @@ class Hand:
         inward = float(checks.finite(shrink, "shrink", ()))
         left_out = {self._body(name, "without") for name in without}
         bodies = [body for body in self._links() if body not in left_out]
-        triangles = [triangles_of(self._model, body) for body in bodies]
-        link, points, normals = spread(triangles, int(count), seed)
+        triangles = [collision_triangles(self._model, body) for body in bodies]
+        link, points, normals = sample_evenly(triangles, int(count), seed)
         used, body_of = np.unique(link, return_inverse=True)
         with_points, inside = [bodies[i] for i in used], points - inward * normals
         return HandSurface(
@@ -151,7 +151,7 @@ class Hand:
             body_of=body_of.astype(np.int64),
             points_body=inside,
             normals=normals,
-            chains=chains(self._model, self._palm, with_points, self._name),
+            chains=build_chains(self._model, self._palm, with_points, self._name),
             middles=np.array([inside[body_of == i].mean(axis=0) for i in range(len(used))]).reshape(-1, 3),
         )
 
@@ -186,14 +186,14 @@ class Hand:
         found = self._link_chains.get(missing)
         if found is None:
             bodies = [body for body, joints in self._links_on.items() if not set(joints) & set(missing)]
-            found = self._names(bodies), chains(self._model, self._palm, bodies, self._name)
+            found = self._names(bodies), build_chains(self._model, self._palm, bodies, self._name)
             kept = self._link_chains if len(self._link_chains) < MOST_CHAINS else {}
             self._link_chains = {**kept, missing: found}
         names, links = found
         return dict(zip(names, links.poses(joint_positions)[0], strict=True))
 
     def _shape_of(self, model: Any, links: list[int]) -> HandShape:
-        parts = [(body, visible_triangles(model, body)) for body in links]
+        parts = [(body, visual_triangles(model, body)) for body in links]
         parts = [(body, triangles) for body, triangles in parts if len(triangles)]
         bodies = [body for body, _ in parts]
         corners = np.concatenate([np.zeros((0, 3, 3)), *(triangles for _, triangles in parts)]).reshape(-1, 3)
@@ -204,7 +204,7 @@ class Hand:
             vertices_body=np.ascontiguousarray(rows[:, 1:]),
             body_of=rows[:, 0].astype(np.int64),
             faces=where.reshape(-1, 3).astype(np.int64),
-            chains=chains(self._model, self._palm, bodies, self._name),
+            chains=build_chains(self._model, self._palm, bodies, self._name),
         )
 
     @cached_property
@@ -213,7 +213,7 @@ class Hand:
         found = {}
         for body in self._links():
             with contextlib.suppress(InvalidInput):
-                found[body] = chains(self._model, self._palm, [body], self._name).joints
+                found[body] = build_chains(self._model, self._palm, [body], self._name).joints
         return found
 
     @cached_property
@@ -228,12 +228,12 @@ class Hand:
         root = self._palm
         for body in ancestors(self._model, self._palm):
             root = body
-            if joints_of(self._model, body):
+            if body_joints(self._model, body):
                 break
         return [b for b in range(1, self._model.nbody) if b == root or root in ancestors(self._model, b)]
 
     def _body(self, name: str, argument: str) -> int:
         if name not in self._bodies:
-            near = checks.among(str(name), self._bodies)
+            near = checks.suggestion(str(name), self._bodies)
             raise InvalidInput(f"{argument}: expected a body of {self._name}, got {name!r}{near}")
         return self._bodies[name]

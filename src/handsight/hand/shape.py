@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight.checks import Array, Indices
-from handsight.hand.chains import Chains, carried
+from handsight.hand.chains import Chains, transform_points
 
 
 class LinkMesh(NamedTuple):
@@ -52,4 +52,4 @@ class HandShape:
     def vertices_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """(k, 3) where the vertices are [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
         Ts, _ = self.chains.poses(joint_positions)
-        return carried(self.vertices_body, self.body_of, Ts)
+        return transform_points(self.vertices_body, self.body_of, Ts)

@@ -9,7 +9,7 @@ import trimesh
 
 from handsight import se3
 from handsight.checks import Array, Indices
-from handsight.hand.chains import Chains, carried
+from handsight.hand.chains import Chains, transform_points
 
 SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
 """MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
@@ -45,32 +45,34 @@ class HandSurface:
         Needs the joints of every link that has points, fingers without a tip among them.
         """
         Ts, _ = self.chains.poses(joint_positions)
-        return carried(self.points_body, self.body_of, Ts)
+        return transform_points(self.points_body, self.body_of, Ts)
 
-    def placed(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
+    def points_and_sensitivities(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
         """The points (m, 3) as `points_palm`, and (b,) how far each link's middle moves per axis [m] when every joint
         is off by a radian, each for itself: root mean square."""
         Ts, axes = self.chains.poses(joint_positions)
         bodies = np.arange(len(self.bodies))
-        by_joint = self.chains.jacobians(carried(self.middles, bodies, Ts), bodies, axes)[:, :3]
-        return carried(self.points_body, self.body_of, Ts), np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
+        by_joint = self.chains.jacobians(transform_points(self.middles, bodies, Ts), bodies, axes)[:, :3]
+        return transform_points(self.points_body, self.body_of, Ts), np.sqrt(
+            (by_joint**2).sum(axis=(1, 2)) / 3
+        )
 
 
-def spread(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
-    """As `sample`, each link's points as evenly on it as can be, chosen of FINER times as many; up to MANY of all."""
+def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
+    """As `sample_by_area`, each link's points as evenly on it as can be, chosen of FINER times as many; up to MANY of all."""
     if count > MANY:
-        return sample(triangles, count, seed)
-    link, _, _ = sample(triangles, count, seed)
-    finer, points, normals = sample(triangles, FINER * count, seed)
+        return sample_by_area(triangles, count, seed)
+    link, _, _ = sample_by_area(triangles, count, seed)
+    finer, points, normals = sample_by_area(triangles, FINER * count, seed)
     chosen = [np.zeros(0, dtype=np.int64)]
     for k in np.unique(link):
         mine = np.flatnonzero(finer == k)
-        chosen.append(mine[evenly(points[mine], int((link == k).sum()))])
+        chosen.append(mine[choose_evenly(points[mine], int((link == k).sum()))])
     rows = np.concatenate(chosen)
     return finer[rows], points[rows], normals[rows]
 
 
-def evenly(points: Array, count: int) -> Indices:
+def choose_evenly(points: Array, count: int) -> Indices:
     """(count,) of points (n, 3), count ≤ n: each the middle of those that are nearer to it than to the others.
 
     First each next one is the farthest from those before, which is on edges; the middle of its share is not.
@@ -90,7 +92,7 @@ def evenly(points: Array, count: int) -> Indices:
     return np.array(chosen, dtype=np.int64)
 
 
-def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
+def sample_by_area(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
     """Of each point its place in the list, itself and the outward normal: (m,), (m, 3), (m, 3).
 
     `triangles`: (f, 3, 3) for each link. Evenly by area: the area is laid out in one line, with one point drawn in
@@ -113,14 +115,14 @@ def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Arra
     return link[chosen], points, normals
 
 
-def triangles_of(model: Any, body: int) -> Array:
+def collision_triangles(model: Any, body: int) -> Array:
     """(f, 3, 3) the shapes of a body [m]: those that touch, else those that are seen."""
     shapes = _shapes(model, body)
     touching = [g for g in shapes if model.geom_contype[g] or model.geom_conaffinity[g]]
     return _in_body(model, touching or shapes)
 
 
-def visible_triangles(model: Any, body: int) -> Array:
+def visual_triangles(model: Any, body: int) -> Array:
     """(f, 3, 3) the shapes of a body [m]: those that are seen, which touch nothing in most files, else all."""
     shapes = _shapes(model, body)
     seen = [g for g in shapes if not (model.geom_contype[g] or model.geom_conaffinity[g])]

@@ -15,7 +15,7 @@ AtLeastZero = Annotated[float, Meta(ge=0)]
 Angle = Annotated[float, Meta(ge=0, le=180)]
 """A sigma [degrees]."""
 Pixels = Annotated[float, Meta(gt=0, le=1e5)]
-Load = Annotated[float, Meta(gt=0, le=checks.STRONGEST)]
+Load = Annotated[float, Meta(gt=0, le=checks.MAX_LOAD)]
 Text = Annotated[str, Meta(pattern=r"\S")]
 Vector = tuple[float, float, float]
 
@@ -32,7 +32,7 @@ class Form(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
             if value is None or most is None or isinstance(value, str):
                 continue
             if np.abs(value).max() > most:
-                came = checks.in_metres(value, most)
+                came = checks.metres_text(value, most)
                 raise ValueError(f"{item.encode_name}: expected metres within {most:g}, got {came}")
 
     def given(self) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def _topics(form: RigForm, file: YamlFile) -> Topics:
         known = arrays if kind == "skin" else form.fingers
         for name in said.get(kind, ()):
             if name not in known:
-                raise file.wrong(("topics", kind, name), f"unknown {what}{checks.among(name, known)}")
+                raise file.wrong(("topics", kind, name), f"unknown {what}{checks.suggestion(name, known)}")
     felt = [name for name in form.fingers if name not in said.get("contacts", ())]
     usual = {"wrenches": {name: f"/{name}/wrench" for name in felt}}
     return Topics(**(usual | {"skin": {name: f"/{name}/taxels" for name in arrays}} | said))

@@ -16,9 +16,9 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, TaxelArray, WrenchCalibration
 from handsight.errors import InvalidInput
-from handsight.explain import Path as FieldPath
-from handsight.explain import named
 from handsight.hand import Hand
+from handsight.msgspec_errors import FieldPath as FieldPath
+from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectModel
 
 FARTHEST = 100.0
@@ -39,7 +39,7 @@ class Shared(InvalidInput):
     """Two parts of a rig have what only one can have."""
 
     def __init__(self, field: FieldPath, said: str) -> None:
-        super().__init__(f"{named(field)}: {said}")
+        super().__init__(f"{field_name(field)}: {said}")
         self.field, self.said = field, said
 
 
@@ -105,7 +105,7 @@ class Camera:
         object.__setattr__(self, "lens", check_lens(self.lens, "lens"))
         kinds = get_args(DepthCamera)
         if self.depth_camera not in kinds:
-            came = f"{checks.brief(self.depth_camera)!r}{checks.among(str(self.depth_camera), kinds)}"
+            came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
         _check_sigmas(self, *(name for name in Camera.__slots__ if name.startswith("sigma")))
 
@@ -274,7 +274,10 @@ def shared(rig: Rig) -> tuple[FieldPath, str] | None:
         owners = dict[str, FieldPath]()
         for path, value in values.items():
             if value in owners:
-                return path, f"expected a {kind} of its own, got {value!r}, which is {named(owners[value])}'s"
+                return (
+                    path,
+                    f"expected a {kind} of its own, got {value!r}, which is {field_name(owners[value])}'s",
+                )
             owners[value] = path
     return _same_place(rig)
 
@@ -296,5 +299,5 @@ def _check_sigmas(part: object, *names: str) -> None:
     """Raises InvalidInput for a standard deviation that is not from zero to the largest there is."""
     for name in names:
         value = getattr(part, name)
-        if not 0 <= float(checks.finite(value, name, ())) <= checks.FARTHEST:
-            raise InvalidInput(f"{name}: expected a number from 0 to {checks.FARTHEST:g}, got {value:g}")
+        if not 0 <= float(checks.finite(value, name, ())) <= checks.MAX_DISTANCE:
+            raise InvalidInput(f"{name}: expected a number from 0 to {checks.MAX_DISTANCE:g}, got {value:g}")

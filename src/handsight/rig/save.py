@@ -12,7 +12,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, Sphere
 from handsight.contact.taxels import TaxelArray
-from handsight.files import written
+from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
 from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
 
@@ -22,7 +22,7 @@ def write(rig: Rig, path: Path) -> None:
 
     Files that the rig names are written as they are found from anywhere: with their whole path, or as `package://`.
     """
-    with written(path):
+    with write_errors(path):
         path.write_text(text(rig), encoding="utf-8")
 
 

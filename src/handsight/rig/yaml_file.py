@@ -8,9 +8,9 @@ import msgspec
 
 from handsight import checks
 from handsight.errors import InvalidFile, MissingExtra
-from handsight.explain import Path as FieldPath
-from handsight.explain import explain, named
 from handsight.files import read_bytes
+from handsight.msgspec_errors import FieldPath as FieldPath
+from handsight.msgspec_errors import explain, field_name
 
 LARGEST_FILE = 1 << 20
 """Bytes; a rig is a page or two."""
@@ -45,7 +45,7 @@ class YamlFile:
 
     def wrong(self, field: FieldPath, said: str) -> InvalidFile:
         """The error that tells what is wrong with a field, at its line."""
-        name = named(field)[:LONGEST_NAME] or "file"
+        name = field_name(field)[:LONGEST_NAME] or "file"
         return InvalidFile(f"{self.path}:{self.line(field)}: {name}: {said}")
 
     def line(self, field: FieldPath) -> int:

@@ -74,7 +74,7 @@ class Belief:
         if not isinstance(self.model, ObjectModel) or not isinstance(self.area, Area):
             came = f"{type(self.model).__name__} and {type(self.area).__name__}"
             raise InvalidInput(f"belief: expected an ObjectModel and an Area, got {came}")
-        checks.whole(self.seed, "belief.seed", SEEDS)
+        checks.integer(self.seed, "belief.seed", SEEDS)
         rng = np.random.default_rng((self.seed, len(self.touches)))
         drawn = self._drawn(rng)
         kept = rng.choice(len(drawn[0]), KEPT, p=_normalised(drawn[1]))

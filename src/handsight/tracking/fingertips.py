@@ -83,7 +83,7 @@ class FingertipSensors:
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
         # A hinge may have turned however often; a slide that is far off takes the tip along.
         places = Ts_palm_tip[:, :3, 3]
-        if not np.abs(places).max() <= checks.FARTHEST:
+        if not np.abs(places).max() <= checks.MAX_DISTANCE:
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
         by_joint = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
         by_error = by_joint @ offsets.root
@@ -116,7 +116,7 @@ class FingertipSensors:
         if {type(row) for row in rows} == {np.ndarray} and {(row.dtype, row.shape) for row in rows} == WRENCH:
             readings = np.array(rows)
             # NaN is smaller than nothing: where one is, each row is looked at.
-            if readings.min() >= -checks.STRONGEST and readings.max() <= checks.STRONGEST:
+            if readings.min() >= -checks.MAX_LOAD and readings.max() <= checks.MAX_LOAD:
                 return readings
         named = zip(self.names, rows, strict=True)
         return np.array([_reading(row, f"observation.wrenches[{name!r}]") for name, row in named])

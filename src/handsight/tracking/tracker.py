@@ -10,7 +10,7 @@ from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
 from handsight.forces import Slip
 from handsight.objects import ObjectModel
-from handsight.observation import Observation, checked
+from handsight.observation import Observation, check_observation
 from handsight.rig import Rig
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
@@ -96,7 +96,7 @@ class Tracker(Track):
         """
         before = self._snapshot()
         try:
-            clean = checked(observation)
+            clean = check_observation(observation)
             if not self._is_next(clean.stamp):
                 self.late += 1
                 self._left_out(clean.stamp, "older than the last one")

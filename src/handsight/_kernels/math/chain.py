@@ -85,7 +85,7 @@ def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out
 
 
 @entry
-def carried(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
+def transform_points(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
     """`out` (m, 3): points (m, 3), each fixed in the body whose pose is `Ts[bodies[i]]`."""
     for i in range(len(points)):
         T = Ts[bodies[i]]
@@ -98,4 +98,4 @@ def warm() -> None:
     Ts, axes = np.empty((1, 4, 4)), np.empty((1, 2, 3))
     poses(np.zeros(1), starts, joints, np.eye(4)[None], Ts, axes)
     jacobians(np.zeros((1, 3)), bodies, starts, joints, axes, np.zeros((1, 6, 1)))
-    carried(np.zeros((1, 3)), bodies, Ts, np.empty((1, 3)))
+    transform_points(np.zeros((1, 3)), bodies, Ts, np.empty((1, 3)))

@@ -25,7 +25,7 @@ from numba.extending import intrinsic
 
 from handsight._kernels.math import vec3
 from handsight._kernels.math.vec3 import Mat33, Vec3
-from handsight.checks import STRONGEST
+from handsight.checks import MAX_LOAD
 
 F = TypeVar("F", bound=Callable[..., Any])
 Vec6 = tuple[Vec3, Vec3]
@@ -109,7 +109,7 @@ def _largest(v: Vec3) -> float:
 @lane
 def _is_load(v: Vec3) -> bool:
     """Whether it is a force [N] or a torque [N m] that a fingertip can feel; NaN is none."""
-    return (abs(v[0]) <= STRONGEST) & (abs(v[1]) <= STRONGEST) & (abs(v[2]) <= STRONGEST)
+    return (abs(v[0]) <= MAX_LOAD) & (abs(v[1]) <= MAX_LOAD) & (abs(v[2]) <= MAX_LOAD)
 
 
 @lane

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
-from handsight.checks import among, brief
+from handsight.checks import brief, suggestion
 from handsight.errors import InvalidFile
 
-Path = tuple[str | int, ...]
+FieldPath = tuple[str | int, ...]
 """Keys and places in lists, from the whole file to one value."""
 Form = TypeVar("Form")
 
@@ -32,23 +32,23 @@ _BOUNDS = {
 }
 
 
-def named(path: Path) -> str:
+def field_name(path: FieldPath) -> str:
     """A path in words, as `contacts[2].point`; empty for the whole file."""
     steps = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in path]
     return "".join(steps).removeprefix(".")
 
 
-def in_form(data: bytes, form: type[Form], where: str) -> Form:
+def decode(data: bytes, form: type[Form], where: str) -> Form:
     """A JSON document in a form; raises InvalidFile for what it is not, which begins with `where`."""
-    raw = plain(data, where)
+    raw = decode_object(data, where)
     try:
         return msgspec.convert(raw, form)
     except msgspec.ValidationError as error:
         field, said = explain(error, form, raw)
-        raise InvalidFile(f"{where}: {named(field) or 'file'}: {said}") from None
+        raise InvalidFile(f"{where}: {field_name(field) or 'file'}: {said}") from None
 
 
-def plain(data: bytes, where: str) -> dict[str, Any]:
+def decode_object(data: bytes, where: str) -> dict[str, Any]:
     """A JSON document whose outermost is a mapping; raises InvalidFile, which begins with `where`."""
     try:
         raw = msgspec.json.decode(data)
@@ -59,7 +59,7 @@ def plain(data: bytes, where: str) -> dict[str, Any]:
     return raw
 
 
-def explain(error: msgspec.ValidationError, form: Any, value: Any) -> tuple[Path, str]:
+def explain(error: msgspec.ValidationError, form: Any, value: Any) -> tuple[FieldPath, str]:
     """Where `value` is not of the `form` that msgspec wanted, and the sentence about it."""
     said, mark, where = str(error).rpartition(" - at `$")
     said, where = (said, where) if mark else (where, "")
@@ -69,8 +69,8 @@ def explain(error: msgspec.ValidationError, form: Any, value: Any) -> tuple[Path
         return _sentence(str(error), (), form, value)
 
 
-def _located(said: str, steps: list[str], form: Any, value: Any) -> tuple[Path, str]:
-    path: Path = ()
+def _located(said: str, steps: list[str], form: Any, value: Any) -> tuple[FieldPath, str]:
+    path: FieldPath = ()
     for text in steps:
         if text == "...":  # an entry of a mapping whose keys are free: msgspec does not say which
             name, (inner, said) = _first_wrong_entry(_part(form, text), value)
@@ -80,16 +80,19 @@ def _located(said: str, steps: list[str], form: Any, value: Any) -> tuple[Path, 
     return _sentence(said, path, form, value)
 
 
-def _sentence(said: str, path: Path, form: Any, value: Any) -> tuple[Path, str]:
+def _sentence(said: str, path: FieldPath, form: Any, value: Any) -> tuple[FieldPath, str]:
     if found := re.fullmatch(r"Object contains unknown field `(.*)`", said, re.DOTALL):
-        return (*path, found[1]), f"unknown key{among(found[1], _fields(form))}"
+        return (*path, found[1]), f"unknown key{suggestion(found[1], _fields(form))}"
     if found := re.fullmatch(r"Object missing required field `(.*)`", said):
         return (*path, found[1]), "expected, got nothing"
     if said.startswith("Invalid enum value"):
         allowed = _alternatives(form)
         names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]
         others = "".join(f"{_kind('array', form)} or " for kind in allowed if get_origin(kind) is tuple)
-        return path, f"expected {others}one of {', '.join(names)}, got {value!r}{among(str(value), names)}"
+        return (
+            path,
+            f"expected {others}one of {', '.join(names)}, got {value!r}{suggestion(str(value), names)}",
+        )
     if said == "Number out of range":
         return path, f"expected a finite number, got {brief(value)}"
     if found := re.match(r"Expected `([^`]+)`(?: (>=?|<=?) ([\d.]+))?", said):
@@ -108,7 +111,7 @@ def _kind(kind: str, form: Any) -> str:
     return f"{sizes[0]} finite numbers" if kind == "array" and sizes else _KINDS.get(kind, kind)
 
 
-def _first_wrong_entry(form: Any, entries: dict[str, Any]) -> tuple[str, tuple[Path, str]]:
+def _first_wrong_entry(form: Any, entries: dict[str, Any]) -> tuple[str, tuple[FieldPath, str]]:
     for name, value in entries.items():
         try:
             msgspec.convert(value, form)
