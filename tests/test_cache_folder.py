@@ -71,10 +71,10 @@ def test_a_group_may_write_that_is_the_users_own(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     folder.mkdir()
     folder.chmod(0o775)
-    monkeypatch.setattr(cache_folder, "_is_mine_alone", lambda gid: gid == folder.stat().st_gid)
+    monkeypatch.setattr(cache_folder, "_is_private_group", lambda gid: gid == folder.stat().st_gid)
     monkeypatch.setenv("HANDSIGHT_CACHE", str(folder))
     assert cache_folder.cache_folder() == folder
-    monkeypatch.setattr(cache_folder, "_is_mine_alone", lambda gid: False)
+    monkeypatch.setattr(cache_folder, "_is_private_group", lambda gid: False)
     refused(folder, monkeypatch, "others can write to")
 
 
@@ -179,16 +179,16 @@ def test_a_file_is_read_as_it_was_written_under_its_name(tmp_path):
     assert bytes(cache_folder.read_entry(path, "name")) == b"content"
     assert path.parent.stat().st_mode & 0o022 == path.stat().st_mode & 0o022 == 0
     assert [one.name for one in path.parent.iterdir()] == ["file.nbc"]
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     with pytest.raises(ValueError, match="another name"):
         cache_folder.read_entry(path, "other")
-    damages = [whole[:k] for k in range(len(whole))]
+    damages = [complete[:k] for k in range(len(complete))]
     damages += [
-        whole[:k] + bytes([whole[k] ^ 1 << bit]) + whole[k + 1 :]
-        for k in range(len(whole))
+        complete[:k] + bytes([complete[k] ^ 1 << bit]) + complete[k + 1 :]
+        for k in range(len(complete))
         for bit in range(8)
     ]
-    for damage in [*damages, b"\0" * len(whole), whole + b"\0"]:
+    for damage in [*damages, b"\0" * len(complete), complete + b"\0"]:
         path.write_bytes(damage)
         with pytest.raises(ValueError, match="damaged"):
             cache_folder.read_entry(path, "name")
