@@ -197,7 +197,7 @@ def nearest_name(name: str, known: Iterable[str]) -> str | None:
 
 
 def suggestion(name: str, valid: Iterable[str]) -> str:
-    """Returns the end of a message: `; the nearest valid one is 'x'`, or the first valid names where none is similar."""
+    """Returns the end of a message: `; the nearest valid one is 'x'`, or the first valid names if none is similar."""
     known = sorted(valid)
     if (similar := nearest_name(name, known)) is not None:
         return f"; the nearest valid one is {similar!r}"

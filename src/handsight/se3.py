@@ -184,7 +184,7 @@ def rotate_covariance(R_a_b: Array, covariance_b: Array) -> Array:
 
 
 def random(rng: np.random.Generator, size: int | None = None, *, spread: float = 1.0) -> Array:
-    """Returns random transforms (4, 4) or (size, 4, 4): rotations uniform on SO(3), positions N(0, spread²) per axis [m]."""
+    """Returns random transforms (4, 4) or (size, 4, 4): rotation uniform on SO(3), position N(0, spread²) [m]."""
     lead = () if size is None else (size,)
     R = rotation_from_quaternion(rng.normal(size=(*lead, 4)))
     return compose(R, spread * rng.normal(size=(*lead, 3)))

@@ -275,7 +275,7 @@ def test_the_kernels_are_imported_with_the_first_contact():
 
 def test_warming_compiles_every_kernel():
     code = (
-        "from handsight._kernels import sensing as k; k.warm()\n"
+        "from handsight._kernels.touch import sensing as k; k.warm()\n"
         "kernels = k.sense, k.sense_one, k.covariances\n"
         "assert all(len(f.signatures) == 1 for f in kernels)\n"
         "from handsight.contact import Sphere, contact_from_wrench, contacts_from_wrenches\n"
