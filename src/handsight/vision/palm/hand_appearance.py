@@ -13,8 +13,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains
-from handsight.hand.shape import HandShape
-from handsight.hand.surface import sample_by_area
+from handsight.hand.surface import HandShape, sample_by_area
 from handsight.vision.camera import Depth, PinholeCamera
 
 POINTS = 1200
