@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm
+from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.table_contacts import mark_on_table
-from handsight._kernels.touch.tips_touching import NEAR_TIP
+from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.correction import PoseEstimate
@@ -41,7 +40,7 @@ class FingertipContacts:
     """(n, 6, j) by how much point and normal of each contact are off for one standard deviation of each of j
     independent errors of the joints (`JointOffsets.root`)."""
     near: tuple[str, ...] = ()
-    """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
+    """Of those that touch, the ones within `TIP_TO_TIP.max_gap` of another tip, whose contact is less certain."""
     loads: Array | None = None
     """(n, 5) of each contact, of the object on the tip: tangential force (3,) along the palm's axes and normal force
     [N], torque about the normal [N m]; NaN where a tip does not say it."""
@@ -103,7 +102,7 @@ class FingertipSensors:
         touching = felt[felt["reason"] == 0] if reasons else felt
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
-        near = tuple(name for name, gap in gaps if gap < NEAR_TIP)
+        near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
         return FingertipContacts(fingers, contacts, reasons, by_error[felt["reason"] == 0], near, loads)
 
