@@ -2,8 +2,6 @@
 
 import re
 
-_MAX_LENGTH = 1000  # characters; a message quotes what came, which may be anything
-
 
 def without_addresses(text: str) -> str:
     """Returns `text` without memory addresses, so that equal problems have equal messages and are counted as one."""
@@ -15,7 +13,7 @@ def printable(text: str) -> str:
     text = without_addresses(text)
     if not text.isprintable():
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if len(text) <= _MAX_LENGTH else text[: _MAX_LENGTH - 4] + " ..."
+    return text if len(text) <= 1000 else text[:996] + " ..."  # a message quotes what came, which may be long
 
 
 class HandsightError(Exception):

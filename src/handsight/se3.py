@@ -102,7 +102,7 @@ def _quaternions() -> Array:
     return M.reshape(9, 16)
 
 
-_QUATERNIONS, _EYE_4 = _quaternions(), np.eye(4)
+_QUATERNIONS = _quaternions()
 
 
 def skew(v: Array) -> Array:
@@ -150,7 +150,7 @@ def quaternion_from_rotation(R: Array) -> Array:
         column = columns[max(range(4), key=(x, y, z, w).__getitem__)]
         return np.array(column) / math.hypot(*column)
     # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
-    M = _EYE_4 + (R.reshape(*R.shape[:-2], 9) @ _QUATERNIONS).reshape(*R.shape[:-2], 4, 4)
+    M = np.eye(4) + (R.reshape(*R.shape[:-2], 9) @ _QUATERNIONS).reshape(*R.shape[:-2], 4, 4)
     best = np.argmax(np.diagonal(M, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(M, best[..., None, None], axis=-1)[..., 0]
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)

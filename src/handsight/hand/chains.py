@@ -6,6 +6,7 @@ as long (65 µs with Jacobians against 15), and needs memory of its own for each
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +21,12 @@ from handsight.errors import InvalidInput
 if TYPE_CHECKING:
     from mujoco import MjModel
 
-SLIDE, HINGE = 2, 3
-"""MuJoCo's kinds of joints with one position: prismatic and revolute ones."""
+
+class JointKind(IntEnum):
+    """A `JointKind` is one of MuJoCo's kinds of joints with one position."""
+
+    SLIDE = 2
+    HINGE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +102,7 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
     on_path = sorted({joint for path in paths for joint, _ in path})
     for joint in on_path:
         name, body_name = model.joint(joint).name, model.body(model.jnt_bodyid[joint]).name
-        if model.jnt_type[joint] not in (SLIDE, HINGE):
+        if model.jnt_type[joint] not in list(JointKind):
             came = f"joint {name!r} of {body_name!r}, which moves in more than one direction"
             raise InvalidInput(f"{file}: expected hinges and slides on the way, got {came}")
         if not name:
@@ -107,7 +112,7 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
     for joint, sign in (step for path in paths for step in path):
         T = Ts_base_body[model.jnt_bodyid[joint]]
         axis, point = sign * T[:3, :3] @ model.jnt_axis[joint], se3.apply(T, model.jnt_pos[joint][None])[0]
-        zero, slides = model.qpos0[model.jnt_qposadr[joint]], model.jnt_type[joint] == SLIDE
+        zero, slides = model.qpos0[model.jnt_qposadr[joint]], model.jnt_type[joint] == JointKind.SLIDE
         rows.append((axis, point, zero, slides, on_path.index(joint)))
     return Chains(
         joints=tuple(str(model.joint(joint).name) for joint in on_path),

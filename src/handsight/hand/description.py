@@ -14,11 +14,11 @@ import numpy as np
 
 from handsight.checks import MAX_DISTANCE
 from handsight.errors import InvalidFile, MissingExtra
-from handsight.hand.chains import HINGE, SLIDE
+from handsight.hand.chains import JointKind
 from handsight.hand.mjcf import Mjcf
 from handsight.hand.paths import find_file
 from handsight.hand.robot_xml import read_xml, to_text
-from handsight.hand.surface import SHAPES
+from handsight.hand.surface import ShapeKind
 from handsight.hand.urdf import MIN_INERTIA, MIN_MASS, Urdf
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _check_numbers(model: "MjModel", name: str) -> None:
     """Raises InvalidFile for a robot without links, or with numbers that are not finite or no robot's."""
     if model.nbody < 2:
         raise InvalidFile(f"{name}: expected a robot with links, got none")
-    shapes, moving = np.isin(model.geom_type, SHAPES), np.isin(model.jnt_type, (SLIDE, HINGE))
+    shapes, moving = np.isin(model.geom_type, list(ShapeKind)), np.isin(model.jnt_type, list(JointKind))
     sizes = (model.geom_pos[shapes], model.geom_size[shapes], model.mesh_vert)
     lengths = (model.body_pos, model.jnt_pos, *sizes)
     directions = (model.body_quat, model.jnt_axis[moving], model.geom_quat[shapes])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.hand.chains import HINGE, SLIDE, Chains, ancestors, body_joints, build_chains
+from handsight.hand.chains import Chains, JointKind, ancestors, body_joints, build_chains
 from handsight.hand.description import read
 from handsight.hand.paths import find_file
 from handsight.hand.surface import HandShape, HandSurface, LinkMesh, body_triangles, sample_evenly
@@ -79,12 +79,11 @@ class Hand:
         self._chains = build_chains(self._model, self._palm, bodies, self._name)
         self.moving = self._chains.joints
         joints = [self._model.joint(i) for i in range(self._model.njnt)]
-        joints = [joint for joint in joints if joint.name and joint.type in (HINGE, SLIDE)]
+        joints = [joint for joint in joints if joint.name and joint.type in list(JointKind)]
         self.joint_names = tuple(str(joint.name) for joint in joints)
         limits = [joint.range if joint.limited else (-np.inf, np.inf) for joint in joints]
         self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
         self._arm: Chains | None = None
-        self._link_chains: dict[tuple[str, ...], tuple[tuple[str, ...], Chains]] = {}
 
     @classmethod
     def from_file(cls, path: str | Path, *, palm: str, tips: Mapping[str, str] | None = None) -> "Hand":
@@ -181,16 +180,10 @@ class Hand:
         `joint_positions` as `Ts_palm_tip` takes them; links with a joint that has no position, or is neither hinge nor
         slide, are left out. Raises InvalidInput for positions that are not finite numbers.
         """
-        names = dict.fromkeys(name for joints in self._link_joints.values() for name in joints)
-        missing = tuple(name for name in names if name not in joint_positions)
-        cached = self._link_chains.get(missing)
-        if cached is None:
-            bodies = [body for body, joints in self._link_joints.items() if not set(joints) & set(missing)]
-            cached = self._names(bodies), build_chains(self._model, self._palm, bodies, self._name)
-            others = self._link_chains if len(self._link_chains) < 8 else {}
-            self._link_chains = {**others, missing: cached}
-        links, chains = cached
-        return dict(zip(links, chains.poses(joint_positions)[0], strict=True))
+        names, joints, chains = self._link_chains
+        positions = {name: joint_positions.get(name, 0.0) for name in chains.joints}
+        links = zip(names, joints, chains.poses(positions)[0], strict=True)
+        return {name: T for name, needed, T in links if all(joint in joint_positions for joint in needed)}
 
     def _shape_of(self, model: "MjModel", links: list[int]) -> HandShape:
         parts = [(body, body_triangles(model, body, visual=True)) for body in links]
@@ -208,13 +201,14 @@ class Hand:
         )
 
     @cached_property
-    def _link_joints(self) -> dict[int, tuple[str, ...]]:
-        """The joints between each link and the palm; without links that hang on joints of another kind."""
+    def _link_chains(self) -> tuple[tuple[str, ...], list[tuple[str, ...]], Chains]:
+        """Names of the links, the joints between each and the palm, and their chains; without links on other joints."""
         joints = {}
         for body in self._links():
             with contextlib.suppress(InvalidInput):
                 joints[body] = build_chains(self._model, self._palm, [body], self._name).joints
-        return joints
+        chains = build_chains(self._model, self._palm, list(joints), self._name)
+        return self._names(joints), list(joints.values()), chains
 
     def _names(self, bodies: Iterable[int]) -> tuple[str, ...]:
         return tuple(str(self._model.body(i).name) for i in bodies)

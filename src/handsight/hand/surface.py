@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,8 +15,16 @@ from handsight.hand.chains import Chains, transform_points
 if TYPE_CHECKING:
     from mujoco import MjModel
 
-SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
-"""MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
+
+class ShapeKind(IntEnum):
+    """A `ShapeKind` is one of MuJoCo's kinds of shapes that a hand can have; planes and height fields are none."""
+
+    SPHERE = 2
+    CAPSULE = 3
+    ELLIPSOID = 4
+    CYLINDER = 5
+    BOX = 6
+    MESH = 7
 
 
 class LinkMesh(NamedTuple):
@@ -172,7 +181,11 @@ def body_triangles(model: "MjModel", body: int, *, visual: bool = False) -> Arra
     With `visual` its visual shapes, which collide with nothing in most files, or else all.
     """
     first = int(model.body_geomadr[body])
-    shapes = [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in SHAPES]
+    shapes = [
+        g
+        for g in range(first, first + int(model.body_geomnum[body]))
+        if model.geom_type[g] in list(ShapeKind)
+    ]
     preferred = [g for g in shapes if bool(model.geom_contype[g] or model.geom_conaffinity[g]) != visual]
     triangles = [np.zeros((0, 3, 3))]
     for g in preferred or shapes:
@@ -184,7 +197,7 @@ def body_triangles(model: "MjModel", body: int, *, visual: bool = False) -> Arra
 def _shape_triangles(model: "MjModel", g: int) -> Array:
     """Returns the triangles (f, 3, 3) of a shape in its own axes [m]."""
     kind, size = model.geom_type[g], model.geom_size[g]
-    if kind == MESH:
+    if kind == ShapeKind.MESH:
         mesh = model.geom_dataid[g]
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
@@ -192,13 +205,13 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
         corners = vertices[model.mesh_face[first : first + count]]
         volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
         return np.asarray(corners if volume > 0 else corners[:, ::-1])
-    if kind in (SPHERE, ELLIPSOID):
-        radii = size if kind == ELLIPSOID else size[:1]
+    if kind in (ShapeKind.SPHERE, ShapeKind.ELLIPSOID):
+        radii = size if kind == ShapeKind.ELLIPSOID else size[:1]
         return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)
-    if kind == BOX:
+    if kind == ShapeKind.BOX:
         return np.asarray(trimesh.creation.box(2 * size).triangles)
     radius, half, _ = size
-    if kind == CYLINDER:
+    if kind == ShapeKind.CYLINDER:
         return np.asarray(trimesh.creation.cylinder(radius, 2 * half).triangles)
     capsule = trimesh.creation.capsule(2 * half, radius)
     # Versions of trimesh differ in whether a capsule stands on the origin or is centred on it.

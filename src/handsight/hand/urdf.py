@@ -13,7 +13,6 @@ from handsight.hand.robot_xml import Element, Meshes, check_count, check_depth, 
 
 MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
 """Mass [kg] and inertia [kg m²] of links without any: MuJoCo refuses such links, and kinematics needs neither."""
-_JOINTS, _OTHER_JOINTS = ("revolute", "continuous", "prismatic", "fixed"), ("planar", "floating", "spherical")
 
 
 class Urdf:
@@ -51,10 +50,11 @@ class Urdf:
 
     def _add_joint(self, joint: Element) -> None:
         name, kind = _unique_name(joint, self._joints), joint.get("type")
-        if kind not in _JOINTS + _OTHER_JOINTS:
-            raise joint.error(f"joint {name!r}: expected a type among {', '.join(_JOINTS)}, got {kind!r}")
+        kinds, others = ("revolute", "continuous", "prismatic", "fixed"), ("planar", "floating", "spherical")
+        if kind not in kinds + others:
+            raise joint.error(f"joint {name!r}: expected a type among {', '.join(kinds)}, got {kind!r}")
         # A ball joint stands for all that are neither hinge nor slide; it is refused where it is between palm and tips.
-        kind = "spherical" if kind in _OTHER_JOINTS else kind
+        kind = "spherical" if kind in others else kind
         new = self.robot.add("joint", {"name": name, "type": kind}, joint)
         ends = []
         for tag in ("parent", "child"):

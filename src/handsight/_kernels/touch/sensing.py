@@ -5,7 +5,7 @@ a time. Each step is a loop of its own, because the processor overlaps several r
 steps takes 1.4 times as long.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,9 +33,24 @@ from handsight._kernels.touch.sensing_steps import (
 )
 
 LANES = 32
-# Columns of the workspace, LANES numbers each.
-REASON, SIZE, Q, NORMAL, FORCE, MOMENT, C, KAPPA, READING = 0, 1, 2, 5, 8, 11, 14, 15, 16
-COLUMNS = 22
+
+
+class Columns(NamedTuple):
+    """`Columns` are the places of wrenches' numbers in the workspace, `LANES` numbers each."""
+
+    reason: int = 0
+    size: int = 1
+    q: int = 2
+    normal: int = 5
+    force: int = 8
+    moment: int = 11
+    c: int = 14
+    kappa: int = 15
+    reading: int = 16
+    total: int = 22
+
+
+AT = Columns()
 
 
 @lane
@@ -51,48 +66,50 @@ def _set3(w: Any, column: int, j: int, value: Vec3) -> None:
 
 @lane
 def _read(w: Any, forces: Any, torques: Any, start: int, count: int) -> None:
-    """Copies `count` readings from number `start` on, of flat arrays, to the columns READING."""
+    """Copies `count` readings from number `start` on, of flat arrays, to the columns `reading`."""
     for j in range(count):
         i = 3 * (start + j)
-        _set3(w, READING, j, (forces[i], forces[i + 1], forces[i + 2]))
-        _set3(w, READING + 3, j, (torques[i], torques[i + 1], torques[i + 2]))
+        _set3(w, AT.reading, j, (forces[i], forces[i + 1], forces[i + 2]))
+        _set3(w, AT.reading + 3, j, (torques[i], torques[i + 1], torques[i + 2]))
 
 
 @lane
 def _solve(w: Any, tip: Fingertip) -> None:
-    """Computes the other columns from the columns READING: Q becomes points, C normal forces, KAPPA local torques."""
+    """Computes the other columns from `reading`: `q` becomes points, `c` normal forces, `kappa` local torques."""
     for j in range(LANES):
-        reason, size, force, moment = wrench_on_surface(_get3(w, READING, j), _get3(w, READING + 3, j), tip)
-        w[REASON * LANES + j], w[SIZE * LANES + j] = reason, size
-        _set3(w, FORCE, j, force)
-        _set3(w, MOMENT, j, moment)
+        reason, size, force, moment = wrench_on_surface(
+            _get3(w, AT.reading, j), _get3(w, AT.reading + 3, j), tip
+        )
+        w[AT.reason * LANES + j], w[AT.size * LANES + j] = reason, size
+        _set3(w, AT.force, j, force)
+        _set3(w, AT.moment, j, moment)
     for j in range(LANES):
-        c, kappa, pushes = solve_push(_get3(w, FORCE, j), _get3(w, MOMENT, j), tip)
-        w[C * LANES + j], w[KAPPA * LANES + j] = c, kappa
-        reason = w[REASON * LANES + j]
-        w[REASON * LANES + j] = reason if reason > CONTACT else (CONTACT if pushes else OFF_CAP)
+        c, kappa, pushes = solve_push(_get3(w, AT.force, j), _get3(w, AT.moment, j), tip)
+        w[AT.c * LANES + j], w[AT.kappa * LANES + j] = c, kappa
+        reason = w[AT.reason * LANES + j]
+        w[AT.reason * LANES + j] = reason if reason > CONTACT else (CONTACT if pushes else OFF_CAP)
     for j in range(LANES):
-        c, kappa = w[C * LANES + j], w[KAPPA * LANES + j]
-        _set3(w, Q, j, point_on_sphere(_get3(w, FORCE, j), _get3(w, MOMENT, j), c, kappa, tip))
+        c, kappa = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
+        _set3(w, AT.q, j, point_on_sphere(_get3(w, AT.force, j), _get3(w, AT.moment, j), c, kappa, tip))
     for j in range(LANES):
-        q, force, size = _get3(w, Q, j), _get3(w, FORCE, j), w[SIZE * LANES + j]
-        c, kappa = w[C * LANES + j], w[KAPPA * LANES + j]
+        q, force, size = _get3(w, AT.q, j), _get3(w, AT.force, j), w[AT.size * LANES + j]
+        c, kappa = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
         normal, push, twist, contact_reason = contact_loads(q, force, c, kappa, tip)
-        reason = w[REASON * LANES + j]
-        w[REASON * LANES + j] = reason if reason > CONTACT else contact_reason
-        w[C * LANES + j], w[KAPPA * LANES + j] = rescaled(push, size), rescaled(twist, size)
-        _set3(w, Q, j, times(q, tip.semi_axes))
-        _set3(w, NORMAL, j, normal)
-        _set3(w, FORCE, j, (rescaled(force[0], size), rescaled(force[1], size), rescaled(force[2], size)))
+        reason = w[AT.reason * LANES + j]
+        w[AT.reason * LANES + j] = reason if reason > CONTACT else contact_reason
+        w[AT.c * LANES + j], w[AT.kappa * LANES + j] = rescaled(push, size), rescaled(twist, size)
+        _set3(w, AT.q, j, times(q, tip.semi_axes))
+        _set3(w, AT.normal, j, normal)
+        _set3(w, AT.force, j, (rescaled(force[0], size), rescaled(force[1], size), rescaled(force[2], size)))
 
 
 @lane
 def _write(w: Any, j: int, contact: Any) -> None:
     for i in range(3):
-        contact.point[i] = w[(Q + i) * LANES + j]
-        contact.normal[i] = w[(NORMAL + i) * LANES + j]
-        contact.force[i] = w[(FORCE + i) * LANES + j]
-    contact.force_normal, contact.torque = w[C * LANES + j], w[KAPPA * LANES + j]
+        contact.point[i] = w[(AT.q + i) * LANES + j]
+        contact.normal[i] = w[(AT.normal + i) * LANES + j]
+        contact.force[i] = w[(AT.force + i) * LANES + j]
+    contact.force_normal, contact.torque = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
 
 
 @entry
@@ -102,7 +119,7 @@ def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts
     `forces`, `torques` (n, 3); `tip` (1,) FINGERTIP. Written: `reasons` (n) int8 of all wrenches; and from the arrays'
     start on, for each contact, its wrench in `rows` (n) int64 and itself in `contacts` (n) TIP_CONTACT.
     """
-    fingertip, w = unpack_fingertip(tip[0]), np.zeros(COLUMNS * LANES)
+    fingertip, w = unpack_fingertip(tip[0]), np.zeros(AT.total * LANES)
     forces, torques = forces.reshape(-1), torques.reshape(-1)
     n, k = len(reasons), 0
     for start in range(0, n, LANES):
@@ -114,10 +131,10 @@ def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts
         _solve(w, fingertip)
         for j in range(count):
             # Written always, and kept only for a contact: a branch could not be predicted.
-            reasons[start + j] = np.int8(w[REASON * LANES + j])
+            reasons[start + j] = np.int8(w[AT.reason * LANES + j])
             rows[k] = start + j
             _write(w, j, contacts[k])
-            k += 1 if w[REASON * LANES + j] == CONTACT else 0
+            k += 1 if w[AT.reason * LANES + j] == CONTACT else 0
     return k
 
 

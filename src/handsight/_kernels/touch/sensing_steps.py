@@ -33,10 +33,6 @@ Vec6 = tuple[Vec3, Vec3]
 
 CONTACT, FREE, OFF_CAP, BEYOND_FRICTION, INVALID = 0.0, 1.0, 2.0, 3.0, 4.0
 """The numbers of `handsight.contact.Reason`."""
-LARGEST = 1.7976931348623157e308
-"""The largest double."""
-LARGEST_SCALE = 2.0**1022
-"""The largest power of two whose reciprocal is a normal double."""
 
 
 def lane(function: F) -> F:
@@ -68,7 +64,7 @@ def _power_of_two(context: Any, value: Any) -> Any:
 
 @intrinsic
 def _reciprocal(context: Any, power: Any) -> Any:
-    """Returns the reciprocal of a power of two up to LARGEST_SCALE."""
+    """Returns the reciprocal of a power of two up to 2^1022."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         bits = builder.bitcast(arguments[0], ir.IntType(64))
@@ -80,8 +76,8 @@ def _reciprocal(context: Any, power: Any) -> Any:
 @lane
 def _size(value: float) -> float:
     """Returns a power of two near a positive number, by which dividing is exact and leaves nothing extreme."""
-    power = _power_of_two(value)
-    return power if power < LARGEST_SCALE else LARGEST_SCALE
+    power, largest = _power_of_two(value), 2.0**1022  # whose reciprocal is a normal double
+    return power if power < largest else largest
 
 
 @lane
@@ -97,9 +93,9 @@ def _largest(v: Vec3) -> float:
 @lane
 def rescaled(value: float, size: float) -> float:
     """Returns the product, or the largest double where the product overflows."""
-    product = value * size
-    product = product if product < LARGEST else LARGEST
-    return product if product > -LARGEST else -LARGEST
+    product, largest = value * size, 1.7976931348623157e308
+    product = product if product < largest else largest
+    return product if product > -largest else -largest
 
 
 class Fingertip(NamedTuple):
