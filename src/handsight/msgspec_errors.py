@@ -80,7 +80,7 @@ def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[F
     if found := re.fullmatch(r"Object missing required field `(.*)`", text):
         return (*path, found[1]), "expected, got nothing"
     if text.startswith("Invalid enum value"):
-        allowed = _alternatives(form)
+        allowed = alternatives(form)
         names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]
         others = "".join(f"{_kind_text('array', form)} or " for kind in allowed if get_origin(kind) is tuple)
         expected = f"expected {others}one of {', '.join(names)}"
@@ -102,7 +102,7 @@ def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[F
 
 def _kind_text(kind: str, form: object) -> str:
     """Returns the words for one of msgspec's kinds of values."""
-    sizes = [len(get_args(part)) for part in _alternatives(form) if get_origin(part) is tuple]
+    sizes = [len(get_args(part)) for part in alternatives(form) if get_origin(part) is tuple]
     texts = {
         "object": "keys and values",
         "array": f"{sizes[0]} finite numbers" if sizes else "a list",
@@ -114,18 +114,18 @@ def _kind_text(kind: str, form: object) -> str:
     return texts.get(kind, kind)
 
 
-def _alternatives(form: object) -> list[object]:
+def alternatives(form: object) -> list[object]:
     """Returns the types that a type allows: those of a union, without annotations."""
     if get_origin(form) is Annotated:
-        return _alternatives(get_args(form)[0])
+        return alternatives(get_args(form)[0])
     if get_origin(form) in (Union, types.UnionType):
-        return [kind for part in get_args(form) for kind in _alternatives(part)]
+        return [kind for part in get_args(form) for kind in alternatives(part)]
     return [form]
 
 
 def _field_types(form: object) -> dict[str, object]:
     """Returns the types of a form's fields by the keys they have in the document."""
-    for kind in _alternatives(form):
+    for kind in alternatives(form):
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
     return {}
@@ -133,7 +133,7 @@ def _field_types(form: object) -> dict[str, object]:
 
 def _entry_form(form: object, step: str | int) -> object:
     """Returns the type of the value under a key, at a place of a list, or in any entry of a mapping."""
-    for kind in _alternatives(form):
+    for kind in alternatives(form):
         if get_origin(kind) is tuple:
             return get_args(kind)[int(step)]
         if get_origin(kind) not in (None, Literal):

@@ -6,8 +6,8 @@ Lengths are in metres, angles in degrees, forces in newtons. Every sigma is one 
 
 from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+from types import NoneType
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,6 +19,7 @@ from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
 from handsight.contact.taxels import TaxelArray
 from handsight.errors import HandsightError
+from handsight.msgspec_errors import alternatives
 from handsight.rig.rig import Camera, DepthCamera, Finger, ObjectEntry, check_lens
 
 VERSION = 1
@@ -38,10 +39,10 @@ class Key(NamedTuple):
     text: str
     """The key in the file."""
     kind: object
-    """The type of its value, without annotations and None."""
+    """The first type of its value that is not None, without annotations."""
     comment: str
-    metres: float
-    kilograms: float
+    metres: float = 0.0
+    kilograms: float = 0.0
 
 
 @cache
@@ -49,27 +50,11 @@ def keys(form: type["Form"]) -> tuple[Key, ...]:
     """Returns the keys of a form in the order in which they are written."""
     declared = []
     for item in msgspec.structs.fields(form):
-        kinds, metas, open_kinds = list[object](), list[Meta](), [item.type]
-        while open_kinds:
-            kind = open_kinds.pop(0)
-            if get_origin(kind) is Annotated:
-                open_kinds.append(get_args(kind)[0])
-                metas += kind.__metadata__
-            elif get_origin(kind) in (Union, UnionType):
-                open_kinds += get_args(kind)
-            elif kind is not NoneType:
-                kinds.append(kind)
-        extra = {name: value for meta in metas for name, value in (meta.extra or {}).items() if value}
-        declared.append(
-            Key(
-                item.name,
-                item.encode_name,
-                kinds[0] if len(kinds) == 1 else object,
-                next((meta.description for meta in metas if meta.description), ""),
-                extra.get("metres", 0.0),
-                extra.get("kilograms", 0.0),
-            )
-        )
+        metas = getattr(item.type, "__metadata__", ())
+        extra = {name: value for meta in metas for name, value in (meta.extra or {}).items()}
+        comment = next((meta.description for meta in metas if meta.description), "")
+        kind = next(kind for kind in alternatives(item.type) if kind is not NoneType)
+        declared.append(Key(item.name, item.encode_name, kind, comment, **extra))
     return tuple(declared)
 
 
@@ -136,7 +121,7 @@ class LinkPoseForm(PoseForm):
 class HandForm(Section):
     file: Annotated[Text, key("URDF or MJCF")]
     palm: Text
-    sigma_joint_offset: Annotated[Angle, key("constant error of each joint angle")] | None = field(
+    sigma_joint_offset: Annotated[Angle | None, key("constant error of each joint angle")] = field(
         name="joint_offset_deg", default=None
     )
     sigma_joint: Angle | None = field(name="joint_noise_deg", default=None)
