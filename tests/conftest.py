@@ -19,9 +19,9 @@ with contextlib.suppress(ImportError):  # not on Windows: there workers may do t
 # checkout that others can write to.
 with warnings.catch_warnings(action="ignore", category=cache_folder.CacheWarning):
     os.environ.setdefault(
-        "NUMBA_CACHE_DIR", str(cache_folder.own(Path(__file__).parents[1] / ".kernel_cache"))
+        "NUMBA_CACHE_DIR", str(cache_folder.private_folder(Path(__file__).parents[1] / ".kernel_cache"))
     )
-cache_folder._tell.cache_clear()
+cache_folder._warn_once.cache_clear()
 
 
 # The same examples every time, however busy the machine; other ones with --hypothesis-profile=explore.

@@ -14,7 +14,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.hand.shape import HandShape
+from handsight.hand.surface import HandShape
 from handsight.objects.symmetry import Symmetries, about
 from handsight.simulation.camera import spoil
 from handsight.vision.camera import PinholeCamera

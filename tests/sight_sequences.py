@@ -8,7 +8,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.hand.shape import HandShape
+from handsight.hand.surface import HandShape
 from handsight.simulation.camera import spoil
 from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT

@@ -17,14 +17,14 @@ root = pytest.mark.skipif(getattr(os, "getuid", lambda: 1)() != 0, reason="only 
 
 @pytest.fixture(autouse=True)
 def nothing_said_yet(monkeypatch, tmp_path):
-    cache_folder._tell.cache_clear()
-    cache_folder._temporary.cache_clear()
+    cache_folder._warn_once.cache_clear()
+    cache_folder._temporary_folder.cache_clear()
     monkeypatch.setattr(cache_folder.tempfile, "tempdir", str(tmp_path))
     for name in ("HANDSIGHT_CACHE", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
         monkeypatch.delenv(name, raising=False)
     yield
-    cache_folder._tell.cache_clear()
-    cache_folder._temporary.cache_clear()
+    cache_folder._warn_once.cache_clear()
+    cache_folder._temporary_folder.cache_clear()
 
 
 def refused(folder, monkeypatch, match):
@@ -71,10 +71,10 @@ def test_a_group_may_write_that_is_the_users_own(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     folder.mkdir()
     folder.chmod(0o775)
-    monkeypatch.setattr(cache_folder, "_is_mine_alone", lambda gid: gid == folder.stat().st_gid)
+    monkeypatch.setattr(cache_folder, "_is_private_group", lambda gid: gid == folder.stat().st_gid)
     monkeypatch.setenv("HANDSIGHT_CACHE", str(folder))
     assert cache_folder.cache_folder() == folder
-    monkeypatch.setattr(cache_folder, "_is_mine_alone", lambda gid: False)
+    monkeypatch.setattr(cache_folder, "_is_private_group", lambda gid: False)
     refused(folder, monkeypatch, "others can write to")
 
 
@@ -166,32 +166,32 @@ def test_where_nothing_can_be_written_nothing_is_kept(tmp_path, monkeypatch):
     with pytest.warns(CacheWarning, match="no home"):
         folder = cache_folder.cache_folder()
     with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
-        cache_folder.write(folder / "file", "name", b"content")
+        cache_folder.write_entry(folder / "file", "name", b"content")
 
 
 def test_a_file_is_read_as_it_was_written_under_its_name(tmp_path):
     path = tmp_path / "new" / "file.nbc"
     before = os.umask(0)
     try:
-        cache_folder.write(path, "name", b"content")
+        cache_folder.write_entry(path, "name", b"content")
     finally:
         os.umask(before)
-    assert bytes(cache_folder.read(path, "name")) == b"content"
+    assert bytes(cache_folder.read_entry(path, "name")) == b"content"
     assert path.parent.stat().st_mode & 0o022 == path.stat().st_mode & 0o022 == 0
     assert [one.name for one in path.parent.iterdir()] == ["file.nbc"]
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     with pytest.raises(ValueError, match="another name"):
-        cache_folder.read(path, "other")
-    damages = [whole[:k] for k in range(len(whole))]
+        cache_folder.read_entry(path, "other")
+    damages = [complete[:k] for k in range(len(complete))]
     damages += [
-        whole[:k] + bytes([whole[k] ^ 1 << bit]) + whole[k + 1 :]
-        for k in range(len(whole))
+        complete[:k] + bytes([complete[k] ^ 1 << bit]) + complete[k + 1 :]
+        for k in range(len(complete))
         for bit in range(8)
     ]
-    for damage in [*damages, b"\0" * len(whole), whole + b"\0"]:
+    for damage in [*damages, b"\0" * len(complete), complete + b"\0"]:
         path.write_bytes(damage)
         with pytest.raises(ValueError, match="damaged"):
-            cache_folder.read(path, "name")
+            cache_folder.read_entry(path, "name")
 
 
 def test_nothing_is_said_where_nothing_is_wrong(tmp_path, monkeypatch):

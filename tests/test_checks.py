@@ -158,7 +158,7 @@ def test_a_variance_of_zero_allows_no_covariance_beside_it():
     ],
 )
 def test_a_shape_is_said_in_words(shape, words):
-    assert checks.describe(shape) == words
+    assert checks.describe_shape(shape) == words
 
 
 def test_a_long_value_is_cut_to_eighty_characters():
@@ -214,14 +214,14 @@ def test_messages_say_no_addresses():
 
 
 def test_whole_numbers_are_bounded():
-    assert checks.whole(np.int64(3), "samples", 10) == 3
+    assert checks.integer(np.int64(3), "samples", 10) == 3
     for value in (-1, 11, 1.0, True, "1", None, 10**5000):
         with pytest.raises(InvalidInput, match="samples: expected a whole number from 0 to 10, got"):
-            checks.whole(value, "samples", 10)
+            checks.integer(value, "samples", 10)
 
 
 def test_the_nearest_name_takes_no_time_among_many_or_for_a_long_one():
     began = time.perf_counter()
-    assert checks.among("x" * 10**6, ["xx", "yy"]) == "; valid: xx, yy"
-    checks.among("n" * 90, [f"{'n' * 90}{i}" for i in range(40_000)])
+    assert checks.suggestion("x" * 10**6, ["xx", "yy"]) == "; valid: xx, yy"
+    checks.suggestion("n" * 90, [f"{'n' * 90}{i}" for i in range(40_000)])
     assert time.perf_counter() - began < 10

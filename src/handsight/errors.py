@@ -1,35 +1,31 @@
-"""What can be wrong with an input. Each message names the argument, what was expected and what came."""
+"""The exceptions for wrong inputs: each message names the input, what was expected and what came."""
 
 import re
 
-MOST_CHARACTERS = 1000
-"""Of a message: it quotes what came, which may be anything."""
-_ADDRESS = re.compile(r"(?<=[\w)]) at 0x[0-9a-fA-F]+(?=>)")
-
 
 def without_addresses(text: str) -> str:
-    """`text` without where its objects are, as Python's `repr` says: messages are counted, and it is never the same."""
-    return _ADDRESS.sub("", text)
+    """Returns `text` without memory addresses, so that equal problems have equal messages and are counted as one."""
+    return re.sub(r"(?<=[\w)]) at 0x[0-9a-fA-F]+(?=>)", "", text)
 
 
 def printable(text: str) -> str:
-    """`text` in one line, with escapes such as \\x1b for what a terminal would obey or an encoding refuses."""
+    """Returns `text` in one line of at most 1000 characters, with escapes such as \\x1b for unprintable ones."""
     text = without_addresses(text)
     if not text.isprintable():
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if len(text) <= MOST_CHARACTERS else text[: MOST_CHARACTERS - 4] + " ..."
+    return text if len(text) <= 1000 else text[:996] + " ..."  # a message quotes what came, which may be long
 
 
 class HandsightError(Exception):
-    """Any input that handsight refuses; catch this to catch them all."""
+    """The base class of every error about an input; catching it catches them all."""
 
     def __init__(self, message: str = "") -> None:
-        """The message is kept as `printable`: parts of it come from files, topics and arguments."""
+        """The message is made `printable`, because parts of it come from files, topics and arguments."""
         super().__init__(printable(message))
 
 
 class InvalidInput(HandsightError, ValueError):
-    """An argument has the wrong shape, unit, range or is not finite."""
+    """An argument has the wrong shape, unit or range, or is not finite."""
 
 
 class InvalidTransform(InvalidInput):
@@ -37,16 +33,16 @@ class InvalidTransform(InvalidInput):
 
 
 class InvalidObject(HandsightError, ValueError):
-    """A mesh, a cloud or a size from which no object model can be made."""
+    """No object model can be made from a mesh, a point cloud or a size."""
 
 
 class InvalidFile(HandsightError, ValueError):
-    """A file that cannot be read as what it should be; the message starts with its name."""
+    """A file cannot be read as what it should be; the message starts with the file's name."""
 
 
 class NotWritten(InvalidFile):
-    """A file or a stream that cannot be written: a full disk, a folder that is not there, no permission."""
+    """A file or a stream cannot be written: the disk is full, the folder is missing, or permission is denied."""
 
 
 class MissingExtra(HandsightError, ImportError):
-    """An optional dependency is not installed; the message says which `pip install` brings it."""
+    """An optional dependency is not installed; the message names the `pip install` that brings it."""

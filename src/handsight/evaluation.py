@@ -1,4 +1,4 @@
-"""Errors of poses against a known truth, modulo the object's symmetries."""
+"""Errors of estimated poses against the true ones, up to the object's symmetries."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,27 +11,24 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.tracking.replay import Step
 
-MAX_TRUTH_GAP = 0.05
-"""A truth farther from an observation than this is not its truth [s]."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackErrors:
-    """How far poses in the palm were from the truth."""
+    """`TrackErrors` are the errors of poses in the palm, one row for each pose."""
 
     base: Array
-    """(n,) of the centre of the base, in the table's plane, as the paper measures it [m]; in the palm's x and y where
-    the palm's pose in the world is not known."""
+    """(n,) error of the centre of the base in the table's plane, as the paper measures it [m]; in the palm's x and y
+    where the palm's pose in the world is unknown."""
     middle: Array
-    """(n,) of the object's middle, in space [m]."""
+    """(n,) error of the object's middle, in space [m]."""
     rotation: Array
-    """(n,) [rad]"""
+    """(n,) angle between estimated and true rotation [rad]."""
 
     def __len__(self) -> int:
         return len(self.base)
 
     def summary(self) -> dict[str, float]:
-        """Means and last values in millimetres and degrees, and how many there are; of no errors there is none."""
+        """Returns the means and the last values [mm, degrees] and the number of errors; needs at least one."""
         return {
             "base_mean": 1e3 * float(self.base.mean()),
             "base_last": 1e3 * float(self.base[-1]),
@@ -43,7 +40,7 @@ class TrackErrors:
 
 
 def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Array) -> TrackErrors:
-    """Errors of poses in the palm, each of the three stacks (n, 4, 4)."""
+    """Returns the errors of poses in the palm; each of the three stacks is (n, 4, 4)."""
     true = nearest(model.symmetries, Ts_true, Ts, model.radius)
     bases = base_center(model, Ts_world_palm @ Ts_true)[:, None]
     base = (se3.apply(Ts_world_palm @ Ts, bases) - se3.apply(Ts_world_palm @ true, bases))[:, 0, :2]
@@ -53,7 +50,7 @@ def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Ar
 
 
 def base_center(model: ObjectModel, T_world_object: Array) -> Array:
-    """(..., 3) in the object's frame [m]: the middle of the side of its bounding box that faces down in the world."""
+    """Returns the middle (..., 3) of the side of the object's bounding box that faces down, in its own frame [m]."""
     low, high = model.bounds_object
     down = -T_world_object[..., 2, :3]
     axis = np.argmax(np.abs(down), axis=-1)[..., None]
@@ -64,7 +61,7 @@ def base_center(model: ObjectModel, T_world_object: Array) -> Array:
 
 
 class Truths:
-    """True poses in the palm by stamp."""
+    """`Truths` are true poses of the object in the palm by stamp."""
 
     def __init__(self, stamped: Iterable[tuple[float, Array]]) -> None:
         """`stamped`: (stamp [s], T_palm_object (4, 4)), in any order."""
@@ -73,15 +70,15 @@ class Truths:
         self._between = (stamps[:-1] + stamps[1:]) / 2
 
     def at(self, stamp: float) -> Array | None:
-        """The truth nearest in time; None where there is none near enough."""
+        """Returns the true pose (4, 4) nearest in time; None where none is within 50 ms."""
         if not self._rows:
             return None
         nearest_stamp, T = self._rows[np.searchsorted(self._between, stamp)]
-        return T if abs(nearest_stamp - stamp) <= MAX_TRUTH_GAP else None
+        return T if abs(nearest_stamp - stamp) <= 0.05 else None
 
 
 def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, vision: bool) -> TrackErrors:
-    """Errors of the estimates, or of what vision measured, at the steps whose truth is known."""
+    """Returns the errors of the estimates, or with `vision` of vision's poses, at the steps with a known truth."""
     rows = []
     for step in steps:
         T = step.T_palm_object_vision if vision else step.estimate.T_palm_object
@@ -95,14 +92,14 @@ def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, v
 
 @dataclass(frozen=True, slots=True)
 class CorrectionErrors:
-    """How far one pose is from the truth, and from the contacts."""
+    """`CorrectionErrors` say how far one corrected pose is from the truth, and from the contacts."""
 
     shift: float
-    """Of the object's origin [m]."""
+    """Error of the object's origin [m]."""
     shift_observable: float
-    """The part of it along directions that the contacts tell [m]."""
+    """The part of `shift` along directions that are observable by the contacts [m]."""
     turn: float
-    """[rad]"""
+    """Angle between estimated and true rotation [rad]."""
     gap: float
     """Mean distance of the contacts to the object's surface [m]."""
 
@@ -110,7 +107,7 @@ class CorrectionErrors:
 def correction_errors(
     model: ObjectModel, T_palm_object: Array, T_true: Array, points_palm: Array, unobservable: Array
 ) -> CorrectionErrors:
-    """Errors of a pose whose contacts (k, 3) [m] leave the directions (m, 6) of `PoseEstimate.unobservable` open."""
+    """Returns the errors of a pose corrected by contacts (k, 3) [m]; `unobservable` (m, 6) as in its `PoseEstimate`."""
     equivalent = nearest(model.symmetries, T_true, T_palm_object, model.radius)
     delta = se3.difference(T_palm_object, equivalent) * np.array([1.0] * 3 + [model.radius] * 3)
     observable = delta - unobservable.T @ (unobservable @ delta)

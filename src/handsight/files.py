@@ -1,22 +1,23 @@
-"""Files and streams that a user names: read whole, written, told apart, and what they are called in a message."""
+"""Files and streams that a user names: reading them in bounds, writing them completely, and their names in messages."""
 
+import contextlib
 import os
+import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from handsight.errors import InvalidFile, NotWritten
 
 STREAMS = ("stdin", "stdout", "stderr")
-"""By their numbers."""
+"""Names of the standard streams, by their file descriptors."""
 
 
 def open_regular(path: str | os.PathLike[str], name: str | None = None) -> BinaryIO:
-    """A regular file (or a link to one), open to read its bytes; raises InvalidFile, which begins with `name`.
+    """Returns a regular file, or a link to one, open to read its bytes; raises InvalidFile.
 
-    A folder, a device or a pipe is not even opened. `name`: the path where None.
+    A folder, a device or a pipe is not even opened. Messages begin with `name`, or with the path where it is None.
     """
     name = str(path) if name is None else name
     try:
@@ -27,15 +28,14 @@ def open_regular(path: str | os.PathLike[str], name: str | None = None) -> Binar
         raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
     except ValueError:  # a null byte in the path
         raise InvalidFile(f"{name!r}: not a path") from None
-    raise InvalidFile(
-        f"{name}: expected a file, got {'a folder' if stat.S_ISDIR(mode) else 'something else'}"
-    )
+    came = "a folder" if stat.S_ISDIR(mode) else "something else"
+    raise InvalidFile(f"{name}: expected a file, got {came}")
 
 
 def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None) -> bytes:
-    """All that is in a regular file of at most so many bytes when it is opened; raises InvalidFile as `open_regular`.
+    """Returns the bytes of a regular file of at most `most` bytes; raises InvalidFile as `open_regular` does.
 
-    A file that grows meanwhile is read as far as it was.
+    Of a file that grows meanwhile, the part that was there when it was opened is returned.
     """
     with open_regular(path, name) as file:
         size = os.fstat(file.fileno()).st_size
@@ -47,9 +47,9 @@ def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None)
             raise InvalidFile(f"{name or path}: cannot be read: {error.strerror or error}") from None
 
 
-@contextmanager
-def written(name: str | os.PathLike[str]) -> Iterator[None]:
-    """What the system refuses within is a NotWritten that begins with the name; that nobody reads is not."""
+@contextlib.contextmanager
+def write_errors(name: str | os.PathLike[str]) -> Iterator[None]:
+    """Turns an OSError inside into a NotWritten that begins with the name; a BrokenPipeError stays as it is."""
     try:
         yield
     except BrokenPipeError:
@@ -58,32 +58,47 @@ def written(name: str | os.PathLike[str]) -> Iterator[None]:
         raise NotWritten(f"{name}: cannot be written: {error.strerror or error}") from None
 
 
-def called(stream: Any) -> str:
-    """What a stream is called in a message."""
+@contextlib.contextmanager
+def atomic_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Yields a new file that gets the name `path` at the end, complete; after an error, `path` is as it was before.
+
+    `mode`: the file's permissions before the umask. Safe under several processes. Raises OSError.
+    """
+    temporary = path.with_name(f".{path.name}-{secrets.token_hex(8)}.part")
+    try:
+        with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
+            yield file
+        os.replace(temporary, path)
+    finally:  # it still exists only after an error
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+
+
+def stream_name(stream: object) -> str:
+    """Returns the name of a stream for a message."""
     name = getattr(stream, "name", "stream")
     if isinstance(name, int) and name in range(len(STREAMS)):
         return STREAMS[name]
     return str(name).strip("<>")
 
 
-def apart(written: Any, what: str, other: Any, whose: str) -> None:
-    """Raises InvalidFile where writing `what` to one place would overwrite the other; places are paths and streams.
+def check_not_overwritten(destination: object, what: str, other: object, whose: str) -> None:
+    """Raises InvalidFile where writing `what` to `destination` would overwrite the file `other`, which holds `whose`.
 
-    Links to one file are one place. A terminal, a pipe or None is no place: nothing there is overwritten.
+    Both are paths, streams or None. Links to one file are that file. A terminal, a pipe or None overwrites nothing.
     """
-    place = _place(written)
-    if place is not None and place == _place(other):
-        name = written if isinstance(written, str | os.PathLike) else called(written)
-        raise InvalidFile(f"{name}: {what} would overwrite {whose}")
+    identity = _file_identity(destination)
+    if identity is not None and identity == _file_identity(other):
+        is_path = isinstance(destination, str | os.PathLike)
+        raise InvalidFile(
+            f"{destination if is_path else stream_name(destination)}: {what} would overwrite {whose}"
+        )
 
 
-def _place(given: Any) -> tuple[Any, ...] | None:
-    """What two names of the same file have in common."""
-    if given is None:
-        return None
-    named = isinstance(given, str | os.PathLike)
+def _file_identity(place: object) -> tuple[str] | tuple[int, int] | None:
+    """Returns what all paths and streams of one file have in common; None where there is no file."""
     try:
-        found = os.stat(given if named else given.fileno())
+        found = os.stat(place if isinstance(place, str | os.PathLike) else place.fileno())  # type: ignore[attr-defined]
     except (OSError, ValueError, AttributeError):  # not yet a file, or never one
-        return (os.path.realpath(Path(given)),) if named else None
+        return (os.path.realpath(Path(place)),) if isinstance(place, str | os.PathLike) else None
     return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None

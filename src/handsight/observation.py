@@ -1,6 +1,6 @@
-"""What the robot measured at one instant.
+"""What a robot measured at one instant.
 
-What is missing is None, or not in the mapping: nothing stands for a reading that was not taken.
+A measurement that was not taken is None, or has no entry in its mapping; no number stands for it.
 """
 
 from collections.abc import Mapping
@@ -15,23 +15,23 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 
 VisionFrame = Literal["camera", "world", "palm"]
-LATEST = 1e11
-"""No stamp is beyond it [s], some 3000 years: what is, is in milliseconds or nanoseconds."""
+MAX_STAMP = 1e11
+"""Largest stamp [s], some 3000 years; a larger one is in milliseconds or nanoseconds."""
 VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMeasurement:
-    """Where vision says the object is."""
+    """A `PoseMeasurement` is the object's pose as vision measured it."""
 
     T_frame_object: Array
-    """(4, 4)."""
+    """(4, 4) pose of the object in `frame`."""
     frame: VisionFrame = "camera"
-    """In what the pose is given: the rig's camera (optical frame), the world or the palm."""
+    """Frame of the pose: the rig's camera (optical frame), the world or the palm."""
     covariance: Array | None = None
-    """(6, 6) of (δp [m], δθ [rad]) along the frame's axes; None: vision does not say, the rig does."""
+    """(6, 6) covariance of (δp [m], δθ [rad]) along the frame's axes; None: that of the rig's camera is used."""
     stamp: float | None = None
-    """When what it is seen in was taken [s], as the observation's; None: at the observation's."""
+    """Time at which the image was taken [s], of the observation's clock; None: the observation's stamp."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
@@ -49,20 +49,20 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMeasurement:
-    """Where a fingertip that senses contacts itself says it is touched."""
+    """A `ContactMeasurement` is a contact that a fingertip with a sensor of its own for contacts has measured."""
 
     point: Array
-    """(3,) [m]."""
+    """(3,) position [m]."""
     normal: Array
-    """(3,) the way the object pushes the tip. It is turned to lead into the tip, and its length does not matter."""
+    """(3,) direction in which the object pushes the tip, of any length; one that leads out of the tip is reversed."""
     frame: str = "tip"
-    """In what both are given: `tip` (the rig's: origin at the surface's centre, the tip points along +z), `palm`, or
+    """Frame of point and normal: `tip` (the rig's: origin at the surface's centre, the tip points along +z), `palm`, or
     the name of the body that the tip moves with."""
     force: float | None = None
-    """Along the normal [N]; None: it does not say. Below the tip's `min_force` there is no contact."""
+    """Force along the normal [N]; None: not measured. Below the tip's `min_force` there is no contact."""
     covariance: Array | None = None
-    """(6, 6) of point [m] and normal [rad] along the frame's axes, the joints' errors not in it; None: as the rig's
-    finger says."""
+    """(6, 6) covariance of point [m] and normal [rad] along the frame's axes, without the joints' errors; None: that of
+    the rig's finger is used."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", checks.position(self.point, "contact.point", (3,)))
@@ -79,45 +79,44 @@ class ContactMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """Joints, wrenches, vision and the palm's pose at one instant, each only if it was measured.
+    """An `Observation` holds joints, wrenches, vision and the palm's pose at one instant, each only if it was measured.
 
-    It is checked where it is used, as its arrays are the caller's: by `Tracker.update`, or where it is written.
+    Its arrays belong to the caller, so they are checked where they are used: by `Tracker.update`, or by a writer.
     """
 
     stamp: float
-    """When [s], of one clock for all that is in it; within `LATEST`."""
+    """Time [s] within `MAX_STAMP`, of one clock for the whole observation."""
     joint_positions: Mapping[str, float] | None = None
-    """By joint name [rad]; joints of other parts of the robot may be among them."""
+    """Positions by joint name [rad]; joints of other parts of the robot may be among them."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
-    """By finger: (6,) force [N] and torque [N m] as the sensor reads them, in its frame and about its origin, bias
-    and weight still in them. NaN among them: the sensor has no reading. Sensors of other parts of the robot may be
-    among them."""
+    """By finger: (6,) raw force [N] and torque [N m] in the sensor's frame, about its origin, with bias and the tip's
+    weight in them; NaN where the sensor has no reading. Sensors of other parts of the robot may be among them."""
     vision: PoseMeasurement | None = None
-    """A pose from vision that arrived since the last observation."""
+    """Pose from vision that arrived since the last observation."""
     T_world_palm: Array | None = None
-    """(4, 4)."""
+    """(4, 4) pose of the palm in the world."""
     color: NDArray[np.uint8] | None = None
-    """(h, w, 3) red, green, blue; an image that arrived since the last observation."""
+    """(h, w, 3) image in red, green, blue that arrived since the last observation."""
     depth: NDArray[np.float32] | None = None
-    """(h, w) along the optical axis [m], NaN where there is none."""
+    """(h, w) depth along the optical axis [m], NaN where there is none."""
     image_stamp: float | None = None
-    """When the images were taken [s], of the same clock; None: at `stamp`."""
+    """Time at which the images were taken [s], of the same clock; None: `stamp`."""
     contacts: Mapping[str, ContactMeasurement | None] = field(default_factory=dict)
-    """By finger, of tips that sense contacts themselves; None: it says that it touches nothing. Such a finger's
-    wrench is not asked for a contact."""
+    """By finger, contacts of tips that sense them directly; None: the tip touches nothing. No contact is then computed
+    from that finger's wrench."""
     skin: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """By tactile array: (rows, columns) what its taxels read; NaN: that taxel reads nothing."""
+    """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has none."""
 
 
-def checked(observation: Observation) -> Observation:
-    """The observation with its stamp as a float and a `T_world_palm` of its own; raises InvalidInput.
+def check_observation(observation: Observation) -> Observation:
+    """Returns the observation with its stamp as a float and a copy of `T_world_palm`; raises InvalidInput.
 
-    Joint positions, wrenches and images are left to those who read them: they know of which joints and fingers.
+    Joint positions, wrenches and images are checked by the functions that use them, which know the joints and fingers.
     """
     if not isinstance(observation, Observation):
         raise InvalidInput(f"observation: expected an Observation, got {type(observation).__name__}")
     stamp, vision, T = observation.stamp, observation.vision, observation.T_world_palm
-    if type(stamp) is not float or not -LATEST <= stamp <= LATEST:
+    if type(stamp) is not float or not -MAX_STAMP <= stamp <= MAX_STAMP:
         stamp = _seconds(stamp, "observation.stamp")
     if vision is not None and not isinstance(vision, PoseMeasurement):
         came = type(vision).__name__
@@ -125,18 +124,19 @@ def checked(observation: Observation) -> Observation:
     if T is not None:
         T = se3.check(T, "observation.T_world_palm")
         T.setflags(write=False)
-    joints, wrenches, taken = observation.joint_positions, observation.wrenches, observation.image_stamp
-    if taken is not None:
-        taken = _seconds(taken, "observation.image_stamp")
-    color, depth = observation.color, observation.depth
-    touched = observation.contacts, observation.skin
-    return Observation(stamp, joints, wrenches, vision, T, color, depth, taken, *touched)
+    image_stamp = observation.image_stamp
+    if image_stamp is not None:
+        image_stamp = _seconds(image_stamp, "observation.image_stamp")
+    # By position: `dataclasses.replace` takes several times as long.
+    joints_wrenches = observation.joint_positions, observation.wrenches
+    images, touch = (observation.color, observation.depth), (observation.contacts, observation.skin)
+    return Observation(stamp, *joints_wrenches, vision, T, *images, image_stamp, *touch)
 
 
 def _seconds(stamp: float, name: str) -> float:
-    """A stamp as a float; raises InvalidInput where it is none."""
+    """Returns a stamp [s] as a float; raises InvalidInput for what is no time in seconds."""
     seconds = float(checks.finite(stamp, name, ()))
-    if abs(seconds) > LATEST:
-        expected = f"expected seconds within {LATEST:g}"
+    if abs(seconds) > MAX_STAMP:
+        expected = f"expected seconds within {MAX_STAMP:g}"
         raise InvalidInput(f"{name}: {expected}, got {seconds:g} (milliseconds or nanoseconds?)")
     return seconds

@@ -1,25 +1,25 @@
-"""Rigid transforms as (..., 4, 4) float64 arrays; every function takes stacks.
+"""Rigid transforms as (..., 4, 4) float64 arrays; every function takes stacks of them.
 
 `T_a_b` maps b-coordinates to a: `p_a = T_a_b @ p_b`. Neighbours cancel:
 `T_palm_object = T_palm_camera @ T_camera_object`.
 
-A *perturbation* `(δp, δθ)`, translation [m] first, rotation [rad] second, gives `p + δp`, `exp(δθ) @ R`, both along
-the outer frame's axes. Covariances and Jacobians of a pose are for it (ROS' PoseWithCovariance).
+A *perturbation* `(δp, δθ)`, translation [m] first, rotation [rad] second, turns `(p, R)` into `(p + δp, exp(δθ) @ R)`,
+both along the outer frame's axes. Covariances and Jacobians of a pose are for this perturbation (as in ROS'
+PoseWithCovariance).
 """
 
 import math
-from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handsight.checks import FARTHEST, Array, finite, position, unit
+from handsight.checks import MAX_DISTANCE, Array, finite, position, unit
 from handsight.errors import InvalidInput, InvalidTransform
 
 
 def check(T: ArrayLike, name: str) -> Array:
-    """A copy of `T`, (4, 4), if it is a rigid transform on or near a robot; raises InvalidTransform otherwise."""
-    if _surely_rigid(T):
+    """Returns a copy of `T` (4, 4) if it is a rigid transform on or near a robot; raises InvalidTransform."""
+    if _is_clearly_rigid(T):
         return np.array(T)
     try:
         array = finite(T, name, (4, 4))
@@ -27,7 +27,7 @@ def check(T: ArrayLike, name: str) -> Array:
     except InvalidInput as error:
         raise InvalidTransform(str(error)) from None
     R = array[:3, :3]
-    # What is huge would overflow.
+    # Huge entries would overflow.
     drift = np.abs(R.T @ R - np.eye(3)).max() if np.abs(R).max() < 2 else np.inf
     if not drift < 1e-6:
         raise InvalidTransform(f"{name}: rotation is not orthonormal (drift {drift:.1e})")
@@ -38,8 +38,8 @@ def check(T: ArrayLike, name: str) -> Array:
     return array
 
 
-def _surely_rigid(T: object) -> bool:
-    """Whether `check` would take it, in plain floats: a tenth of the time. False: it may."""
+def _is_clearly_rigid(T: object) -> bool:
+    """Returns True only where `check` would accept `T`; in plain floats, this takes a tenth of the time of `check`."""
     if type(T) is not np.ndarray or T.shape != (4, 4) or T.dtype != np.float64:
         return False
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = T.tolist()
@@ -52,13 +52,15 @@ def _surely_rigid(T: object) -> bool:
         + abs(b * c + e * f + h * i)
     )
     right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0
-    near = min(x, y, z) > -FARTHEST and max(x, y, z) < FARTHEST
-    # Half of what is allowed: rounding decides nothing.
-    return isfinite(x + y + z) and drift < 5e-7 and right_handed and near and last == [0.0, 0.0, 0.0, 1.0]
+    near = min(x, y, z) > -MAX_DISTANCE and max(x, y, z) < MAX_DISTANCE
+    # Half of the tolerance of `check`, so that rounding decides nothing.
+    return (
+        math.isfinite(x + y + z) and drift < 5e-7 and right_handed and near and last == [0.0, 0.0, 0.0, 1.0]
+    )
 
 
 def compose(R: Array, p: Array) -> Array:
-    """Transforms (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3) [m]."""
+    """Returns transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3) [m]."""
     lead = R.shape[:-2] if R.shape[:-2] == p.shape[:-1] else np.broadcast_shapes(R.shape[:-2], p.shape[:-1])
     T = np.zeros((*lead, 4, 4))
     T[..., :3, :3] = R
@@ -68,13 +70,13 @@ def compose(R: Array, p: Array) -> Array:
 
 
 def inverse(T_a_b: Array) -> Array:
-    """`T_b_a`, by transposing the rotation."""
+    """Returns `T_b_a`, by transposing the rotation."""
     Rt = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     return compose(Rt, -np.einsum("...ij,...j->...i", Rt, T_a_b[..., :3, 3]))
 
 
 def apply(T_a_b: Array, points_b: Array) -> Array:
-    """Points (..., n, 3) [m] in a's coordinates."""
+    """Returns the points (..., n, 3) [m] in a's coordinates."""
     moved_points = points_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3]
     return np.asarray(moved_points, dtype=np.float64)
 
@@ -83,13 +85,11 @@ _SKEW = np.zeros((3, 9))
 _SKEW[2, 1] = _SKEW[0, 5] = _SKEW[1, 6] = -1.0
 _SKEW[1, 2] = _SKEW[2, 3] = _SKEW[0, 7] = 1.0
 _UNSKEW = _SKEW.T / 2
-TINY = 1e-300
-"""Of a squared angle: keeps x from 0 where sin x / x is 1 to rounding."""
-_EYE = np.eye(3)
+_TINY = 1e-300  # of a squared angle: keeps x from 0 where sin x / x is 1 to rounding
 
 
 def _quaternions() -> Array:
-    """(9, 16): a rotation's numbers to those of 4 q qᵀ, less the identity's."""
+    """Returns the (9, 16) map from a rotation's entries to those of 4 q qᵀ - I, q being its quaternion."""
     M = np.zeros((3, 3, 4, 4))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -102,35 +102,31 @@ def _quaternions() -> Array:
     return M.reshape(9, 16)
 
 
-_QUATERNIONS, _EYE_4 = _quaternions(), np.eye(4)
+_QUATERNIONS = _quaternions()
 
 
 def skew(v: Array) -> Array:
-    """(..., 3, 3) matrices with `skew(v) @ x = v × x`."""
+    """Returns the matrices (..., 3, 3) with `skew(v) @ x = v × x`."""
     return np.asarray((v @ _SKEW).reshape(*v.shape, 3))
 
 
 def rotation_exp(w: Array) -> Array:
-    """Rotations (..., 3, 3) about the vectors `w` (..., 3) by their length [rad] (Rodrigues)."""
-    half = 0.5 * np.sqrt(np.maximum((w * w).sum(axis=-1), TINY))[..., None, None]
+    """Returns the rotations (..., 3, 3) about the vectors `w` (..., 3) by their length [rad] (Rodrigues)."""
+    half = 0.5 * np.sqrt(np.maximum((w * w).sum(axis=-1), _TINY))[..., None, None]
     # (1 - cos x)/x² = (sin(x/2)/(x/2))²/2 and sin x/x = sin(x/2)/(x/2) cos(x/2): nothing cancels near 0.
     ratio = np.sin(half) / half
     S = skew(w)
-    return np.asarray(_EYE + (ratio * np.cos(half)) * S + (0.5 * ratio * ratio) * (S @ S))
+    return np.asarray(np.eye(3) + (ratio * np.cos(half)) * S + (0.5 * ratio * ratio) * (S @ S))
 
 
 def rotation_log(R: Array) -> Array:
-    """Rotation vectors (..., 3) [rad], length ≤ π; exact near 0 and near π."""
+    """Returns the rotation vectors (..., 3) [rad], of length ≤ π; accurate near 0 and near π."""
     vector = R.reshape(*R.shape[:-2], 9) @ _UNSKEW  # sin(angle) axis
-    sine = np.sqrt(np.maximum((vector * vector).sum(axis=-1), TINY))
+    sine = np.sqrt(np.maximum((vector * vector).sum(axis=-1), _TINY))
     cosine = (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1) / 2
-    if (cosine < -0.9).any():
-        return _log_through_quaternion(R)
-    return np.asarray((np.arctan2(sine, cosine) / sine)[..., None] * vector)
-
-
-def _log_through_quaternion(R: Array) -> Array:
-    """`rotation_log` where the sine vanishes with the cosine near -1: the quaternion keeps the axis."""
+    if not (cosine < -0.9).any():
+        return np.asarray((np.arctan2(sine, cosine) / sine)[..., None] * vector)
+    # Near half a turn the sine vanishes, and the axis with it; the quaternion keeps the axis.
     q = quaternion_from_rotation(R)
     q = np.where(q[..., 3:] < 0, -q, q)
     sine = np.linalg.norm(q[..., :3], axis=-1)
@@ -141,66 +137,61 @@ def _log_through_quaternion(R: Array) -> Array:
 
 
 def quaternion_from_rotation(R: Array) -> Array:
-    """Unit `quaternion_xyzw` (..., 4), its largest component positive (Shepperd's choice of divisor)."""
-    if R.shape == (3, 3):
-        return _one_quaternion(R)
+    """Returns unit `quaternion_xyzw` (..., 4), the largest component positive (Shepperd's choice of divisor)."""
+    if R.shape == (3, 3):  # in plain floats: for so few numbers NumPy is ten times slower
+        (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+        x, y, z, w = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
+        columns = (
+            (x, b + d, c + g, h - f),
+            (b + d, y, f + h, c - g),
+            (c + g, f + h, z, d - b),
+            (h - f, c - g, d - b, w),
+        )
+        column = columns[max(range(4), key=(x, y, z, w).__getitem__)]
+        return np.array(column) / math.hypot(*column)
     # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
-    M = _EYE_4 + (R.reshape(*R.shape[:-2], 9) @ _QUATERNIONS).reshape(*R.shape[:-2], 4, 4)
+    M = np.eye(4) + (R.reshape(*R.shape[:-2], 9) @ _QUATERNIONS).reshape(*R.shape[:-2], 4, 4)
     best = np.argmax(np.diagonal(M, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(M, best[..., None, None], axis=-1)[..., 0]
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)
 
 
-def _one_quaternion(R: Array) -> Array:
-    """`quaternion_from_rotation` of one rotation, in plain floats: for so few numbers NumPy is ten times slower."""
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    x, y, z, w = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
-    columns = (
-        (x, b + d, c + g, h - f),
-        (b + d, y, f + h, c - g),
-        (c + g, f + h, z, d - b),
-        (h - f, c - g, d - b, w),
-    )
-    column = columns[max(range(4), key=(x, y, z, w).__getitem__)]
-    return np.array(column) / math.hypot(*column)
-
-
 def rotation_from_quaternion(quaternion_xyzw: Array) -> Array:
-    """Rotations (..., 3, 3) of quaternions (..., 4); they are normalised here."""
+    """Returns the rotations (..., 3, 3) of quaternions (..., 4), which need not have length 1."""
     q = quaternion_xyzw / np.linalg.norm(quaternion_xyzw, axis=-1, keepdims=True)
     S = skew(q[..., :3])
     return np.asarray(np.eye(3) + 2 * (q[..., 3, None, None] * S + S @ S))
 
 
 def moved(T: Array, perturbation: Array) -> Array:
-    """`T` (..., 4, 4) after the perturbation (δp, δθ): `p + δp`, `exp(δθ) @ R`."""
+    """Returns `T` (..., 4, 4) after the perturbation (δp, δθ): `p + δp`, `exp(δθ) @ R`."""
     return compose(
         rotation_exp(perturbation[..., 3:]) @ T[..., :3, :3], T[..., :3, 3] + perturbation[..., :3]
     )
 
 
 def difference(T: Array, T_reference: Array) -> Array:
-    """The perturbation (δp, δθ), (..., 6), with `moved(T_reference, δ) = T`."""
+    """Returns the perturbation (δp, δθ), (..., 6), with `moved(T_reference, δ) = T`."""
     w = rotation_log(T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2))
     return np.concatenate([T[..., :3, 3] - T_reference[..., :3, 3], w], axis=-1)
 
 
 def rotate_covariance(R_a_b: Array, covariance_b: Array) -> Array:
-    """A 6 x 6 covariance or information of (δp, δθ), expressed along a's axes."""
+    """Returns a covariance or information (6, 6) of (δp, δθ) along a's axes, from one along b's axes."""
     B = np.zeros((6, 6))
     B[:3, :3] = B[3:, 3:] = R_a_b
     return np.asarray(B @ covariance_b @ B.T, dtype=np.float64)
 
 
 def random(rng: np.random.Generator, size: int | None = None, *, spread: float = 1.0) -> Array:
-    """Transforms, (4, 4) or (size, 4, 4): rotation uniform on SO(3), position N(0, spread²) per axis [m]."""
+    """Returns random transforms (4, 4) or (size, 4, 4): rotation uniform on SO(3), position N(0, spread²) [m]."""
     lead = () if size is None else (size,)
     R = rotation_from_quaternion(rng.normal(size=(*lead, 4)))
     return compose(R, spread * rng.normal(size=(*lead, 3)))
 
 
 def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) -> Array:
-    """The transform (4, 4) of a ROS pose; raises InvalidInput where the quaternion is zero or not finite."""
+    """Returns the transform (4, 4) of a ROS pose; raises InvalidInput where the quaternion is zero or not finite."""
     return compose(
         rotation_from_quaternion(unit(quaternion_xyzw, "quaternion_xyzw", (4,))),
         finite(position, "position", (3,)),
@@ -208,7 +199,7 @@ def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) ->
 
 
 def directions(n: int) -> Array:
-    """(n, 3) unit vectors, evenly around (a Fibonacci lattice)."""
+    """Returns n unit vectors (n, 3), evenly distributed over the sphere (a Fibonacci lattice)."""
     k = np.arange(n) + 0.5
     z, angle = 1 - 2 * k / n, np.pi * (1 + np.sqrt(5)) * k
     r = np.sqrt(1 - z * z)

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from contact.contact_cases import PAPER_TIP, any_tip, touches
 from handsight import se3
-from handsight.checks import STRONGEST
+from handsight.checks import MAX_LOAD
 from handsight.contact import (
     Contact,
     Ellipsoid,
@@ -285,7 +285,7 @@ TIPS = st.sampled_from(
 @settings(max_examples=400)
 def test_no_finite_wrench_gives_nan(force, torque, tip):
     batch = contacts_from_wrenches(force, torque, tip)
-    beyond = max(np.abs(force).max(), np.abs(torque).max()) > STRONGEST
+    beyond = max(np.abs(force).max(), np.abs(torque).max()) > MAX_LOAD
     assert (batch.reasons[0] == Reason.INVALID) == beyond
     for values in (batch.points, batch.normals, batch.forces, batch.forces_normal, batch.torques):
         assert np.isfinite(values).all()

@@ -14,8 +14,7 @@ from handsight.contact import (
     contact_from_wrench,
     convert,
 )
-from handsight.contact.contact_table import COLUMNS
-from handsight.contact.wrench_table import read_wrenches
+from handsight.contact.tables import COLUMNS, read_wrenches
 from handsight.errors import InvalidFile, InvalidInput
 
 TIP = Ellipsoid(PAPER_TIP, cap=0.0, max_friction=1.0)

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from handsight import se3
 from handsight.contact import TaxelArray
-from handsight.contact.taxels import MOST_CONTACTS, RAISED
+from handsight.contact.taxels import CLEARANCE, MAX_CONTACTS
 from handsight.errors import InvalidInput
 
 ARRAY = TaxelArray(frame="palm", T_frame_grid=np.eye(4), rows=6, columns=9, pitch=0.004, threshold=0.1)
@@ -48,7 +48,7 @@ def test_untouched_ones_are_points_above_the_skin():
     touch = ARRAY.touch(block())
     points = se3.apply(se3.inverse(T), touch.outside(T))
     assert len(points) == touch.untouched.sum() == 54 - 12
-    np.testing.assert_allclose(points[:, 2], RAISED, atol=1e-12)
+    np.testing.assert_allclose(points[:, 2], CLEARANCE, atol=1e-12)
 
 
 def test_nothing_is_pressed_below_the_threshold():
@@ -106,7 +106,7 @@ def test_a_taxel_at_full_scale_is_pressed_whatever_its_offset():
 def test_of_many_taxels_the_outermost_are_kept():
     array = replace(ARRAY, rows=20, columns=20)
     contacts = array.touch(np.ones((20, 20))).contacts(np.eye(4))
-    assert len(contacts) == MOST_CONTACTS
+    assert len(contacts) == MAX_CONTACTS
     corners = np.abs(contacts.points_palm[:, :2]).min(axis=1) > 0.0379
     assert corners.sum() == 4
 

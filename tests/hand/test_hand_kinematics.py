@@ -110,7 +110,7 @@ def test_the_shadow_hands_tips_are_where_a_product_of_exponentials_has_them(palm
 def test_points_are_carried_with_the_bodies_they_are_fixed_on(shadow_hand, rng):
     Ts = shadow_hand.Ts_palm_tip(within_limits(shadow_hand, rng))
     bodies, points, carried = rng.integers(5, size=7), rng.normal(size=(7, 3)), np.empty((7, 3))
-    chain.carried(points, bodies, Ts, carried)
+    chain.transform_points(points, bodies, Ts, carried)
     np.testing.assert_allclose(
         carried, [se3.apply(Ts[i], p[None])[0] for i, p in zip(bodies, points, strict=True)]
     )

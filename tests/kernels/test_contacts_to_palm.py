@@ -14,7 +14,7 @@ from contact.contact_cases import any_tip, touches
 from handsight import se3
 from handsight._kernels.touch.contacts_to_palm import contacts_to_palm
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.tips_touching import NEAR_TIP, PRESS, TWO_AT_ONCE
+from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
 from handsight.rig import Finger
 from handsight.tracking.fingertips import finger_record
@@ -103,9 +103,13 @@ def test_a_contact_near_another_tip_may_be_what_the_other_presses_as_well(gap, o
     readings = np.array([down, other * down])
     alone, near = (felt_by([ball()] * n, readings[:n], Ts[:n], np.zeros((n, 6, 0)))[0] for n in (1, 2))
     assert near["gap"] == pytest.approx(gap, abs=1e-15)
-    chance = 0.5 * erfc(1.645 * gap / (np.sqrt(2) * NEAR_TIP))
+    chance = 0.5 * erfc(1.645 * gap / (np.sqrt(2) * TIP_TO_TIP.max_gap))
     # The other ball pushes this one to -x, so the object pushes it to +x as well, where the balls are nearest: no torque.
-    press = PRESS * np.linalg.norm(alone_load := down[:3] - 1e-9 * GRAVITY) * np.nanmin([other, 1.0])
+    press = (
+        TIP_TO_TIP.mean_load
+        * np.linalg.norm(alone_load := down[:3] - 1e-9 * GRAVITY)
+        * np.nanmin([other, 1.0])
+    )
     pressed = hs.contact_from_wrench(alone_load + np.array([press, 0, 0]), np.zeros(3), ball().tip)
     change = np.r_[pressed.point - alone["point"], pressed.normal - alone["normal"]]
     mean = np.r_[alone["point"], alone["normal"]] + chance * change
@@ -113,10 +117,10 @@ def test_a_contact_near_another_tip_may_be_what_the_other_presses_as_well(gap, o
     # As drawn: pressed or not, by a load that is uniform from none to twice the mean one.
     rng = np.random.default_rng(0)
     drawn = np.var((rng.random(200_000) < chance) * rng.uniform(0, 2, 200_000))
-    if gap > NEAR_TIP:  # its contact is less certain, but no other one
+    if gap > TIP_TO_TIP.max_gap:  # its contact is less certain, but no other one
         drawn, mean = 0.0, np.r_[alone["point"], alone["normal"]]
     np.testing.assert_allclose(np.r_[near["point"], near["normal"]], mean, atol=1e-7)
-    two = drawn * np.outer(change, change) + chance * np.diag(np.repeat(TWO_AT_ONCE, 3))
+    two = drawn * np.outer(change, change) + chance * np.diag(np.repeat(TIP_TO_TIP[2:4], 3))
     tangent = np.eye(6)
     tangent[3:, 3:] -= np.outer(near["normal"], near["normal"])
     expected = tangent @ two @ tangent

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from contact.contact_cases import PAPER_TIP, any_tip, touches
 from handsight import se3
 from handsight._kernels.touch import sensing as kernels
-from handsight.checks import STRONGEST
+from handsight.checks import MAX_LOAD
 from handsight.contact import (
     Contact,
     Ellipsoid,
@@ -153,9 +153,9 @@ def test_a_grazing_wrench_is_off_the_cap_where_plain_numpy_says_so():
     assert_alike(near, oracle.sense(F[decided], M[decided], ball, SIGMAS))
 
 
-SIZES = st.floats(-STRONGEST, STRONGEST, allow_subnormal=True)
+SIZES = st.floats(-MAX_LOAD, MAX_LOAD, allow_subnormal=True)
 SPECIAL = st.sampled_from(
-    [0.0, -0.0, 1.0, 1e-300, 5e-324, 1e-160, STRONGEST, 100001.0, 1e300, np.nan, np.inf, -np.inf]
+    [0.0, -0.0, 1.0, 1e-300, 5e-324, 1e-160, MAX_LOAD, 100001.0, 1e300, np.nan, np.inf, -np.inf]
 )
 WRENCHES = hnp.arrays(np.float64, (5, 6), elements=SIZES | SPECIAL)
 
@@ -188,7 +188,7 @@ def test_the_reason_is_that_of_plain_numpy_whatever_comes(wrenches, which):
 
 @pytest.mark.parametrize(
     "limit",
-    [{"min_force": 1e4}, {"min_force": STRONGEST}, {"max_friction": 1000}, {"max_friction": 1e-200}],
+    [{"min_force": 1e4}, {"min_force": MAX_LOAD}, {"max_friction": 1000}, {"max_friction": 1e-200}],
     ids=str,
 )
 def test_limits_of_any_size_are_kept(limit):

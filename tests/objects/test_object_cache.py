@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from handsight.cache_folder import cache_folder, write
+from handsight.cache_folder import cache_folder, write_entry
 from handsight.objects import ObjectModel, ObjectWarning, cache
 from handsight.objects import model as making
 from handsight.objects.fields import FieldError, GridField
@@ -110,7 +110,7 @@ def test_pickled_content_is_never_loaded(folder, counted):
     np.save(trap, np.array([Trap()], dtype=object))
     content = msgspec.msgpack.encode({"area": msgspec.msgpack.Ext(0, trap.getvalue())})
     name = file.stem.removeprefix("field-")
-    write(file, name, content)
+    write_entry(file, name, content)
     box()
     assert len(counted) == 2
 

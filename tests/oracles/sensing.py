@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight.checks import STRONGEST, Array
+from handsight.checks import MAX_LOAD, Array
 from handsight.contact.contact import Reason, symmetric
 from handsight.contact.fingertips import Fingertip
 
@@ -35,7 +35,7 @@ class Sensed(NamedTuple):
 def sense(F: Array, M: Array, fingertip: Fingertip, sigmas: Array) -> Sensed:
     """What forces and torques (n, 3) say; `sigmas` (6) of a reading of both."""
     reasons = np.full(len(F), Reason.FREE, dtype=np.int8)
-    reasons[~(np.abs(np.hstack([F, M])) <= STRONGEST).all(axis=1)] = Reason.INVALID  # NaN is not below either
+    reasons[~(np.abs(np.hstack([F, M])) <= MAX_LOAD).all(axis=1)] = Reason.INVALID  # NaN is not below either
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         strength = np.hypot(np.hypot(F[:, 0], F[:, 1]), F[:, 2])
         loaded = np.flatnonzero((reasons != Reason.INVALID) & (strength >= fingertip.min_force))

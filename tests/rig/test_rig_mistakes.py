@@ -8,10 +8,10 @@ import pytest
 
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.rig import Rig
-from handsight.rig.yaml_file import LARGEST_FILE, LONGEST_NAME, MOST_VALUES
+from handsight.rig.yaml_file import MAX_FILE_SIZE, MAX_NAME_LENGTH, MAX_VALUES
 from rig.rigs import URDF, full, rig_text
 
-TOO_MANY = f"expected at most {MOST_VALUES} values, got more (aliases of aliases?)"
+TOO_MANY = f"expected at most {MAX_VALUES} values, got more (aliases of aliases?)"
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_a_rig_without_fingers_is_told(folder):
         ("hello", "expected a mapping of keys to values, got hello"),
         (b"\xff\xfe\x00", "expected YAML in UTF-8, got other bytes"),
         (b"version: 1 # \xe9", "expected YAML in UTF-8, got other bytes"),
-        ("#" * (LARGEST_FILE + 1), f"expected at most {LARGEST_FILE} bytes, got {LARGEST_FILE + 1}"),
+        ("#" * (MAX_FILE_SIZE + 1), f"expected at most {MAX_FILE_SIZE} bytes, got {MAX_FILE_SIZE + 1}"),
         ("version: [1", "expected YAML, got: expected ',' or ']', but got '<stream end>'"),
         ("version: 1\n---\nversion: 1", "expected YAML, got: but found another document"),
         ("[" * 1000, "expected YAML, got: maximum recursion depth exceeded"),
@@ -192,11 +192,11 @@ def test_a_rig_without_fingers_is_told(folder):
             "- " * 400 + "1",
             "expected a mapping of keys to values, got ",
         ),  # how deep Python says, its versions differ
-        ("a: [" + "1," * MOST_VALUES, TOO_MANY),
-        ("a: 1\n" * (MOST_VALUES + 1), TOO_MANY),
+        ("a: [" + "1," * MAX_VALUES, TOO_MANY),
+        ("a: 1\n" * (MAX_VALUES + 1), TOO_MANY),
         ("a: &a\n  <<: *a\n  b: 1\n", "expected YAML, got tags, merges or aliases that stand for nothing"),
         ("a: " + "9" * 5000, "expected YAML, got: Exceeds the limit"),
-        ("version: 1\n" + "x" * 900 + ": 1\n", "x" * LONGEST_NAME + ": unknown key"),
+        ("version: 1\n" + "x" * 900 + ": 1\n", "x" * MAX_NAME_LENGTH + ": unknown key"),
         ("version: \0", "expected YAML, got: "),
         ("? [a]\n: 1\n", "file: expected names as keys, got "),
         ("version: *a", "expected YAML, got: found undefined alias 'a'"),

@@ -74,8 +74,8 @@ def test_pairs_that_would_be_read_past_their_end_are_made_anew(folder, monkeypat
     first, _ = looked_at(monkeypatch)
     (kept,) = folder.glob("numbers-*")
     name = kept.name.removeprefix("numbers-")
-    numbers = np.frombuffer(cache_folder.read(kept, name), dtype=np.int32)
-    cache_folder.write(kept, name, spoil(numbers).astype(np.int32).tobytes())
+    numbers = np.frombuffer(cache_folder.read_entry(kept, name), dtype=np.int32)
+    cache_folder.write_entry(kept, name, spoil(numbers).astype(np.int32).tobytes())
     again, calls = looked_at(monkeypatch)
     assert calls == [0, 1]
     same(first, again)

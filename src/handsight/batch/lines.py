@@ -5,7 +5,7 @@ import io
 from collections.abc import Iterator
 
 from handsight.errors import InvalidFile
-from handsight.files import called
+from handsight.files import stream_name
 
 LONGEST = 32_000_000
 """Bytes of a line; what is in it takes up to thirty times as many once it is read."""
@@ -30,7 +30,7 @@ def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
                 if come := [line for line in lines if line.strip() or len(line) > LONGEST]:
                     yield come
         except OSError as error:
-            raise InvalidFile(f"{called(source)}: {error.strerror or error}") from None
+            raise InvalidFile(f"{stream_name(source)}: {error.strerror or error}") from None
 
 
 def _split(source: Source) -> Iterator[list[bytes]]:

@@ -29,7 +29,7 @@ from handsight.correction import (
 )
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
-from handsight.explain import explain, named
+from handsight.msgspec_errors import explain, field_name
 from handsight.objects import ObjectModel
 
 MODELS_KEPT = 32
@@ -128,7 +128,7 @@ class Reader:
             raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
         if fields.answer not in ANSWERS:
             raise InvalidInput(f"answer: expected one of {', '.join(ANSWERS)}, got {fields.answer!r}")
-        samples = checks.whole(fields.samples, "samples", MOST_SAMPLES)
+        samples = checks.integer(fields.samples, "samples", MOST_SAMPLES)
         budget = None if fields.budget is None else checks.positive(fields.budget, "budget")
         points = None
         if fields.outside is not None and fields.outside != []:
@@ -244,7 +244,7 @@ def _fields(line: bytes) -> ProblemFields:
         return msgspec.convert(raw, ProblemFields)
     except msgspec.ValidationError as error:
         field, message = explain(error, ProblemFields, raw)
-        raise InvalidInput(f"{named(field)}: {message}") from None
+        raise InvalidInput(f"{field_name(field)}: {message}") from None
     except UnicodeEncodeError as error:
         raise InvalidInput(f"line: expected text, got half a character in {error.object[:40]!r}") from None
 
@@ -305,7 +305,7 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
             raise InvalidInput(f"vision.{field}: expected a number above 0, got nothing")
     shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
     return PosePrior.from_sigmas(
-        T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.FARTHEST)
+        T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.MAX_DISTANCE)
     )
 
 
@@ -330,8 +330,8 @@ def _weight(fields: WeightFields | None) -> WeightEvidence | None:
 def _radians(degrees: Any, name: str, most: float) -> float:
     """A standard deviation that comes in degrees, up to `most` [rad]; its bounds are told in degrees."""
     radians = float(np.deg2rad(checks.positive(degrees, name)))
-    if not checks.FINEST <= radians <= most:
-        lowest, highest = np.rad2deg([checks.FINEST, most])
+    if not checks.MIN_SIGMA <= radians <= most:
+        lowest, highest = np.rad2deg([checks.MIN_SIGMA, most])
         raise InvalidInput(f"{name}: expected degrees from {lowest:.1g} to {highest:.3g}, got {degrees:g}")
     return radians
 

@@ -24,7 +24,7 @@ from handsight.cli.terminal import (
     writing,
 )
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import apart, called, written
+from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
     from handsight.batch.lines import Source
@@ -49,7 +49,7 @@ class Written:
         for warning in answers.warnings:
             warn(warning)
         good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
-        with written(called(sink)):
+        with write_errors(stream_name(sink)):
             sink.write("".join(f"{text}\n" for text in answers.texts))
             # Before the flush: once in the buffer, answers are written whatever interrupts us.
             self.done += len(lines)
@@ -167,9 +167,9 @@ def _answer(
     output, plot = outputs
     given = sys.stdin if problems == "-" else problems
     place = sys.stdout if output is None or str(output) == "-" else output
-    apart(place, "the answers", given, "the problems")
-    apart(plot, "the picture", given, "the problems")
-    apart(plot, "the picture", place, "the answers")
+    check_not_overwritten(place, "the answers", given, "the problems")
+    check_not_overwritten(plot, "the picture", given, "the problems")
+    check_not_overwritten(plot, "the picture", place, "the answers")
     source = _source(problems)
     size = os.fstat(source.fileno()).st_size  # a pipe has none
     single, folder = problems.endswith(".json"), _folder(problems)
@@ -197,7 +197,7 @@ def _source(problems: str) -> "Source":
     if stat.S_ISCHR(found.st_mode) and not source.isatty() and found.st_rdev != nothing.st_rdev:
         # Such as /dev/zero: one line without an end.
         source.close()
-        raise InvalidFile(f"{called(source)}: expected a file, a pipe or a terminal, got a device")
+        raise InvalidFile(f"{stream_name(source)}: expected a file, a pipe or a terminal, got a device")
     return source
 
 

@@ -16,7 +16,7 @@ from handsight.cli.options import (
 )
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
-from handsight.files import apart
+from handsight.files import check_not_overwritten
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
@@ -127,8 +127,8 @@ def locate(
     beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
     for place, what in ((output, "the answers"), (plot, "the picture")):
         for source in (pictures, camera, color, mask, rig):
-            apart(place, what, source, "what is read")
-    apart(plot, "the picture", output, "the answers")
+            check_not_overwritten(place, what, source, "what is read")
+    check_not_overwritten(plot, "the picture", output, "the answers")
     if plot is not None:
         from handsight.viewer.correction_figures import require_matplotlib
 

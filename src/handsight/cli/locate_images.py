@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 
 from handsight.cli.terminal import FAILED, WRONG_INPUT, bar, kept_going, table, writing
 from handsight.errors import HandsightError, printable
-from handsight.files import called, written
+from handsight.files import stream_name, write_errors
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
@@ -178,7 +178,7 @@ def _line(row: "Located | Unread", numbers: Mapping[str, int] | None) -> str | N
 
 def _write(sink: IO[str], line: str | None) -> None:
     if line is not None:
-        with written(called(sink)):
+        with write_errors(stream_name(sink)):
             sink.write(f"{line}\n")
             sink.flush()
 

@@ -175,7 +175,7 @@ def object_named(
 
     `of`: what the rig is called; `scale`: metres per unit of a mesh file; `library`: None: the usual one.
     """
-    from handsight.checks import among
+    from handsight.checks import suggestion
     from handsight.objects import Library, ObjectModel
     from handsight.objects.library import NoLibrary
 
@@ -193,7 +193,7 @@ def object_named(
     where = of or (
         f"the library {opened.place}" if listed else f"a library (there is none at {opened.place})"
     )
-    known = among(name, {*objects, *listed.values()})
+    known = suggestion(name, {*objects, *listed.values()})
     raise InvalidInput(f"--object: expected a name of {where} or a mesh file, got {name!r}{known}")
 
 

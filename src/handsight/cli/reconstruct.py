@@ -11,7 +11,7 @@ import typer
 from handsight.cli.options import Recorded, RigFile, renamed, rig_of_recording
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
 from handsight.errors import InvalidInput
-from handsight.files import written
+from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.recording import Recording
@@ -171,7 +171,7 @@ def write(run: Run, output: Path) -> list[str]:
 
     model = run.model()
     content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
-    with written(output):
+    with write_errors(output):
         output.write_bytes(content)
     size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
     views = run.reconstruction.volume.views if run.reconstruction else 0

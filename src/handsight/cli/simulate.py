@@ -121,7 +121,7 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
         name, equals, value = setting.partition("=")
         if not equals or name not in names:
             raise InvalidInput(
-                f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.among(name, names)}"
+                f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.suggestion(name, names)}"
             )
         if name in MODELS_OWN:
             raise InvalidInput(

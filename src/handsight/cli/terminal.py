@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from handsight.errors import HandsightError, InvalidFile, NotWritten, printable
-from handsight.files import STREAMS, written
+from handsight.files import STREAMS, write_errors
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,7 +60,7 @@ def flush_stdout() -> None:
     """Brings what was printed to where it goes: at exit nothing could be said. Raises InvalidFile; ends the command
     where nobody reads."""
     try:
-        with written("stdout"):
+        with write_errors("stdout"):
             sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read it has gone; there is nobody to tell.
@@ -200,7 +200,7 @@ def naming(path: str | Path) -> Iterator[None]:
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[IO[str]]:
     """A new text file; closed at the end, of which an error within says more than one in closing."""
-    with written(path):
+    with write_errors(path):
         file = open(path, "w", encoding="utf-8")  # noqa: SIM115
     try:
         yield file
@@ -208,5 +208,5 @@ def writing(path: Path) -> Iterator[IO[str]]:
         with contextlib.suppress(OSError):
             file.close()
         raise
-    with written(path):
+    with write_errors(path):
         file.close()

@@ -19,7 +19,7 @@ from handsight.cli.options import (
 from handsight.cli.terminal import announce_compiling, live_rows, say
 from handsight.cli.track_summary import Run, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
-from handsight.files import written
+from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.forces import Slip
@@ -160,7 +160,7 @@ def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterato
     """Writes the results into a folder, and says what was written; why anything was not is in `ended.ends`."""
     from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
 
-    with written(folder):
+    with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows = [
         TrackRow(

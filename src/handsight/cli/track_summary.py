@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from handsight.cli.terminal import FAILED, End, kept_going
-from handsight.files import written
+from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
@@ -112,7 +112,7 @@ class Run:
     def write_summary(self, path: Path, _: object) -> None:
         """Writes the summary as JSON."""
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False, allow_nan=False)
-        with written(path):
+        with write_errors(path):
             path.write_text(text + "\n", encoding="utf-8")
 
     def sentences(self) -> list[str]:

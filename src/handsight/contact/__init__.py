@@ -1,16 +1,21 @@
-"""Contact sensing: wrenches on fingertips to contacts.
+"""Contact sensing: from wrenches on fingertips, and from tactile arrays, to contacts.
 
-`contact_from_wrench` senses one contact; `Contacts` is the set of them, in the palm frame, that correction
-uses.
+`contact_from_wrench` senses one contact; `Contacts` is the set of contacts in the palm frame that correction uses.
 """
 
 from handsight.contact.calibration import WrenchCalibration, calibrate_wrench, compensate
 from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason
-from handsight.contact.contact_table import COLUMNS_HELP, convert
 from handsight.contact.contacts import Contacts
-from handsight.contact.fingertip_text import FINGERTIP_HELP, parse_fingertip
-from handsight.contact.fingertips import Ellipsoid, Fingertip, Sphere, unambiguous_cap
+from handsight.contact.fingertips import (
+    FINGERTIP_HELP,
+    Ellipsoid,
+    Fingertip,
+    Sphere,
+    parse_fingertip,
+    unambiguous_cap,
+)
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
+from handsight.contact.tables import COLUMNS_HELP, convert
 from handsight.contact.taxels import SkinTouch, TaxelArray
 
 __all__ = [

@@ -1,6 +1,6 @@
-"""Force/torque sensor: its bias, and the mass and centre of mass of the fingertip that hangs on it.
+"""Calibration of a force/torque sensor: its bias, and the mass and centre of mass of the fingertip that hangs on it.
 
-With the tip touching nothing and held still, in the sensor's frame, about the sensor's origin:
+With the tip touching nothing and at rest, in the sensor's frame, about the sensor's origin:
 
     force  = bias_force  + mass · gravity
     torque = bias_torque + center_of_mass × (mass · gravity)
@@ -22,45 +22,41 @@ from handsight.errors import InvalidInput
 
 Reading = Literal["on_sensor", "on_tip"]
 
-LEAST_ROWS = 3
-"""Two orientations leave the centre of mass unknown along one direction."""
-WORST_CONDITION = 50.0
-"""About 2.5 degrees of spread: there the noise of the answer is fifty times that of the readings."""
-HEAVIEST = 100.0
-"""Of what hangs on a sensor [kg]."""
 GRAVITY_RANGE = (1.5, 30.0)
-"""Lengths of gravity that can be in m/s² (the Moon's is 1.6, Jupiter's 25); a unit vector is none of them."""
+"""Lengths that gravity can have [m/s²]: the Moon's is 1.6, Jupiter's 25; a unit vector is outside."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrenchCalibration:
-    """Bias of a force/torque sensor and the weight on it, in the sensor's frame."""
+    """A `WrenchCalibration` is the bias of a force/torque sensor and the mass on it, in the sensor's frame."""
 
     bias_force: Array
-    """(3,) reading without load [N]."""
+    """(3,) force reading without load [N]."""
     bias_torque: Array
-    """(3,) [N m]."""
+    """(3,) torque reading without load [N m]."""
     mass: float
-    """Of all that hangs on the sensor [kg], above zero."""
+    """Mass of all that hangs on the sensor [kg], above zero."""
     center_of_mass: Array
-    """(3,) from the sensor's origin [m]."""
+    """(3,) centre of that mass from the sensor's origin [m]."""
     residual_force: Array
-    """(3,) root mean square of what the model leaves, per axis [N]."""
+    """(3,) root mean square residual of the force readings, per axis [N]."""
     residual_torque: Array
-    """(3,) [N m]."""
+    """(3,) root mean square residual of the torque readings, per axis [N m]."""
     condition: float
-    """Conditioning of the worse of the two fits: how much noise is amplified; 1.4 at best."""
+    """Condition number of the worse of the two fits, by which noise is amplified; 1.4 at best."""
     reading: Reading = "on_sensor"
-    """What the readings were: of the tip on the sensor, or of the sensor on the tip."""
+    """Whether readings are of the tip on the sensor, or of the sensor on the tip."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput naming what is no sensor's."""
+        """Raises an InvalidInput that names the first wrong field."""
         values: dict[str, object] = {
             "bias_force": checks.load(self.bias_force, "bias_force", (3,)),
             "bias_torque": checks.load(self.bias_torque, "bias_torque", (3,)),
-            "mass": _mass(self.mass),
+            "mass": float(checks.finite(self.mass, "mass", ())),
             "center_of_mass": checks.position(self.center_of_mass, "center_of_mass", (3,)),
         }
+        if not 0 <= values["mass"] <= 100:  # type: ignore[operator]
+            raise InvalidInput(f"mass: expected kilograms from 0 to 100, got {values['mass']:g}")
         for name, value in values.items():
             object.__setattr__(self, name, value)
         _sign(self.reading)
@@ -69,24 +65,28 @@ class WrenchCalibration:
 def calibrate_wrench(
     forces: ArrayLike, torques: ArrayLike, gravities: ArrayLike, *, reading: Reading = "on_sensor"
 ) -> WrenchCalibration:
-    """Bias, mass and centre of mass from readings in several orientations, by linear least squares.
+    """Returns bias, mass and centre of mass from readings in several orientations, by linear least squares.
 
-    `forces` [N], `torques` [N m] and `gravities` (the vector of gravity in the sensor's frame [m/s²]), (n, 3)
-    each, the tip touching nothing. At least three orientations that do not share an axis; six along ±x, ±y,
-    ±z are best. Raises InvalidInput for fewer, for orientations too alike, and for a mass that is not above
-    zero.
+    `forces` [N], `torques` [N m] and `gravities` (the vector of gravity in the sensor's frame [m/s²]) are (n, 3)
+    each, the tip touching nothing. At least three orientations that do not share an axis are needed; six along ±x,
+    ±y, ±z are best. Raises InvalidInput for fewer, for orientations that are too similar, and for a mass that is not
+    above zero.
     """
-    F, M, G = (
-        check(value, name, (None, 3))
-        for check, value, name in (
-            (checks.load, forces, "forces"),
-            (checks.load, torques, "torques"),
-            (checks.finite, gravities, "gravities"),
-        )
-    )
+    F, M = checks.load(forces, "forces", (None, 3)), checks.load(torques, "torques", (None, 3))
+    G = checks.finite(gravities, "gravities", (None, 3))
     if not len(F) == len(M) == len(G):
         raise InvalidInput(f"forces, torques, gravities: expected one length, got {[len(F), len(M), len(G)]}")
-    sign, length = _sign(reading), _check_gravities(G)
+    sign = _sign(reading)
+    # Two orientations leave the centre of mass unknown along one direction.
+    if len(G) < 3:
+        raise InvalidInput(f"gravities: expected at least 3 orientations, got {len(G)}")
+    lengths = np.linalg.norm(G, axis=1)
+    least, most = GRAVITY_RANGE
+    for i, each in enumerate(lengths):
+        if not least <= each <= most:
+            came = f"{each:.4g} (a unit vector?)" if abs(each - 1) < 0.01 else f"{each:.4g}"
+            raise InvalidInput(f"gravities[{i}]: expected a length of {least:g} to {most:g} m/s², got {came}")
+    length = float(np.sqrt((lengths**2).mean()))
     g = sign * G / length
     x_force, residual_force, condition_force = _fit(g[:, :, None], F, G)
     x_torque, residual_torque, condition_torque = _fit(-se3.skew(g), M, G)
@@ -112,17 +112,17 @@ def calibrate_wrench(
 def compensate(
     forces: ArrayLike, torques: ArrayLike, gravities: ArrayLike, calibration: WrenchCalibration
 ) -> tuple[Array, Array]:
-    """What the object exerts on the tip: readings without bias and weight, (3,) or (n, 3) each [N], [N m].
+    """Returns the force [N] and torque [N m] of the object on the tip: readings (3,) or (n, 3) without bias and weight.
 
-    In the sensor's frame, about its origin, as `contact_from_wrench` takes it; readings of the sensor on the
-    tip are turned round. One gravity (3,) [m/s²] serves for many readings. Raises InvalidInput.
+    They are in the sensor's frame, about its origin, as `contact_from_wrench` takes them; the sign of readings "on_tip"
+    is reversed. One gravity (3,) [m/s²] serves for many readings. Raises InvalidInput.
     """
-    stack: tuple[int | None, ...] = (3,) if checks.axes(forces) == 1 else (None, 3)
+    stack: tuple[int | None, ...] = (3,) if checks.ndim(forces) == 1 else (None, 3)
     if not isinstance(calibration, WrenchCalibration):
         came = type(calibration).__name__
         raise InvalidInput(f"calibration: expected a WrenchCalibration, got {came}")
     F, M = checks.load(forces, "forces", stack), checks.load(torques, "torques", stack)
-    G = checks.finite(gravities, "gravities", (3,) if checks.axes(gravities) == 1 else stack)
+    G = checks.finite(gravities, "gravities", (3,) if checks.ndim(gravities) == 1 else stack)
     if np.abs(G).max(initial=0.0) > GRAVITY_RANGE[1]:
         raise InvalidInput(f"gravities: expected m/s² within {GRAVITY_RANGE[1]:g}, got {np.abs(G).max():g}")
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):
@@ -136,13 +136,6 @@ def compensate(
     )
 
 
-def _mass(mass: float) -> float:
-    number = float(checks.finite(mass, "mass", ()))
-    if not 0 <= number <= HEAVIEST:
-        raise InvalidInput(f"mass: expected kilograms from 0 to {HEAVIEST:g}, got {number:g}")
-    return number
-
-
 def _sign(reading: str) -> float:
     if not isinstance(reading, str) or reading not in get_args(Reading):
         came = repr(checks.brief(reading))
@@ -150,33 +143,20 @@ def _sign(reading: str) -> float:
     return 1.0 if reading == "on_sensor" else -1.0
 
 
-def _check_gravities(gravities: Array) -> float:
-    """The root mean square length of gravity [m/s²]."""
-    if len(gravities) < LEAST_ROWS:
-        raise InvalidInput(f"gravities: expected at least {LEAST_ROWS} orientations, got {len(gravities)}")
-    lengths = np.linalg.norm(gravities, axis=1)
-    least, most = GRAVITY_RANGE
-    for i, length in enumerate(lengths):
-        if not least <= length <= most:
-            came = f"{length:.4g} (a unit vector?)" if abs(length - 1) < 0.01 else f"{length:.4g}"
-            raise InvalidInput(f"gravities[{i}]: expected a length of {least:g} to {most:g} m/s², got {came}")
-    return float(np.sqrt((lengths**2).mean()))
-
-
 def _fit(slopes: Array, readings: Array, gravities: Array) -> tuple[Array, Array, float]:
-    """Coefficients of a bias and of `slopes` (n, 3, k), the root mean square of what they leave, and the conditioning.
+    """Returns the coefficients of a bias and of `slopes` (n, 3, k), the RMS residual (3,) and the condition number.
 
-    Raises InvalidInput where the fit is hopeless.
+    Raises InvalidInput above a condition number of 50, which is about 2.5 degrees of spread of the orientations.
     """
     design = np.concatenate([np.broadcast_to(np.eye(3), (len(slopes), 3, 3)), slopes], axis=2)
-    x, _, _, values = np.linalg.lstsq(design.reshape(-1, design.shape[2]), readings.ravel(), rcond=None)
-    if values[-1] * WORST_CONDITION < values[0]:
+    x, _, _, singular = np.linalg.lstsq(design.reshape(-1, design.shape[2]), readings.ravel(), rcond=None)
+    if singular[-1] * 50 < singular[0]:
         directions = gravities / np.linalg.norm(gravities, axis=1, keepdims=True)
         spread = np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False)[1]
         spread_deg = np.rad2deg(spread / np.sqrt(len(gravities)))
         raise InvalidInput(
             f"gravities: expected orientations that turn about two axes, got {len(gravities)} with a spread "
             f"of {spread_deg:.2g} degrees about the second (conditioning "
-            f"{values[0] / max(values[-1], 1e-300):.2g}, at most {WORST_CONDITION:g})"
+            f"{singular[0] / max(singular[-1], 1e-300):.2g}, at most 50)"
         )
-    return x, np.sqrt(((readings - design @ x) ** 2).mean(axis=0)), float(values[0] / values[-1])
+    return x, np.sqrt(((readings - design @ x) ** 2).mean(axis=0)), float(singular[0] / singular[-1])

@@ -1,8 +1,8 @@
-"""What a fingertip feels: one contact, none and why, or a batch of both."""
+"""The contact of a fingertip and the object, the reason where there is none, and a batch of both."""
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Literal, get_args, overload
+from typing import Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,49 +15,49 @@ ReasonName = Literal["free", "off_cap", "beyond_friction", "invalid"]
 
 
 class Reason(IntEnum):
-    """What became of a wrench; the numbers in `ContactBatch.reasons`."""
+    """A `Reason` is the result of sensing one wrench; its numbers are those in `ContactBatch.reasons`."""
 
     CONTACT = 0
-    """A contact."""
+    """The wrench is that of a contact."""
     FREE = 1
-    """Weaker than the tip's `min_force`."""
+    """The force is weaker than the tip's `min_force`."""
     OFF_CAP = 2
-    """No push within the cap explains it: a pull, a touch beside the cap, or an axis that misses the tip."""
+    """No push within the cap has that wrench: it is a pull, a contact beside the cap, or its axis misses the tip."""
     BEYOND_FRICTION = 3
-    """It would need more friction than the tip's `max_friction`: more than one contact, or a bias."""
+    """The wrench needs more friction than the tip's `max_friction`: there are two contacts, or a bias."""
     INVALID = 4
-    """The reading holds NaN, infinity or more than any tip can bear."""
+    """The reading contains NaN, infinity or more than any tip can bear."""
 
 
 REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = ("contact", *get_args(ReasonName))
-"""The reasons in words, at their numbers."""
+"""Names of the reasons, at their numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """One fingertip touching the object, in the tip's (surface's) frame unless `moved`."""
+    """A `Contact` is where one fingertip touches the object, in the tip's (surface's) frame unless `moved`."""
 
     point: Array
-    """(3,) on the tip's surface [m]."""
+    """(3,) position on the tip's surface [m]."""
     normal: Array
-    """(3,) unit; the way the object pushes the tip: its outward normal, minus the tip's."""
+    """(3,) unit vector in which the object pushes the tip: the object's outward normal, minus the tip's."""
     force: Array
-    """(3,) of the object on the tip [N]."""
+    """(3,) force of the object on the tip [N]."""
     force_normal: float
-    """`force · normal`, above zero [N]."""
+    """Normal force `force · normal`, above zero [N]."""
     torque: float
     """Local torque of the object on the tip about `normal` [N m]; as a vector, `torque * normal`."""
     covariance: Array
-    """(6, 6) of (point [m], normal), from the sensor's noise alone; singular (rank 2),
-    because the point stays on the surface and the normal follows it."""
+    """(6, 6) covariance of (point [m], normal) from the sensor's noise alone; of rank 2, because the point stays on the
+    surface and the normal follows the point."""
 
     @property
     def force_tangential(self) -> Array:
-        """(3,) the part of `force` in the tangent plane [N]."""
+        """The part (3,) of `force` in the tangent plane [N]."""
         return np.asarray(self.force - self.force_normal * self.normal, dtype=np.float64)
 
     def moved(self, T_new_old: Array) -> "Contact":
-        """The same contact in another frame; `T_new_old` (4, 4) maps this frame's coordinates to it."""
+        """Returns the same contact in another frame; `T_new_old` (4, 4) maps coordinates of this frame to it."""
         T = se3.check(T_new_old, "T_new_old")
         R = T[:3, :3]
         return Contact(
@@ -77,7 +77,7 @@ _point, _normal, _force, _force_normal, _torque, _covariance = (
 
 
 def new_contact(vectors: Array, force_normal: float, torque: float, covariance: Array) -> Contact:
-    """A `Contact` in half the time that its own `__init__` takes; `vectors` (3, 3) are its point, normal and force."""
+    """Returns a `Contact` in half the time of its `__init__`; `vectors` (3, 3) are its point, normal and force."""
     contact = _new(Contact)
     # Each by its index: unpacking an array takes three times as long.
     _point(contact, vectors[0])
@@ -91,10 +91,10 @@ def new_contact(vectors: Array, force_normal: float, torque: float, covariance: 
 
 @dataclass(frozen=True, slots=True)
 class NoContact:
-    """No contact, and why; falsy."""
+    """A `NoContact` says why a wrench is that of no contact; it is false as a truth value."""
 
     reason: ReasonName
-    """free: weaker than `min_force`; off_cap, beyond_friction: see `Reason`; invalid: only from a batch."""
+    """One of the names of `Reason`; `invalid` occurs in batches only."""
 
     def __bool__(self) -> bool:
         return False
@@ -102,52 +102,52 @@ class NoContact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactBatch:
-    """What n wrenches say: a reason for each, and the k contacts among them, in the tip's frame.
+    """A `ContactBatch` has a reason for each of n wrenches, and the k contacts among them, in the tip's frame.
 
     `len(batch)` is n and `batch[i]` is wrench i's `Contact` or `NoContact`. The arrays hold the contacts
-    alone, so nothing in them stands for a missing one.
+    only, so no row of them stands for a missing one.
     """
 
     reasons: NDArray[np.int8]
-    """(n,) a `Reason` each."""
+    """(n,) `Reason` of each wrench."""
     rows: NDArray[np.intp]
-    """(k,) the wrench each contact came from, ascending."""
-    records: NDArray[Any]
-    """(k,) the contacts as one array: point, normal, force, force_normal, torque."""
+    """(k,) number of the wrench of each contact, ascending."""
+    records: NDArray[np.void]
+    """(k,) the contacts as records of point, normal, force, force_normal, torque."""
     fingertip: Fingertip
-    """The tip that felt them."""
+    """The tip that sensed the wrenches."""
     sigmas: Array
-    """(6,) one standard deviation per axis of a reading's force [N] and torque [N m]."""
+    """(6,) standard deviation per axis of a reading's force [N] and torque [N m]."""
     _covariances: Array | None = field(default=None, init=False, repr=False)
 
     @property
     def points(self) -> Array:
-        """(k, 3) [m]."""
+        """(k, 3) positions on the tip [m]."""
         return np.asarray(self.records["point"])
 
     @property
     def normals(self) -> Array:
-        """(k, 3) unit; the way the object pushes."""
+        """(k, 3) unit vectors in which the object pushes."""
         return np.asarray(self.records["normal"])
 
     @property
     def forces(self) -> Array:
-        """(k, 3) of the object on the tip [N]."""
+        """(k, 3) forces of the object on the tip [N]."""
         return np.asarray(self.records["force"])
 
     @property
     def forces_normal(self) -> Array:
-        """(k,) [N], above zero."""
+        """(k,) normal forces [N], above zero."""
         return np.asarray(self.records["force_normal"])
 
     @property
     def torques(self) -> Array:
-        """(k,) local torque about the normal [N m]."""
+        """(k,) local torques about the normals [N m]."""
         return np.asarray(self.records["torque"])
 
     @property
     def covariances(self) -> Array:
-        """(k, 6, 6) of (point [m], normal), from the sensor's noise alone; computed when first asked for."""
+        """(k, 6, 6) covariances of (point [m], normal) from the sensor's noise alone; computed at the first use."""
         if self._covariances is None:
             from handsight._kernels.touch import sensing
 
@@ -179,5 +179,5 @@ class ContactBatch:
 
 
 def symmetric(matrices: Array) -> Array:
-    """(..., m, m) made exactly symmetric."""
+    """Returns matrices (..., m, m) made exactly symmetric."""
     return np.asarray((matrices + np.swapaxes(matrices, -1, -2)) / 2, dtype=np.float64)

@@ -1,9 +1,8 @@
-"""The contacts of one grasp in the palm frame: what correction uses."""
+"""The contacts of one grasp in the palm frame, as pose correction takes them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,21 +16,21 @@ from handsight.errors import InvalidInput
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Contacts:
-    """Where the hand touches the object, with or without normals, and how well that is known."""
+    """`Contacts` are the points where the hand touches the object, with or without normals, and their covariances."""
 
     points_palm: Array
-    """(n, 3), n ≥ 1 [m]."""
+    """(n, 3) positions, n ≥ 1 [m]."""
     normals_palm: Array
-    """(n, 3) unit, the object's outward normals; rows of zeros where `has_normal` is False."""
+    """(n, 3) unit outward normals of the object; zeros where `has_normal` is False."""
     has_normal: Mask
-    """(n,)"""
+    """(n,) whether each contact has a normal."""
     covariance: Array
-    """(n, 6, 6) of (point [m], normal) along the palm's axes. A unit normal varies in its
-    tangent plane only, so nothing is kept along it, and nothing at all where there is no normal."""
+    """(n, 6, 6) covariance of (point [m], normal) along the palm's axes. It is zero along the normal, as a unit normal
+    varies in its tangent plane only, and in the whole normal block where there is no normal."""
     of_residual: Mask
-    """(n,) whether the covariance is of the residuals, the model's share in it already."""
+    """(n,) whether the covariance is that of the residuals, with the model's error in it already."""
     record: NDArray[np.void]
-    """(n,) the same as kernels take it."""
+    """(n,) the same values as records for the kernels."""
 
     def __init__(
         self,
@@ -47,12 +46,14 @@ class Contacts:
 
         `sigma_point` [m] and `sigma_normal` [rad], a number or (n,), are one standard deviation per axis (of
         a point's x; of a normal's angle about each of two tangent axes). `covariance` (n, 6, 6), positive
-        semidefinite, replaces both. They are of the finger: `correct_pose` adds how far the model is off its surface,
-        and what the surface's bend makes of the point's noise. `of_residual` (a truth value or (n,)): they are of all
-        that parts a measured contact from the model instead, as compared with a known pose, and nothing is added; then
-        no direction may be known exactly. Raises InvalidInput naming the entry.
+        semidefinite, replaces both. They are errors of the finger: `correct_pose` adds the errors of the model's
+        surface, and the change of its normal with the error of the point. With `of_residual` (a truth value or (n,))
+        they are the covariance of the residual between a measured contact and the model, found with known poses;
+        nothing is added, and no direction may be exactly known. Raises an InvalidInput that names the entry.
         """
-        points = _points(points_palm)
+        if checks.ndim(points_palm) and not len(points_palm):  # type: ignore[arg-type]
+            raise InvalidInput("points_palm: expected at least one contact, got no contacts")
+        points = _by_row(checks.in_reach, points_palm, "points_palm", (3,))
         normals, has_normal = _normals(normals_palm, len(points))
         if covariance is None:
             sigmas = ((sigma_point, "sigma_point"), (sigma_normal, "sigma_normal"))
@@ -60,20 +61,25 @@ class Contacts:
             covariance_palm = np.repeat(variances, 3, axis=1)[:, :, None] * np.eye(6)
         else:
             covariance_palm = _by_row(checks.covariance, covariance, "covariance", (6, 6))
-            _same_length(covariance_palm, "covariance", len(points))
-        covariance_palm = _tangent(covariance_palm, normals, has_normal)
-        flags = _of_residual(of_residual, normals, has_normal, covariance_palm)
-        _fill(self, points, normals, has_normal, covariance_palm, flags)
+            _check_length(covariance_palm, "covariance", len(points))
+        # Projected to the normals' tangent planes, and to nothing where there is no normal.
+        B = np.zeros((len(normals), 6, 6))
+        B[:, :3, :3] = np.eye(3)
+        B[:, 3:, 3:] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        B[~has_normal, 3:, 3:] = 0.0
+        covariance_palm = symmetric(B @ covariance_palm @ B.swapaxes(-1, -2))
+        flags = _residual_flags(of_residual, normals, has_normal, covariance_palm)
+        _set_fields(self, points, normals, has_normal, covariance_palm, flags)
 
     @classmethod
     def from_tips(
         cls, contacts: Sequence[Contact], *, sigma_point: ArrayLike = 1e-3, sigma_normal: ArrayLike = 0.1
     ) -> "Contacts":
-        """Contacts sensed by fingertips, already `moved` into the palm frame.
+        """Returns contacts that fingertips sensed, already `moved` into the palm frame.
 
-        The sigmas (one standard deviation per axis, a number or (n,)) stand for what the force sensor's noise
-        does not cover: joint angles, calibration, soft tips. They are added to each contact's own covariance,
-        which alone is singular: it knows no error across the tip's surface.
+        The sigmas (one standard deviation per axis, a number or (n,)) are of errors beside the force sensor's noise:
+        joint angles, calibration, soft tips. They are added to each contact's own covariance, which alone is singular,
+        as it has no error across the tip's surface.
         """
         if not len(contacts):
             raise InvalidInput("contacts: expected at least one contact, got none")
@@ -88,31 +94,33 @@ class Contacts:
 
     @classmethod
     def trusted(cls, points_palm: Array, normals_palm: Array, covariance: Array) -> "Contacts":
-        """Contacts from what is clean already; not checked.
+        """Returns contacts of arrays that are not checked, for loops at control rate.
 
-        float64, finite, unit normals, covariances positive semidefinite and with nothing along the normals. For loops
-        at control rate whose own inputs were checked; the arrays are kept and made read-only.
+        The arrays must be float64 and finite, the normals unit, the covariances positive semidefinite and zero along
+        the normals. The arrays are kept and made read-only.
         """
-        has_normal, of_residual = _usual_flags(len(points_palm))
-        return _made(points_palm, normals_palm, has_normal, covariance, of_residual)
+        has_normal, of_residual = _default_flags(len(points_palm))
+        return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
 
     def __len__(self) -> int:
         return len(self.points_palm)
 
     def moved(self, T_new_palm: ArrayLike) -> "Contacts":
-        """The same contacts in another frame; `T_new_palm` (4, 4) maps palm coordinates to it."""
+        """Returns the same contacts in another frame; `T_new_palm` (4, 4) maps palm coordinates to the new ones."""
         T = se3.check(T_new_palm, "T_new_palm")
         R = T[:3, :3]
         covariance = symmetric(se3.rotate_covariance(R, self.covariance))
         points, normals = se3.apply(T, self.points_palm), self.normals_palm @ R.T
-        return _made(points, normals, self.has_normal, covariance, self.of_residual)
+        return _unchecked(points, normals, self.has_normal, covariance, self.of_residual)
 
     def joined(self, other: "Contacts") -> "Contacts":
-        """These contacts and then the other ones."""
-        return _made(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _GIVEN))
+        """Returns these contacts followed by the other ones."""
+        return _unchecked(
+            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS.values())
+        )
 
     def select(self, mask_or_indices: ArrayLike) -> "Contacts":
-        """Some of the contacts: a mask (n,) bool, or indices, which may reorder and repeat; at least one."""
+        """Returns the contacts of a mask (n,) bool, or of indices, which may reorder and repeat; at least one."""
         chosen, n = np.asarray(mask_or_indices), len(self)
         if chosen.dtype == np.bool_ and chosen.shape == (n,):
             chosen = np.flatnonzero(chosen)
@@ -121,31 +129,35 @@ class Contacts:
         if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
             came = checks.brief(mask_or_indices)
             raise InvalidInput(f"select: expected a mask of {n} or indices below {n}, got {came}")
-        return _made(*(getattr(self, name)[chosen] for name in _GIVEN))
+        return _unchecked(*(getattr(self, name)[chosen] for name in _FIELDS.values()))
 
 
-_GIVEN = ("points_palm", "normals_palm", "has_normal", "covariance", "of_residual")
-_LEAST_SHARE = 1e-9
-"""Of a residual's covariance, scaled to a correlation: a smaller eigenvalue is rounding's."""
-_RECORDED = ("point", "normal", "has_normal", "covariance", "of_residual")
+_FIELDS = {
+    "point": "points_palm",
+    "normal": "normals_palm",
+    "has_normal": "has_normal",
+    "covariance": "covariance",
+    "of_residual": "of_residual",
+}
+"""Fields of a contact's record, and the arrays of `Contacts` that they come from."""
 
 
 @lru_cache
-def _usual_flags(n: int) -> tuple[Mask, Mask]:
-    """(n,) that there are normals, and that no covariance is of residuals."""
+def _default_flags(n: int) -> tuple[Mask, Mask]:
+    """Returns `has_normal` and `of_residual` (n,) of contacts that have normals and covariances of the finger."""
     return np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
 
 
-def _made(*arrays: NDArray[Any]) -> Contacts:
-    """Contacts of points, normals, which have one, covariances and whose these are, clean already."""
+def _unchecked(*arrays: Array | Mask) -> Contacts:
+    """Returns contacts of clean arrays, in the order of `_FIELDS`."""
     contacts = object.__new__(Contacts)
-    _fill(contacts, *arrays)
+    _set_fields(contacts, *arrays)
     return contacts
 
 
-def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
+def _set_fields(contacts: Contacts, *arrays: Array | Mask) -> None:
     record = np.empty(len(arrays[0]), dtype=CONTACT)
-    for name, field, array in zip(_GIVEN, _RECORDED, arrays, strict=True):
+    for (field, name), array in zip(_FIELDS.items(), arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
         record[field] = array
@@ -153,31 +165,22 @@ def _fill(contacts: Contacts, *arrays: NDArray[Any]) -> None:
     object.__setattr__(contacts, "record", record)
 
 
-def _tangent(covariance: Array, normals: Array, has_normal: Mask) -> Array:
-    """`covariance` without the part along the normals, and without any where there is none."""
-    B = np.zeros((len(normals), 6, 6))
-    B[:, :3, :3] = np.eye(3)
-    B[:, 3:, 3:] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-    B[~has_normal, 3:, 3:] = 0.0
-    return symmetric(B @ covariance @ B.swapaxes(-1, -2))
-
-
-def _of_residual(value: ArrayLike, normals: Array, has_normal: Mask, covariance: Array) -> Mask:
-    """(n,) flags; raises InvalidInput where a residual's covariance, clean already, knows something exactly."""
+def _residual_flags(value: ArrayLike, normals: Array, has_normal: Mask, covariance: Array) -> Mask:
+    """Returns the flags (n,); raises InvalidInput where a residual's covariance is zero in some direction."""
     n, flags = len(normals), np.asarray(value)
     if flags.dtype != np.bool_ or flags.shape not in ((), (n,)):
         raise InvalidInput(f"of_residual: expected true or false, or {n} of these, got {checks.brief(value)}")
     flags = np.array(np.broadcast_to(flags, n))
     if not flags.any():
         return flags
-    # Nothing is kept along a normal, and where there is none: there it need not be uncertain.
+    # Along a normal, and where there is no normal, a clean covariance is zero; those directions are filled up.
     size = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2
     free = np.where(has_normal[:, None, None], normals[:, :, None] * normals[:, None, :], np.eye(3))
-    whole = covariance.copy()
-    whole[:, 3:, 3:] += np.where(has_normal, size, 1.0)[:, None, None] * free
-    deviation = np.sqrt(np.einsum("nii->ni", whole))
-    scaled = whole / np.maximum(deviation[:, :, None] * deviation[:, None, :], 1e-300)
-    exact = flags & (np.linalg.eigvalsh(scaled).min(axis=1) < _LEAST_SHARE)
+    full = covariance.copy()
+    full[:, 3:, 3:] += np.where(has_normal, size, 1.0)[:, None, None] * free
+    deviation = np.sqrt(np.einsum("nii->ni", full))
+    correlation = full / np.maximum(deviation[:, :, None] * deviation[:, None, :], 1e-300)
+    exact = flags & (np.linalg.eigvalsh(correlation).min(axis=1) < 1e-9)  # less is rounding
     if exact.any():
         i = int(np.flatnonzero(exact)[0])
         raise InvalidInput(
@@ -186,20 +189,14 @@ def _of_residual(value: ArrayLike, normals: Array, has_normal: Mask, covariance:
     return flags
 
 
-def _points(points_palm: Any) -> Array:
-    if checks.axes(points_palm) and not len(points_palm):
-        raise InvalidInput("points_palm: expected at least one contact, got no contacts")
-    return _by_row(checks.in_reach, points_palm, "points_palm", (3,))
-
-
-def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
-    """(n, 3) unit or zero, and which are there."""
+def _normals(normals_palm: object, n: int) -> tuple[Array, Mask]:
+    """Returns normals (n, 3), unit or zero, and whether each exists (n,)."""
     normals, has_normal = np.zeros((n, 3)), np.zeros(n, dtype=bool)
     if normals_palm is None:
         return normals, has_normal
     if not isinstance(normals_palm, np.ndarray | Sequence) or isinstance(normals_palm, str):
         raise InvalidInput(f"normals_palm: expected {n} normals, got {checks.brief(normals_palm)}")
-    _same_length(normals_palm, "normals_palm", n)
+    _check_length(normals_palm, "normals_palm", n)
     for i, normal in enumerate(normals_palm):
         if normal is not None:
             normals[i] = checks.unit(normal, f"normals_palm[{i}]", (3,))
@@ -208,27 +205,27 @@ def _normals(normals_palm: Any, n: int) -> tuple[Array, Mask]:
 
 
 def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
-    """(n,) positive, and no larger than what they are sigmas of."""
+    """Returns standard deviations (n,) of points or normals."""
     check = checks.sigma_point if name == "sigma_point" else checks.sigma_normal
-    if checks.axes(value) == 0:
+    if checks.ndim(value) == 0:
         return np.full(n, check(value, name))
     sigmas = checks.finite(value, name, (None,))
-    _same_length(sigmas, name, n)
-    for i in np.flatnonzero(~((sigmas >= checks.FINEST) & (sigmas <= np.pi))):
+    _check_length(sigmas, name, n)
+    for i in np.flatnonzero(~((sigmas >= checks.MIN_SIGMA) & (sigmas <= np.pi))):
         check(sigmas[i], f"{name}[{i}]")
     return sigmas
 
 
-def _by_row(check: Callable[..., Array], value: Any, name: str, shape: tuple[int, ...]) -> Array:
-    """`check` of the whole; where it fails, the message names the row at fault if one is."""
+def _by_row(check: Callable[..., Array], value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+    """Returns `check` of all rows (n, *shape); where that fails for one row, the message names the row."""
     try:
         return check(value, name, (None, *shape))
     except InvalidInput:
-        for i, row in enumerate(value if checks.axes(value) else ()):
+        for i, row in enumerate(value if checks.ndim(value) else ()):  # type: ignore[arg-type]
             check(row, f"{name}[{i}]", shape)
         raise
 
 
-def _same_length(value: Sequence[object] | Array, name: str, n: int) -> None:
+def _check_length(value: Sequence[object] | Array, name: str, n: int) -> None:
     if len(value) != n:
         raise InvalidInput(f"{name}: expected as many as points_palm ({n}), got {len(value)}")

@@ -1,10 +1,11 @@
-"""Fingertip shapes: a closed convex surface, the part of it that is sensed, and where its sensor sits.
+"""Shapes of fingertips: a closed convex surface, the part of it that is sensed, and the pose of its sensor.
 
 The frame `surface` (the tip's frame) has its origin at the surface's centre, its axes along the semi-axes,
-and the tip points along +z. A pull at one point of a closed surface is a push at the point behind it, so a
-shape carries what tells them apart: a `cap` (least z that is sensed) and a `max_friction`.
+and the tip points along +z. A pull at one point of a closed surface has the wrench of a push at the opposite point.
+A `cap` (least z that is sensed) and a `max_friction` decide between the two.
 """
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,29 +18,25 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 
 SMALLEST, LARGEST = 1e-5, 0.2
-"""Semi-axes of a fingertip [m]; beyond them the unit is wrong."""
-MOST_FRICTION = 1e3
-"""No two materials have more; beyond it there is no limit."""
-LEAST_FORCE = 1e-9
-"""Smallest `min_force` [N]: below it a force has no direction worth the name."""
+"""Range of a fingertip's semi-axes [m]; outside, the unit is wrong."""
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Ellipsoid:
-    """An ellipsoidal fingertip (Bicchi, Salisbury and Brock 1993)."""
+    """An `Ellipsoid` is an ellipsoidal fingertip (Bicchi, Salisbury and Brock 1993)."""
 
     semi_axes: Array
-    """(3,) along x, y, z of the surface frame [m]."""
+    """(3,) semi-axes along x, y, z of the surface frame [m]."""
     cap: float | None
-    """Least z of a point that is sensed [m], within ± semi_axes[2]; None: the closed surface."""
+    """Least z of a sensed point [m], within ± semi_axes[2]; None: the whole closed surface is sensed."""
     max_friction: float | None
     """Largest |tangential force| / normal force; None: no limit."""
     min_force: float
-    """Forces weaker than this are no contact [N]."""
+    """Least force of a contact [N]."""
     T_surface_sensor: Array | None
-    """(4, 4) pose of the sensor's frame in the surface's; None: wrenches come in the surface's frame."""
-    record: NDArray[Any] = field(repr=False)
-    """(1,) the same as contact sensing's kernels take it; not to be written to."""
+    """(4, 4) pose of the sensor's frame in the surface's; None: wrenches are in the surface's frame."""
+    record: NDArray[np.void] = field(repr=False)
+    """(1,) the same values as a record for the kernels; must not be written to."""
 
     def __init__(
         self,
@@ -57,17 +54,17 @@ class Ellipsoid:
         if cap is not None:
             cap = float(checks.finite(cap, "cap", ()))
             if not -top < cap < top:
-                came = checks.in_metres(cap, top) if abs(cap) > 1 else f"{cap:g}"
+                came = checks.metres_text(cap, top) if abs(cap) > 1 else f"{cap:g}"
                 raise InvalidInput(f"cap: expected metres within the tip's ends ±{top:g}, got {came}")
         if max_friction is not None:
             max_friction = checks.positive(max_friction, "max_friction")
-            if max_friction > MOST_FRICTION:
+            if max_friction > 1000:  # no two materials have more
                 came = f"{max_friction:g} (without a limit: None)"
-                raise InvalidInput(f"max_friction: expected at most {MOST_FRICTION:g}, got {came}")
+                raise InvalidInput(f"max_friction: expected at most 1000, got {came}")
         min_force = checks.positive(min_force, "min_force")
         checks.load(min_force, "min_force", ())
-        if min_force < LEAST_FORCE:
-            raise InvalidInput(f"min_force: expected newtons, at least {LEAST_FORCE:g}, got {min_force:g}")
+        if min_force < 1e-9:
+            raise InvalidInput(f"min_force: expected newtons, at least 1e-09, got {min_force:g}")
         T = None if T_surface_sensor is None else se3.check(T_surface_sensor, "T_surface_sensor")
         pose = np.eye(4) if T is None else T
         lowest = -np.inf if cap is None else cap
@@ -81,10 +78,10 @@ class Ellipsoid:
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Sphere(Ellipsoid):
-    """A spherical fingertip: an ellipsoid with equal axes."""
+    """A `Sphere` is a spherical fingertip: an ellipsoid with equal axes."""
 
     radius: float
-    """[m]"""
+    """Radius [m]."""
 
     def __init__(
         self,
@@ -102,15 +99,15 @@ class Sphere(Ellipsoid):
 
 
 Fingertip = Ellipsoid
-"""What any fingertip is, so far."""
+"""The type of every fingertip; all shapes are ellipsoids so far."""
 
 
 def unambiguous_cap(fingertip: Fingertip) -> float:
-    """The least cap [m] above which no pull can pass for a push, whatever the local torque.
+    """Returns the least cap [m] above which no pull has the wrench of a push, whatever the local torque.
 
-    Above it every force within the friction cone of an inward normal points down the tip (-z), so its reverse
-    lies in no such cone. With a lower cap some pulls near its rim *are* the wrench of a push from the other
-    side, and no sensor can tell. Raises InvalidInput without a `max_friction`: then no cap suffices.
+    Above that height every force within the friction cone of an inward normal points down the tip (-z), so the
+    reverse force lies in no such cone. With a lower cap some pulls near its rim have the wrench of a push from the
+    other side, and no sensor can distinguish them. Raises InvalidInput without a `max_friction`: then no cap suffices.
     """
     if fingertip.max_friction is None:
         raise InvalidInput("fingertip: expected a max_friction to find an unambiguous cap with, got None")
@@ -122,7 +119,73 @@ def unambiguous_cap(fingertip: Fingertip) -> float:
 
 def _check_length(length: float, name: str) -> None:
     if length > LARGEST:
-        came = checks.in_metres(length, LARGEST)
+        came = checks.metres_text(length, LARGEST)
         raise InvalidInput(f"{name}: expected metres, at most {LARGEST}, got {came}")
     if not length >= SMALLEST:
         raise InvalidInput(f"{name}: expected metres, at least {SMALLEST:g}, got {length:g}")
+
+
+FINGERTIP_HELP = """\
+ellipsoid:A,B,C<unit> or sphere:R<unit>, semi-axes along x, y, z of the tip, which points along +z;
+then options, each after a comma (or a semicolon):
+  cap=Z<unit>         least z that is sensed, from the centre (without it: the whole closed surface)
+  friction=MU         largest tangential / normal force (without it: no limit)
+  min_force=F         newtons below which nothing is touched (0.1)
+  sensor=X,Y,Z<unit>  where the sensor's origin sits in the surface's frame, its axes parallel
+                      (without it: at the centre)
+A length needs its unit: mm, cm or m. Example: ellipsoid:8,8,12mm,cap=-2mm,friction=1.2
+"""
+_NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z]*)")
+
+
+def parse_fingertip(text: str) -> Fingertip:
+    """Returns the fingertip of a text such as `ellipsoid:8,8,12mm,cap=-2mm`; its grammar is `FINGERTIP_HELP`.
+
+    Raises an InvalidInput that quotes the part at fault.
+    """
+    shape, colon, rest = text.partition(":")
+    shape = shape.strip().lower()
+    if shape not in ("ellipsoid", "sphere") or not colon:
+        raise InvalidInput(f"fingertip: expected ellipsoid:A,B,Cmm or sphere:Rmm, got {text!r}")
+    sizes, *options = re.split(r"[,;](?=[^,;=]*=)", rest)
+    lengths = _lengths(sizes, shape, 3 if shape == "ellipsoid" else 1)
+    names = {"cap": "cap", "friction": "max_friction", "min_force": "min_force", "sensor": "T_surface_sensor"}
+    arguments: dict[str, Any] = {}
+    for option in options:
+        name, _, value = (part.strip() for part in option.partition("="))
+        if name not in names:
+            raise InvalidInput(f"fingertip: expected options {', '.join(names)}, got {name!r}")
+        if names[name] in arguments:
+            raise InvalidInput(f"fingertip: expected {name} once, got it twice")
+        if name == "cap":
+            arguments["cap"] = _lengths(value, name, 1)[0]
+        elif name == "sensor":
+            arguments["T_surface_sensor"] = se3.compose(np.eye(3), np.array(_lengths(value, name, 3)))
+        else:
+            unit = "N" if name == "min_force" else ""
+            match = _NUMBER.fullmatch(value)
+            if not match or match[2] not in ("", unit):
+                hint = f" [{unit}]" if unit else ""
+                raise InvalidInput(f"fingertip: {name}: expected a number{hint}, got {value!r}")
+            arguments[names[name]] = float(match[1])
+    try:
+        return Ellipsoid(lengths, **arguments) if shape == "ellipsoid" else Sphere(lengths[0], **arguments)
+    except InvalidInput as error:
+        raise InvalidInput(f"fingertip {text!r}: {error}") from None
+
+
+def _lengths(text: str, name: str, count: int) -> list[float]:
+    """Returns `count` lengths [m]; the unit after the last one is that of those without a unit."""
+    text = text.strip()
+    matches = [_NUMBER.fullmatch(part.strip()) for part in re.split("[,;]", text)]
+    numbers = [(float(match[1]), match[2]) for match in matches if match]
+    if len(matches) != count or len(numbers) != count:
+        expected = "a length such as 9mm" if count == 1 else f"{count} lengths such as 8,8,12mm"
+        raise InvalidInput(f"fingertip: {name}: expected {expected}, got {text!r}")
+    metres = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+    units = [unit or numbers[-1][1] for _, unit in numbers]
+    for unit in units:
+        if unit not in metres:
+            came = f"the unit {unit!r}" if unit else "no unit"
+            raise InvalidInput(f"fingertip: {name}: expected mm, cm or m in {text!r}, got {came}")
+    return [value * metres[unit] for (value, _), unit in zip(numbers, units, strict=True)]

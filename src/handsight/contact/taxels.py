@@ -1,73 +1,63 @@
-"""A tactile array: a flat grid of taxels on a link, and what its readings say of the object.
+"""Tactile arrays: a flat grid of taxels on a link, and the evidence of its readings on the object's pose.
 
 Frame `grid`: origin in the middle of the grid, x along a row (the column's number grows), y along a column (the row's
-number grows), +z out of the skin, towards what touches it. A taxel that is pressed is a contact with the link's
-normal; one that is not is a point the object cannot cover. One that is dead, stuck or half covered says nothing.
+number grows), +z out of the skin, towards what touches the skin. A pressed taxel is a contact with the link's normal;
+an untouched one is a point that the object does not cover. A dead, stuck or half covered taxel is no evidence.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from handsight import checks, se3
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.errors import InvalidInput
 
-MOST_TAXELS = 4096
-"""Of one array."""
-FINEST, COARSEST = 2e-4, 0.05
-"""Pitch of an array [m]; beyond these the unit is wrong."""
-COVERED = 0.5
-"""A taxel that feels less than this share of what its hardest neighbour feels may be pressed at its rim alone."""
-MOST_CONTACTS = 32
-"""Of one array: pressed taxels as far apart as can be, for those between say nothing new."""
-RAISED, SIGMA_RAISED = 5e-4, 3e-4
-"""So far above an untouched taxel there is no object [m], for a face that lies on the skin is at no depth in it; and
-how far wrong that may be: one standard deviation. A can's side is that high 6 mm beside where it touches."""
+MAX_CONTACTS = 32
+"""Contacts of one array at most: the pressed taxels that are farthest from each other."""
+CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
+"""Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
+and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TaxelArray:
-    """A flat grid of taxels on a link of the hand; raises InvalidInput for what is none."""
+    """A `TaxelArray` is a flat grid of taxels on a link of the hand; wrong fields raise InvalidInput."""
 
     frame: str
-    """The body of the hand's file that it is fixed to."""
+    """Body of the hand's file to which the array is fixed."""
     T_frame_grid: Array
-    """(4, 4)."""
+    """(4, 4) pose of the grid in the body."""
     rows: int
     columns: int
     pitch: float
-    """From taxel to taxel, both ways [m]."""
+    """Distance from taxel to taxel, along rows and columns [m]."""
     threshold: float
-    """What a taxel reads that is touched, at least, above what it reads untouched; in the unit of its readings."""
+    """Least rise of a touched taxel's reading over its baseline, in the unit of the readings."""
     full_scale: float | None = None
-    """The largest reading there is: as good as pressed, but a taxel at it all the time is not believed."""
+    """The largest reading there is: such a taxel is pressed, unless it always reads that."""
     sigma_point: float = 1.5e-4
-    """Of a taxel's height by itself: uneven, soft skin [m]; sideways it is known to its cell."""
+    """Standard deviation of a taxel's height, as skin is uneven and soft [m]; sideways it is known to its cell."""
     sigma_normal: float = np.deg2rad(4.0)
-    """[rad]"""
+    """Standard deviation of a contact's normal [rad]."""
     sigma_mount: float = 5e-4
-    """Of the height of the whole array on its link [m]."""
+    """Standard deviation of the height of the array as a whole on its link [m]."""
 
     def __post_init__(self) -> None:
         se3.check(self.T_frame_grid, "T_frame_grid")
+        most = 4096  # taxels
         for name in ("rows", "columns"):
             value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | np.integer)
-                or not 1 <= value <= MOST_TAXELS
-            ):
-                raise InvalidInput(
-                    f"{name}: expected a whole number from 1 to {MOST_TAXELS}, got {checks.brief(value)}"
-                )
-        if self.rows * self.columns > MOST_TAXELS:
-            raise InvalidInput(f"rows: expected at most {MOST_TAXELS} taxels, got {self.rows * self.columns}")
-        if not FINEST <= float(checks.finite(self.pitch, "pitch", ())) <= COARSEST:
-            raise InvalidInput(f"pitch: expected metres from {FINEST:g} to {COARSEST:g}, got {self.pitch:g}")
+            integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not integer or not 1 <= value <= most:
+                expected = f"expected a whole number from 1 to {most}"
+                raise InvalidInput(f"{name}: {expected}, got {checks.brief(value)}")
+        if self.rows * self.columns > most:
+            raise InvalidInput(f"rows: expected at most {most} taxels, got {self.rows * self.columns}")
+        if not 2e-4 <= float(checks.finite(self.pitch, "pitch", ())) <= 0.05:
+            raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {self.pitch:g}")
         checks.positive(self.threshold, "threshold")
         if (
             self.full_scale is not None
@@ -80,21 +70,21 @@ class TaxelArray:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """The number of rows and of columns."""
         return self.rows, self.columns
 
     @property
     def places_grid(self) -> Array:
-        """(rows, columns, 3) where the taxels are, in the grid's frame [m]."""
+        """(rows, columns, 3) positions of the taxels in the grid's frame [m]."""
         x = self.pitch * (np.arange(self.columns) - (self.columns - 1) / 2)
         y = self.pitch * (np.arange(self.rows) - (self.rows - 1) / 2)
         return np.stack([*np.meshgrid(x, y), np.zeros(self.shape)], axis=2)
 
     def reading(self, values: ArrayLike, name: str = "reading") -> Array:
-        """(rows, columns) as floats, NaN where a taxel reads nothing; raises InvalidInput for another shape."""
+        """Returns readings (rows, columns) as floats, NaN for none; raises InvalidInput for another shape."""
         try:
             array = np.asarray(values)
-        except ValueError:  # ragged
+        except ValueError:  # rows of different length
             array = np.zeros(0)
         if array.dtype.kind not in "fiu" or array.shape != self.shape:
             expected = f"expected {self.rows} rows of {self.columns} numbers"
@@ -102,70 +92,67 @@ class TaxelArray:
         return array.astype(np.float64)
 
     def touch(self, values: ArrayLike, baseline: ArrayLike = 0.0) -> "SkinTouch":
-        """What readings (rows, columns) say: which taxels are pressed, and which are not.
+        """Returns which taxels are pressed, and which are untouched, by their readings (rows, columns).
 
-        `baseline`: what they read untouched, a number or (rows, columns); NaN there or in the readings: a taxel that
-        says nothing. Nor does one at infinity. Raises InvalidInput.
+        `baseline`: their readings while untouched, a number or (rows, columns). A taxel with NaN or infinity in either
+        is neither. Raises InvalidInput.
         """
         reading = self.reading(values)
         if np.shape(baseline) not in ((), self.shape):
             expected = f"expected a number or {self.rows} rows of {self.columns}"
             raise InvalidInput(f"baseline: {expected}, got shape {np.shape(baseline)}")
-        felt = reading - np.asarray(baseline, dtype=np.float64)
-        known = np.isfinite(felt)
-        felt = np.where(known, felt, 0.0)
+        rise = reading - np.asarray(baseline, dtype=np.float64)
+        known = np.isfinite(rise)
+        rise = np.where(known, rise, 0.0)
         if self.full_scale is not None:
-            felt = np.where(known & (reading >= self.full_scale), self.full_scale, felt)
-        over = known & (felt >= self.threshold)
-        alone = over & ~_around(over, 2).any(axis=0)
-        if over.sum() > alone.sum():  # where others are pressed together it is stuck
-            known, over = known & ~alone, over & ~alone
-        pressed = over & (felt >= COVERED * _around(felt, 1).max(axis=0))
-        return SkinTouch(self, pressed, known & ~_between(over))
+            rise = np.where(known & (reading >= self.full_scale), self.full_scale, rise)
+        touched = known & (rise >= self.threshold)
+        isolated = touched & ~_neighbours(touched, 2).any(axis=0)
+        if touched.sum() > isolated.sum():  # while others are touched together, an isolated one is stuck
+            known, touched = known & ~isolated, touched & ~isolated
+        # With less than half of its strongest neighbour's rise, a taxel may be touched at its rim only.
+        pressed = touched & (rise >= 0.5 * _neighbours(rise, 1).max(axis=0))
+        # Taxels between touched ones are covered too: they are dead, or lower than the others.
+        covered = np.zeros_like(touched)
+        for axis in (0, 1):
+            before = np.maximum.accumulate(touched, axis=axis)
+            after = np.flip(np.maximum.accumulate(np.flip(touched, axis), axis=axis), axis)
+            covered |= before & after
+        return SkinTouch(self, pressed, known & ~covered)
 
 
-def _between(touched: Mask) -> Mask:
-    """(rows, columns) those that are touched, or between two that are, in a row or a column.
-
-    What lies on the skin covers them: they are dead, or lower than the others.
-    """
-    found = np.zeros_like(touched)
-    for axis in (0, 1):
-        before = np.maximum.accumulate(touched, axis=axis)
-        after = np.flip(np.maximum.accumulate(np.flip(touched, axis), axis=axis), axis)
-        found |= before & after
-    return found
-
-
-def _around(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """(n, rows, columns) the values of each taxel's neighbours up to so many taxels away, 0 beyond the rim."""
+def _neighbours(values: Array | Mask, distance: int) -> Array:
+    """Returns (n, rows, columns) the values of each taxel's neighbours within `distance` taxels, 0 beyond the rim."""
     rows, columns = values.shape
-    wide, size = np.pad(values, reach), 2 * reach + 1
-    steps = [(i, j) for i in range(size) for j in range(size) if (i, j) != (reach, reach)]
-    return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
+    padded, size = np.pad(values, distance), 2 * distance + 1
+    shifts = [(i, j) for i in range(size) for j in range(size) if (i, j) != (distance, distance)]
+    return np.stack([padded[i : i + rows, j : j + columns] for i, j in shifts])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinTouch:
-    """Where an array is touched at one instant."""
+    """A `SkinTouch` says which taxels of an array are touched at one instant."""
 
     array: TaxelArray = field(repr=False)
     pressed: Mask
-    """(rows, columns)"""
+    """(rows, columns) taxels that are contacts."""
     untouched: Mask
-    """(rows, columns); what is neither, says nothing."""
+    """(rows, columns) taxels that nothing covers; those that are neither are no evidence."""
 
     def contacts(self, T_palm_frame: ArrayLike) -> Contacts | None:
-        """The pressed taxels as contacts, at most MOST_CONTACTS; None where there is none.
+        """Returns the pressed taxels as contacts in the palm, at most `MAX_CONTACTS`; None without a pressed one.
 
-        `T_palm_frame` (4, 4): where the link is. How well they are known among themselves: where the whole array is
-        wrong, all are alike, which `handsight.correction.Outside.of_skin` knows.
+        `T_palm_frame` (4, 4): the pose of the link. Their covariances are without the array's common error
+        `sigma_mount`, which `handsight.correction.Outside.of_skin` adds.
         """
         array, T_palm_grid = self.array, self._T_palm_grid(T_palm_frame)
         places = array.places_grid[self.pressed]
         if not len(places):
             return None
-        points, R = se3.apply(T_palm_grid, places[_apart(places, MOST_CONTACTS)]), T_palm_grid[:3, :3]
+        points, R = (
+            se3.apply(T_palm_grid, places[_farthest_points(places, MAX_CONTACTS)]),
+            T_palm_grid[:3, :3],
+        )
         sideways = array.pitch**2 / 12
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = R @ np.diag([sideways, sideways, array.sigma_point**2]) @ R.T
@@ -174,16 +161,16 @@ class SkinTouch:
         return Contacts(points, np.tile(-R[:, 2], (n, 1)), covariance=np.tile(covariance, (n, 1, 1)))
 
     def outside(self, T_palm_frame: ArrayLike) -> Array:
-        """(m, 3) points in the palm that cannot be inside the object: RAISED above the untouched taxels [m]."""
-        places = self.array.places_grid[self.untouched] + [0.0, 0.0, RAISED]
+        """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m]."""
+        places = self.array.places_grid[self.untouched] + [0.0, 0.0, CLEARANCE]
         return se3.apply(self._T_palm_grid(T_palm_frame), places)
 
     def _T_palm_grid(self, T_palm_frame: ArrayLike) -> Array:
         return np.asarray(se3.check(T_palm_frame, "T_palm_frame") @ self.array.T_frame_grid)
 
 
-def _apart(places: Array, count: int) -> Indices:
-    """At most `count` of places (n, 3), each next one farthest from those before: the rim first."""
+def _farthest_points(places: Array, count: int) -> Indices:
+    """Returns at most `count` of n places (n, 3), each farthest from those before (farthest-point sampling)."""
     if len(places) <= count:
         return np.arange(len(places))
     chosen = [int(np.argmax(((places - places.mean(axis=0)) ** 2).sum(axis=1)))]

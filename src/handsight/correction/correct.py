@@ -69,7 +69,7 @@ def correct_pose(
             f"got {type(model).__name__} and {type(contacts).__name__}"
         )
     prior = checked_prior(vision)
-    samples, answer = checks.whole(samples, "samples", MOST_SAMPLES), checked_answer(answer)
+    samples, answer = checks.integer(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     limit = Budget.of(budget)
     problem = Problem(
         model, contacts, prior, outside_records(model, contacts, outside), _weight(weight, model)

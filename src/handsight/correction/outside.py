@@ -12,7 +12,7 @@ from handsight import checks
 from handsight._kernels.records import OUTSIDE
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
-from handsight.contact.taxels import SIGMA_RAISED, SkinTouch
+from handsight.contact.taxels import SIGMA_CLEARANCE, SkinTouch
 from handsight.correction.problem import check_number
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -71,12 +71,14 @@ class Outside:
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
         if self.sigmas is not None:
-            sigmas = _each(self.sigmas, "outside.sigmas", len(points), (checks.FINEST, checks.FARTHEST))
+            sigmas = _each(
+                self.sigmas, "outside.sigmas", len(points), (checks.MIN_SIGMA, checks.MAX_DISTANCE)
+            )
             object.__setattr__(self, "sigmas", sigmas)
         if self.links is not None:
             object.__setattr__(self, "links", _links(self.links, len(points)))
         if self.slacks is not None:
-            slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.FARTHEST))
+            slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.MAX_DISTANCE))
             object.__setattr__(self, "slacks", slacks)
         if self.skin is not None:
             object.__setattr__(self, "skin", checks.finite(self.skin, "outside.skin", (6,)))
@@ -96,7 +98,7 @@ class Outside:
         variance = np.repeat([array.sigma_mount**2, turn**2], 3)
         if by_error is not None:
             variance = variance + (np.asarray(by_error) ** 2).sum(axis=1)
-        return cls(points, sigmas=SIGMA_RAISED, skin=np.sqrt(variance))
+        return cls(points, sigmas=SIGMA_CLEARANCE, skin=np.sqrt(variance))
 
     def joined(self, other: "Outside") -> "Outside":
         """What both say; each must have sigmas of its own."""
@@ -140,7 +142,7 @@ def _points(value: ArrayLike) -> Array:
         return np.empty((0, 3))
     usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
     # What is wrong with any of them takes longer to tell; NaN is smaller than nothing.
-    if not (usual and value.min() >= -checks.FARTHEST and value.max() <= checks.FARTHEST):  # type: ignore[union-attr]
+    if not (usual and value.min() >= -checks.MAX_DISTANCE and value.max() <= checks.MAX_DISTANCE):  # type: ignore[union-attr]
         value = checks.position(value, "outside", (None, 3))
     check_number(len(value), MOST_POINTS, "outside", "points")  # type: ignore[arg-type]
     return value  # type: ignore[return-value]
@@ -148,7 +150,7 @@ def _points(value: ArrayLike) -> Array:
 
 def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
     """() or (n,) between limits; raises InvalidInput."""
-    numbers = checks.finite(value, name, (n,) if checks.axes(value) else ())
+    numbers = checks.finite(value, name, (n,) if checks.ndim(value) else ())
     if numbers.size and not limits[0] <= numbers.min() <= numbers.max() <= limits[1]:
         low, high = limits
         raise InvalidInput(f"{name}: expected numbers from {low:g} to {high:g}, got {checks.brief(value)}")

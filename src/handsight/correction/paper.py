@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import FARTHEST, Array, brief, finite, positive, unit
+from handsight.checks import MAX_DISTANCE, Array, brief, finite, positive, unit
 from handsight.errors import InvalidInput
 from handsight.se3 import compose, inverse
 
@@ -62,12 +62,12 @@ class PaperMethod:
         if self.optimizer not in ("lm", "gd"):
             raise InvalidInput(f"optimizer: expected 'lm' or 'gd', got {brief(self.optimizer)!r}")
         for name in ("w_n", "damping"):
-            if not 0 <= finite(getattr(self, name), name, ()) <= FARTHEST:
-                expected = f"expected a number from 0 to {FARTHEST:g}"
+            if not 0 <= finite(getattr(self, name), name, ()) <= MAX_DISTANCE:
+                expected = f"expected a number from 0 to {MAX_DISTANCE:g}"
                 raise InvalidInput(f"{name}: {expected}, got {brief(getattr(self, name))}")
         for name in ("epsilon", "step", "learning_rate", "tolerance"):
-            if positive(getattr(self, name), name) > FARTHEST:
-                expected = f"expected a number up to {FARTHEST:g}"
+            if positive(getattr(self, name), name) > MAX_DISTANCE:
+                expected = f"expected a number up to {MAX_DISTANCE:g}"
                 raise InvalidInput(f"{name}: {expected}, got {brief(getattr(self, name))}")
         for name in ("cloud_size", "min_points", "max_iterations", "patience"):
             value = getattr(self, name)

@@ -1,6 +1,6 @@
-"""An MJCF as MuJoCo is given it: one text with what it includes, without what kinematics does not ask for.
+"""MJCF files as MuJoCo is given them: one text with what it includes, without what kinematics does not need.
 
-MuJoCo would read whatever files a text names, allocate whatever sizes it states, and crash over a model that holds
+MuJoCo would read any file that a text names, allocate any size that a text states, and crash for a model that includes
 itself.
 """
 
@@ -8,8 +8,7 @@ import os
 import re
 from pathlib import Path
 
-from handsight.hand.meshes import Meshes, read_mesh
-from handsight.hand.xml_file import Part, check_count, check_depth, read_xml
+from handsight.hand.robot_xml import Element, Meshes, check_count, check_depth, read_mesh, read_xml
 
 _UNUSED = frozenset([
     *("size", "option", "visual", "statistic", "custom", "extension", "deformable", "contact", "equality"),
@@ -17,64 +16,71 @@ _UNUSED = frozenset([
     *("camera", "light", "composite", "flexcomp", "plugin", "lengthrange", "pair", "general", "motor"),
     *("position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion"),
 ])  # fmt: skip
-"""Elements that say nothing of bodies, joints and shapes, wherever they stand."""
-_UNUSED_NAMES = frozenset(["material", "user", "meshdir", "assetdir", "texturedir", "strippath"])
-"""Attributes that refer to these, or to where files are."""
-_COUNT = re.compile(r"\s*\d{1,6}\s*")
+"""Tags of elements without bodies, joints and shapes, wherever they are."""
+_UNUSED_ATTRIBUTES = frozenset(["material", "user", "meshdir", "assetdir", "texturedir", "strippath"])
+"""Attributes that refer to such elements, or to folders."""
 
 
 class Mjcf:
-    """The bodies, joints and shapes of a `<mujoco>`; raises InvalidFile where a part of it is no hand's."""
+    """An `Mjcf` has the bodies, joints and shapes of a `<mujoco>`; raises InvalidFile for a model that is no robot."""
 
-    robot: Part
-    """For MuJoCo."""
+    robot: Element
+    """The tree for MuJoCo."""
     meshes: Meshes
+    """The mesh files that the tree names."""
     missing: dict[str, str]
-    """Mesh files that are not there, by the name of their mesh in `robot`."""
+    """Mesh files that do not exist, by the name of their mesh in `robot`."""
 
-    def __init__(self, root: Part, path: Path) -> None:
+    def __init__(self, root: Element, path: Path) -> None:
         self._folder, self._included = path.parent, {path.resolve()}
-        self._parts = self._bodies = 0
+        self._elements = self._bodies = 0
         self._compiler: dict[str, str] = {}
         self.meshes, self.missing = Meshes(), {}
-        self.robot = Part(root.tag, root.attributes, root.file, root.line)
-        self._fill(self.robot, root, 1, 1)
+        self.robot = Element(root.tag, root.attributes, root.file, root.line)
+        self._copy(root, self.robot, 1, 1)
         for asset in self.robot.all("asset"):
             for mesh in asset.all("mesh"):
-                self._supply(mesh)
+                if "file" in mesh.attributes:
+                    self._add_mesh(mesh)
 
-    def _fill(self, new: Part, old: Part, copies: int, depth: int) -> None:
-        """Puts the parts of `old` that are used into `new`, of which MuJoCo will make so many copies."""
+    def _copy(self, old: Element, new: Element, copies: int, depth: int) -> None:
+        """Copies the used children of `old` to `new`, of which MuJoCo will make that many copies."""
         check_depth(depth, old.file)
-        for part in old.parts:
-            self._parts += copies
-            self._bodies += copies * (part.tag == "body")
-            check_count(self._parts, self._bodies, part.file)
-            if part.tag == "include":
-                self._fill(new, self._read(part), copies, depth + 1)
-            elif part.tag in ("model", "attach"):
-                raise part.wrong(f"expected a robot in one model with its includes, got <{part.tag}>")
-            elif part.tag not in _UNUSED:
-                if part.tag == "compiler":
-                    self._compiler |= part.attributes
-                given = {name: said for name, said in part.attributes.items() if name not in _UNUSED_NAMES}
-                self._fill(new.new(part.tag, given, part), part, copies * _copies(part), depth + 1)
+        for child in old.children:
+            self._elements += copies
+            self._bodies += copies * (child.tag == "body")
+            check_count(self._elements, self._bodies, child.file)
+            if child.tag == "include":
+                self._copy(self._read_include(child), new, copies, depth + 1)
+            elif child.tag in ("model", "attach"):
+                raise child.error(f"expected a robot in one model with its includes, got <{child.tag}>")
+            elif child.tag not in _UNUSED:
+                if child.tag == "compiler":
+                    self._compiler |= child.attributes
+                repeats = 1
+                if child.tag == "replicate":
+                    text = child.get("count")
+                    if not re.fullmatch(r"\s*\d{1,6}\s*", text):
+                        raise child.error(f"replicate: expected a count below a million, got {text!r:.40}")
+                    repeats = int(text)
+                used = {
+                    name: text for name, text in child.attributes.items() if name not in _UNUSED_ATTRIBUTES
+                }
+                self._copy(child, new.add(child.tag, used, child), copies * repeats, depth + 1)
 
-    def _read(self, include: Part) -> Part:
-        """The outermost element of an included file."""
+    def _read_include(self, include: Element) -> Element:
+        """Returns the root element of an included file."""
         name = include.get("file")
         path = self._folder / name
         if not os.path.isfile(path):
-            raise include.wrong(f"include: expected a file, got {name!r}")
+            raise include.error(f"include: expected a file, got {name!r}")
         if path.resolve() in self._included:
-            raise include.wrong(f"include: expected each file once, got {name!r} again")
+            raise include.error(f"include: expected each file once, got {name!r} again")
         self._included.add(path.resolve())
         return read_xml(path)
 
-    def _supply(self, mesh: Part) -> None:
-        """Has a mesh's file among the meshes."""
-        if "file" not in mesh.attributes:
-            return
+    def _add_mesh(self, mesh: Element) -> None:
+        """Adds a mesh's file to the meshes, or to the missing ones."""
         file = mesh.get("file")
         mesh.attributes.setdefault("name", Path(file).stem)
         folder = self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
@@ -84,11 +90,3 @@ class Mjcf:
             mesh.attributes["file"] = self.meshes.add(path, read_mesh(path))
         else:
             self.missing[mesh.get("name")] = file
-
-
-def _copies(part: Part) -> int:
-    if part.tag != "replicate":
-        return 1
-    if not _COUNT.fullmatch(part.get("count")):
-        raise part.wrong(f"replicate: expected a count below a million, got {part.get('count')!r:.40}")
-    return int(part.get("count"))

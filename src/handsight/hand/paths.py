@@ -1,4 +1,4 @@
-"""Where the files are that a robot's description names."""
+"""Search for the files that a robot's description names."""
 
 import os
 from importlib.util import find_spec
@@ -10,15 +10,15 @@ PACKAGE = "package://"
 
 
 def find_file(name: str | Path, beside: str | Path = ".") -> Path:
-    """The file that a path or `package://NAME/rest` names in a file of the folder `beside`.
+    """Returns the file that a path or `package://NAME/rest` names in a file of the folder `beside`.
 
-    NAME is the folder of a ROS package (`beside`, its parents and their subfolders, $ROS_PACKAGE_PATH,
-    $AMENT_PREFIX_PATH) or an installed Python package, which is not imported. Raises InvalidFile where there is none.
+    NAME is the folder of a ROS package (in `beside`, its parents and their subfolders, $ROS_PACKAGE_PATH,
+    $AMENT_PREFIX_PATH) or an installed Python package, which is not imported. Raises InvalidFile if there is none.
     """
     text = str(name)
     if not text.startswith(PACKAGE):
         path = Path(beside) / text.removeprefix("file://")
-        if os.path.isfile(path):  # unlike Path's, false for what is no name at all
+        if os.path.isfile(path):  # unlike Path.is_file, False for a text that is no name
             return path
         came = "a folder" if os.path.isdir(path) else "none of that name"
         raise InvalidFile(f"{text}: expected a file, got {came}")
@@ -38,11 +38,11 @@ def find_file(name: str | Path, beside: str | Path = ".") -> Path:
 def _ros_folders(package: str, beside: Path) -> list[Path]:
     if not package or package in (".", ".."):
         return []
-    above = [beside, *beside.parents]
+    parents = [beside, *beside.parents]
     roots = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
     shares = [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    found = [folder for folder in [*above, *roots] if folder.name == package]
-    return found + [folder / package for folder in [*above, *roots, *shares]]
+    found = [folder for folder in [*parents, *roots] if folder.name == package]
+    return found + [folder / package for folder in [*parents, *roots, *shares]]
 
 
 def _python_folders(package: str) -> list[Path]:
@@ -50,6 +50,6 @@ def _python_folders(package: str) -> list[Path]:
         return []
     try:
         spec = find_spec(package)
-    except ValueError:  # a module that runs as a script has none
+    except ValueError:  # a module that runs as a script has no spec
         return []
     return [Path(p) for p in (spec.submodule_search_locations or [])] if spec else []

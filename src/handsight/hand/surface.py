@@ -1,100 +1,162 @@
-"""Points on the surface of a hand's links, which no object can be deeper than."""
+"""Surfaces of a hand's links: triangles, and points that are evenly spread over them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import trimesh
 
 from handsight import se3
 from handsight.checks import Array, Indices
-from handsight.hand.chains import Chains, carried
+from handsight.hand.chains import Chains, transform_points
 
-SHAPES = SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(2, 8)
-"""MuJoCo's kinds of shapes that have a surface to sample; planes and height fields are no part of a hand."""
-FINER, MANY = 8, 1000
-"""Points drawn for each that is kept; and points that are even enough without choosing."""
+if TYPE_CHECKING:
+    from mujoco import MjModel
+
+
+class ShapeKind(IntEnum):
+    """A `ShapeKind` is one of MuJoCo's kinds of shapes that a hand can have; planes and height fields are none."""
+
+    SPHERE = 2
+    CAPSULE = 3
+    ELLIPSOID = 4
+    CYLINDER = 5
+    BOX = 6
+    MESH = 7
+
+
+class LinkMesh(NamedTuple):
+    """A `LinkMesh` is the surface of one link."""
+
+    vertices: Array
+    """(k, 3) vertices in the link's axes [m]."""
+    faces: Indices
+    """(m, 3) numbers of vertices, counterclockwise from outside."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandShape:
+    """A `HandShape` has triangles each of which moves with one link of a hand."""
+
+    bodies: tuple[str, ...]
+    """Names of the links that have a shape."""
+    vertices_body: Array
+    """(k, 3) vertices in the axes of their link [m]."""
+    body_of: Indices
+    """(k,) places in `bodies` of the vertices' links."""
+    faces: Indices
+    """(m, 3) numbers of vertices, counterclockwise from outside."""
+    chains: Chains
+    """How `bodies` move in the palm."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints whose positions are needed to place the links."""
+        return self.chains.joints
+
+    @property
+    def meshes(self) -> dict[str, LinkMesh]:
+        """By link, its triangles in its own axes."""
+        first = np.searchsorted(self.body_of, np.arange(len(self.bodies) + 1))
+        link = self.body_of[self.faces[:, 0]]
+        return {
+            body: LinkMesh(self.vertices_body[first[k] : first[k + 1]], self.faces[link == k] - first[k])
+            for k, body in enumerate(self.bodies)
+        }
+
+    def vertices_palm(self, joint_positions: Mapping[str, float]) -> Array:
+        """Returns the vertices (k, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
+        Ts, _ = self.chains.poses(joint_positions)
+        return transform_points(self.vertices_body, self.body_of, Ts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandSurface:
-    """Points each of which moves with one link of a hand."""
+    """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""
 
     bodies: tuple[str, ...]
-    """The links that have points."""
+    """Names of the links that have points."""
     body_of: Indices
-    """(m,) places in `bodies`."""
+    """(m,) places in `bodies` of the points' links."""
     points_body: Array
-    """(m, 3) in the axes of its link [m], inside the surface by what was asked for."""
+    """(m, 3) points in the axes of their link [m], inside the surface by the given depth."""
     normals: Array
-    """(m, 3) unit, outward, in the axes of its link."""
+    """(m, 3) unit outward normals in the axes of their link."""
     chains: Chains
-    """Of `bodies`, from the palm."""
+    """How `bodies` move in the palm."""
     middles: Array
-    """(b, 3) of each link's points, in its axes [m]."""
+    """(b, 3) centroid of each link's points, in its axes [m]."""
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The joints whose positions it takes to place the points."""
+        """The joints whose positions are needed to place the points."""
         return self.chains.joints
 
     def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
-        """(m, 3) where the points are [m]; raises InvalidInput as `Hand.Ts_palm_tip` does.
+        """Returns the points (m, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does.
 
-        Needs the joints of every link that has points, fingers without a tip among them.
+        The joints of all links with points are needed, also those of fingers without a tip.
         """
         Ts, _ = self.chains.poses(joint_positions)
-        return carried(self.points_body, self.body_of, Ts)
+        return transform_points(self.points_body, self.body_of, Ts)
 
-    def placed(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
-        """The points (m, 3) as `points_palm`, and (b,) how far each link's middle moves per axis [m] when every joint
-        is off by a radian, each for itself: root mean square."""
+    def points_and_sensitivities(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
+        """Returns the points (m, 3) as `points_palm`, and the sensitivity (b,) of each link's middle to joint errors.
+
+        The sensitivity is the root mean square motion per axis [m] for independent errors of one radian in each joint.
+        """
         Ts, axes = self.chains.poses(joint_positions)
         bodies = np.arange(len(self.bodies))
-        by_joint = self.chains.jacobians(carried(self.middles, bodies, Ts), bodies, axes)[:, :3]
-        return carried(self.points_body, self.body_of, Ts), np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
+        middles = transform_points(self.middles, bodies, Ts)
+        by_joint = self.chains.jacobians(middles, bodies, axes)[:, :3]
+        points = transform_points(self.points_body, self.body_of, Ts)
+        return points, np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
 
 
-def spread(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
-    """As `sample`, each link's points as evenly on it as can be, chosen of FINER times as many; up to MANY of all."""
-    if count > MANY:
-        return sample(triangles, count, seed)
-    link, _, _ = sample(triangles, count, seed)
-    finer, points, normals = sample(triangles, FINER * count, seed)
+def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
+    """Returns samples as `sample_by_area` does, with the points of each link as even as possible.
+
+    They are chosen from eight times as many; above 1000 points `sample_by_area` is even enough.
+    """
+    link, points, normals = sample_by_area(triangles, count, seed)
+    if count > 1000:
+        return link, points, normals
+    link_of_many, points, normals = sample_by_area(triangles, 8 * count, seed)
     chosen = [np.zeros(0, dtype=np.int64)]
     for k in np.unique(link):
-        mine = np.flatnonzero(finer == k)
-        chosen.append(mine[evenly(points[mine], int((link == k).sum()))])
+        rows = np.flatnonzero(link_of_many == k)
+        chosen.append(rows[choose_evenly(points[rows], int((link == k).sum()))])
     rows = np.concatenate(chosen)
-    return finer[rows], points[rows], normals[rows]
+    return link_of_many[rows], points[rows], normals[rows]
 
 
-def evenly(points: Array, count: int) -> Indices:
-    """(count,) of points (n, 3), count ≤ n: each the middle of those that are nearer to it than to the others.
+def choose_evenly(points: Array, count: int) -> Indices:
+    """Returns `count` numbers of points (n, 3), count ≤ n, each the most central of those nearest to it.
 
-    First each next one is the farthest from those before, which is on edges; the middle of its share is not.
+    Farthest-point sampling gives the cells; its own points are on edges, the most central ones of the cells are not.
     """
     place, nearest, owner = 0, np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for k in range(count):
-        away = points - points[place]
-        square = np.einsum("ni,ni->n", away, away)
+        offsets = points - points[place]
+        square = np.einsum("ni,ni->n", offsets, offsets)
         owner[square < nearest] = k
         nearest = np.minimum(nearest, square)
         place = int(nearest.argmax())
     chosen = []
     for k in range(count):
-        mine = np.flatnonzero(owner == k)
-        away = points[mine] - points[mine].mean(axis=0)
-        chosen.append(mine[np.einsum("ni,ni->n", away, away).argmin()])
+        rows = np.flatnonzero(owner == k)
+        offsets = points[rows] - points[rows].mean(axis=0)
+        chosen.append(rows[np.einsum("ni,ni->n", offsets, offsets).argmin()])
     return np.array(chosen, dtype=np.int64)
 
 
-def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
-    """Of each point its place in the list, itself and the outward normal: (m,), (m, 3), (m, 3).
+def sample_by_area(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
+    """Returns for each of m = `count` points the number of its link (m,), its position and its normal (m, 3).
 
-    `triangles`: (f, 3, 3) for each link. Evenly by area: the area is laid out in one line, with one point drawn in
-    each of its `count` equal parts.
+    `triangles`: (f, 3, 3) for each link. The sampling is stratified: the areas are put in one line, and one point is
+    drawn in each of its `count` equal parts. Without any area there are no points.
     """
     rng = np.random.default_rng(seed)
     link = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
@@ -113,55 +175,44 @@ def sample(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Arra
     return link[chosen], points, normals
 
 
-def triangles_of(model: Any, body: int) -> Array:
-    """(f, 3, 3) the shapes of a body [m]: those that touch, else those that are seen."""
-    shapes = _shapes(model, body)
-    touching = [g for g in shapes if model.geom_contype[g] or model.geom_conaffinity[g]]
-    return _in_body(model, touching or shapes)
+def body_triangles(model: "MjModel", body: int, *, visual: bool = False) -> Array:
+    """Returns the triangles (f, 3, 3) of a body's collision shapes, or else of all, in its axes [m].
 
-
-def visible_triangles(model: Any, body: int) -> Array:
-    """(f, 3, 3) the shapes of a body [m]: those that are seen, which touch nothing in most files, else all."""
-    shapes = _shapes(model, body)
-    seen = [g for g in shapes if not (model.geom_contype[g] or model.geom_conaffinity[g])]
-    return _in_body(model, seen or shapes)
-
-
-def _shapes(model: Any, body: int) -> list[int]:
+    With `visual` its visual shapes, which collide with nothing in most files, or else all.
+    """
     first = int(model.body_geomadr[body])
-    return [g for g in range(first, first + int(model.body_geomnum[body])) if model.geom_type[g] in SHAPES]
-
-
-def _in_body(model: Any, shapes: list[int]) -> Array:
-    found = [np.zeros((0, 3, 3))]
-    for g in shapes:
+    shapes = [
+        g
+        for g in range(first, first + int(model.body_geomnum[body]))
+        if model.geom_type[g] in list(ShapeKind)
+    ]
+    preferred = [g for g in shapes if bool(model.geom_contype[g] or model.geom_conaffinity[g]) != visual]
+    triangles = [np.zeros((0, 3, 3))]
+    for g in preferred or shapes:
         R = se3.rotation_from_quaternion(model.geom_quat[g][[1, 2, 3, 0]])
-        found.append(_corners(model, g) @ R.T + model.geom_pos[g])
-    return np.concatenate(found)
+        triangles.append(_shape_triangles(model, g) @ R.T + model.geom_pos[g])
+    return np.concatenate(triangles)
 
 
-def _corners(model: Any, g: int) -> Array:
-    """(f, 3, 3) a shape's triangles in its own axes [m]."""
+def _shape_triangles(model: "MjModel", g: int) -> Array:
+    """Returns the triangles (f, 3, 3) of a shape in its own axes [m]."""
     kind, size = model.geom_type[g], model.geom_size[g]
-    if kind == MESH:
-        return _mesh(model, model.geom_dataid[g])
-    if kind in (SPHERE, ELLIPSOID):
-        radii = size if kind == ELLIPSOID else size[:1]
+    if kind == ShapeKind.MESH:
+        mesh = model.geom_dataid[g]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
+        first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        corners = vertices[model.mesh_face[first : first + count]]
+        volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+        return np.asarray(corners if volume > 0 else corners[:, ::-1])
+    if kind in (ShapeKind.SPHERE, ShapeKind.ELLIPSOID):
+        radii = size if kind == ShapeKind.ELLIPSOID else size[:1]
         return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)
-    if kind == BOX:
+    if kind == ShapeKind.BOX:
         return np.asarray(trimesh.creation.box(2 * size).triangles)
     radius, half, _ = size
-    if kind == CYLINDER:
+    if kind == ShapeKind.CYLINDER:
         return np.asarray(trimesh.creation.cylinder(radius, 2 * half).triangles)
     capsule = trimesh.creation.capsule(2 * half, radius)
-    # trimesh has had it stand on the origin and about it.
+    # Versions of trimesh differ in whether a capsule stands on the origin or is centred on it.
     return np.asarray(capsule.triangles - capsule.bounds.mean(axis=0))
-
-
-def _mesh(model: Any, mesh: int) -> Array:
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
-    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    corners = vertices[model.mesh_face[first : first + count]]
-    volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return np.asarray(corners if volume > 0 else corners[:, ::-1])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handsight import se3
-from handsight.checks import FARTHEST, Array
+from handsight.checks import MAX_DISTANCE, Array
 from handsight.messages.clocks import MAX_JUMP
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
@@ -233,7 +233,7 @@ class TransformTree:
         T = above_source[common]
         T = T if common == target else se3.inverse(above_target[common]) @ T
         x, y, z = T[:3, 3].tolist()
-        return T if max(abs(x), abs(y), abs(z)) <= FARTHEST else None  # many of them may lead anywhere
+        return T if max(abs(x), abs(y), abs(z)) <= MAX_DISTANCE else None  # many of them may lead anywhere
 
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
         """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""

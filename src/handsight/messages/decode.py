@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight.checks import FARTHEST, STRONGEST, Array
+from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import camera_info, images, taxels, touch
 from handsight.messages.fast import FastReaders, StampedTransform
@@ -187,11 +187,11 @@ def _check_positions(positions: Mapping[str, float]) -> None:
 
 def _wrench(values: Sequence[float]) -> Array:
     """(6,)"""
-    if not hypot(*values) <= STRONGEST:
+    if not hypot(*values) <= MAX_LOAD:
         if not all(map(isfinite, values)):
             raise MessageRejected("force or torque is not finite", nan=True)
-        if (most := max(map(abs, values))) > STRONGEST:
-            raise MessageRejected(f"expected a force and torque within {STRONGEST:g} N and N m, got {most:g}")
+        if (most := max(map(abs, values))) > MAX_LOAD:
+            raise MessageRejected(f"expected a force and torque within {MAX_LOAD:g} N and N m, got {most:g}")
     return np.array(values)
 
 
@@ -209,8 +209,8 @@ def _rigid_transform(*numbers: float) -> Array:
     length = hypot(x, y, z, w)
     if not isfinite(length + abs(px) + abs(py) + abs(pz)):
         raise MessageRejected("position or orientation is not finite", nan=True)
-    if (far := max(abs(px), abs(py), abs(pz))) > FARTHEST:
-        raise MessageRejected(f"expected a position within {FARTHEST:g} m, got {far:g}")
+    if (far := max(abs(px), abs(py), abs(pz))) > MAX_DISTANCE:
+        raise MessageRejected(f"expected a position within {MAX_DISTANCE:g} m, got {far:g}")
     if length < 1e-6:
         raise MessageRejected("expected an orientation, got a quaternion of length 0")
     x, y, z, w = x / length, y / length, z / length, w / length

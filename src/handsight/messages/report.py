@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from handsight.checks import nearest
+from handsight.checks import nearest_name
 from handsight.errors import printable
 from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
 from handsight.messages.units import Units
@@ -134,5 +134,5 @@ def _missing_frames(rig: Rig, report: Report, topic: str, frames: set[str]) -> l
 
 
 def _nearest(name: str, there: Iterable[str]) -> str:
-    near = nearest(name, sorted(there))
+    near = nearest_name(name, sorted(there))
     return f"; the nearest is {near!r}" if near else ""

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.cache_folder import cache_folder, read, write
+from handsight.cache_folder import cache_folder, read_entry, write_entry
 from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import SAMPLES, Geometry, frozen
 from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
@@ -103,10 +103,10 @@ def remembered_numbers(
 def _remembered(kind: "_Kind[T]", name: str, compute: Callable[[], T]) -> T:
     path = cache_folder() / f"{kind.prefix}-{name}{kind.suffix}"
     with contextlib.suppress(Exception):  # whatever is wrong with a file, it can be made again
-        return kind.load(read(path, name))
+        return kind.load(read_entry(path, name))
     built = compute()
     try:
-        write(path, name, kind.content(built))
+        write_entry(path, name, kind.content(built))
         _forget_oldest(path.parent, f"{kind.prefix}-*")
     except OSError as error:
         _tell(path.parent, f"{kind.what} cannot be cached there ({error.strerror or error})")

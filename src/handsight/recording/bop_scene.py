@@ -13,8 +13,8 @@ import numpy as np
 from msgspec import Meta
 
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.explain import in_form
 from handsight.files import read_bytes
+from handsight.msgspec_errors import decode
 from handsight.objects.library.index import INFO
 from handsight.recording.frames import Frame, Frames, Unread
 from handsight.recording.rgbd import Beside, color_beside, mask_of, read_each
@@ -70,7 +70,7 @@ def _library(scene: Path) -> Path | None:
 
 def _cameras(scene: Path) -> dict[int, ImageCamera]:
     where = scene / CAMERAS
-    found = in_form(read_bytes(where, LARGEST_DOCUMENT), dict[str, ImageCamera], str(where))
+    found = decode(read_bytes(where, LARGEST_DOCUMENT), dict[str, ImageCamera], str(where))
     if wrong := next((key for key in found if not _is_number(key)), None):
         raise InvalidFile(f"{where}: expected numbers of images as keys, got {wrong!r:.80}")
     if not found:

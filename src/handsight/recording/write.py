@@ -17,7 +17,7 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import written
+from handsight.files import write_errors
 from handsight.messages import taxels
 from handsight.messages.decode import rosbags_module, typestore
 from handsight.messages.topics import ARRAY, CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
@@ -40,7 +40,7 @@ class McapFile:
         self._path = path
         if path.is_dir():
             raise InvalidFile(f"{path}: expected a file to write, got a folder")
-        with written(path):
+        with write_errors(path):
             # rosbags writes a folder with the file in it: beside the file, so that it need only be renamed.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
             plugin, mode = rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE
@@ -66,7 +66,7 @@ class McapFile:
             return
         self._open = False
         try:
-            with written(self._path):
+            with write_errors(self._path):
                 self._writer.close()
                 (self._folder / "bag" / "bag.mcap").replace(self._path)
         finally:
@@ -276,7 +276,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
-    with written(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+    with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         for row in rows:
             if row.T_palm_object is not None:
                 file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
@@ -284,7 +284,7 @@ def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises InvalidFile."""
-    with written(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+    with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
         for row in rows:

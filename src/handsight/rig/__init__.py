@@ -1,4 +1,4 @@
-"""The robot: hand, fingertips with their sensors, camera, table, topics, as one value read from `rig.yaml`."""
+"""A rig is a robot as one value, read from `rig.yaml`: hand, fingertips with sensors, camera, table and topics."""
 
 from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
 

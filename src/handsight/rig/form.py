@@ -1,10 +1,15 @@
-"""What a `rig.yaml` may say, each key with its unit (docs/robots.md has one); what is not said is as the parts have it.
+"""The keys of a `rig.yaml`, each declared once: its type, its bounds, and the comment that is written beside it.
 
-Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
+docs/robots.md shows such a file. A key that is left out has the default of the part of the rig that it belongs to.
+Lengths are in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
 """
 
-from typing import Annotated, ClassVar, Literal
+from functools import cache
+from pathlib import Path
+from types import NoneType
+from typing import Annotated, Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from msgspec import Meta, field
 
@@ -14,63 +19,135 @@ from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
 from handsight.contact.taxels import TaxelArray
 from handsight.errors import HandsightError
-from handsight.rig.form_parts import (
-    Angle,
-    AtLeastZero,
-    Form,
-    LinkPoseForm,
-    Load,
-    Pixels,
-    PoseForm,
-    Positive,
-    Text,
-    Vector,
-)
-from handsight.rig.object_form import ObjectForm
-from handsight.rig.rig import (
-    FARTHEST,
-    LARGEST_HELD,
-    LONGEST_LINK,
-    Camera,
-    DepthCamera,
-    Finger,
-    check_lens,
-)
+from handsight.msgspec_errors import alternatives
+from handsight.rig.rig import Camera, DepthCamera, Finger, ObjectEntry, check_lens
 
 VERSION = 1
-HEAVIEST = 2.0
-"""Of what hangs on a sensor [kg]; beyond it the unit is wrong."""
+Values = dict[str, Any]
 
 
-class HandForm(Form):
-    file: Text
-    """URDF or MJCF; a path from the rig file on, or `package://NAME/rest`."""
+def key(comment: str = "", *, metres: float = 0.0, kilograms: float = 0.0) -> Meta:
+    """Returns what is declared of a key: a comment, and bounds above which a length or mass has the wrong unit."""
+    return Meta(description=comment or None, extra={"metres": metres, "kilograms": kilograms})
+
+
+class Key(NamedTuple):
+    """A `Key` is one key of a form, as it was declared."""
+
+    name: str
+    """The name of the form's field."""
+    text: str
+    """The key in the file."""
+    kind: object
+    """The first type of its value that is not None, without annotations."""
+    comment: str
+    metres: float = 0.0
+    kilograms: float = 0.0
+
+
+@cache
+def keys(form: type["Form"]) -> tuple[Key, ...]:
+    """Returns the keys of a form in the order in which they are written."""
+    declared = []
+    for item in msgspec.structs.fields(form):
+        metas = getattr(item.type, "__metadata__", ())
+        extra = {name: value for meta in metas for name, value in (meta.extra or {}).items()}
+        comment = next((meta.description for meta in metas if meta.description), "")
+        kind = next(kind for kind in alternatives(item.type) if kind is not NoneType)
+        declared.append(Key(item.name, item.encode_name, kind, comment, **extra))
+    return tuple(declared)
+
+
+class Form(msgspec.Struct, forbid_unknown_fields=True):
+    """A `Form` is one mapping of the file, which is written in one line."""
+
+    def __post_init__(self) -> None:
+        for each in keys(type(self)):
+            value = getattr(self, each.name)
+            if value is None or isinstance(value, str):
+                continue
+            if each.metres and np.abs(value).max() > each.metres:
+                came = checks.metres_text(value, each.metres)
+                raise ValueError(f"{each.text}: expected metres within {each.metres:g}, got {came}")
+            if each.kilograms and value > each.kilograms:
+                raise ValueError(f"{each.text}: expected kilograms, got {value:g} (grams?)")
+
+    def given(self) -> Values:
+        """Returns the values that the file has, by the names of the rig's attributes; angles in radians."""
+        values = {each: getattr(self, each.name) for each in keys(type(self))}
+        return {
+            each.name: float(np.deg2rad(value)) if each.text.endswith("_deg") else value
+            for each, value in values.items()
+            if value is not None
+        }
+
+    def sigmas(self) -> Values:
+        """Returns the standard deviations among `given`."""
+        return {name: value for name, value in self.given().items() if name.startswith("sigma")}
+
+
+class Section(Form):
+    """A `Section` is a form of which each key has a line of its own."""
+
+
+Positive = Annotated[float, Meta(gt=0)]
+AtLeastZero = Annotated[float, Meta(ge=0)]
+Angle = Annotated[float, Meta(ge=0, le=180)]
+Pixels = Annotated[float, Meta(gt=0, le=1e5)]
+Load = Annotated[float, Meta(gt=0, le=checks.MAX_LOAD)]
+Text = Annotated[str, Meta(pattern=r"\S")]
+Vector = tuple[float, float, float]
+
+
+class PoseForm(Form):
+    position: Annotated[Vector, key(metres=100)] = (0.0, 0.0, 0.0)
+    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.matrix()
+
+    def matrix(self) -> Array:
+        """Returns the transform (4, 4); raises InvalidInput where the quaternion is zero."""
+        return se3.from_position_quaternion(self.position, self.quaternion_xyzw)
+
+
+class LinkPoseForm(PoseForm):
+    """A pose on a link of a finger."""
+
+    position: Annotated[Vector, key(metres=0.5)] = (0.0, 0.0, 0.0)
+
+
+class HandForm(Section):
+    file: Annotated[Text, key("URDF or MJCF")]
     palm: Text
-    sigma_joint_offset: Angle | None = field(name="joint_offset_deg", default=None)
+    sigma_joint_offset: Annotated[Angle | None, key("constant error of each joint angle")] = field(
+        name="joint_offset_deg", default=None
+    )
     sigma_joint: Angle | None = field(name="joint_noise_deg", default=None)
 
 
 class TipForm(Form):
+    """The shape of a tip: the semi-axes of an ellipsoid, or the radius of a sphere."""
+
     ellipsoid: Vector | None = None
-    """Semi-axes."""
     sphere: float | None = None
-    """Radius."""
+    min_force: Positive = 0.1
     cap: float | None = None
     max_friction: Positive | None = None
-    min_force: Positive = 0.1
 
     def __post_init__(self) -> None:
-        said = [shape for shape in ("ellipsoid", "sphere") if getattr(self, shape) is not None]
-        if len(said) != 1:
-            came = " and ".join(said) or "neither"
+        shapes = [shape for shape in ("ellipsoid", "sphere") if getattr(self, shape) is not None]
+        if len(shapes) != 1:
+            came = " and ".join(shapes) or "neither"
             raise ValueError(f"expected ellipsoid: [a, b, c] or sphere: r, got {came}")
         try:
             self.shape(np.eye(4))
         except HandsightError as error:
-            raise ValueError(f"{said[0]}: {error}") from None
+            raise ValueError(f"{shapes[0]}: {error}") from None
 
     def shape(self, T_surface_sensor: Array) -> Fingertip:
-        """The tip; raises a HandsightError where there is none of such a size."""
+        """Returns the tip; raises a HandsightError for a size that no tip has."""
         options = {name: getattr(self, name) for name in ("cap", "max_friction", "min_force")}
         if self.ellipsoid is not None:
             return Ellipsoid(self.ellipsoid, T_surface_sensor=T_surface_sensor, **options)
@@ -91,28 +168,22 @@ class BiasForm(Form):
             checks.load(getattr(self, name), name, (3,))
 
 
-class SensorForm(Form):
-    LONGEST: ClassVar = {"tip_center": LONGEST_LINK}
-
-    reading: Literal["on_sensor", "on_tip"]
-    pose: LinkPoseForm | None = None
-    """In the finger's frame."""
+class SensorForm(Section, kw_only=True):
+    pose: Annotated[LinkPoseForm | None, key("in the frame")] = None
+    reading: Annotated[
+        Literal["on_sensor", "on_tip"],
+        key("a tip at rest reads its weight along gravity: on_sensor; against it: on_tip"),
+    ]
     noise: SensorNoiseForm | None = None
     bias: BiasForm | None = None
-    tip_mass: AtLeastZero = 0.0
-    """[kg]"""
-    tip_center: Vector = (0.0, 0.0, 0.0)
-    """Of mass, from the sensor."""
-    full_scale: tuple[Load, Load] | None = None
-    """Force and torque."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.tip_mass > HEAVIEST:
-            raise ValueError(f"tip_mass: expected kilograms, got {self.tip_mass:g} (grams?)")
+    tip_mass: Annotated[
+        AtLeastZero, key("kg; handsight.calibrate_wrench finds bias, mass and centre", kilograms=2)
+    ] = 0.0
+    tip_center: Annotated[Vector, key("of mass, from the sensor", metres=0.5)] = (0.0, 0.0, 0.0)
+    full_scale: Annotated[tuple[Load, Load] | None, key("force, torque")] = None
 
     def calibration(self) -> WrenchCalibration:
-        """What is known of the sensor and of what hangs on it."""
+        """Returns what is known of the sensor and of the mass that hangs on it."""
         bias = self.bias or BiasForm()
         return WrenchCalibration(
             bias_force=np.array(bias.force),
@@ -126,19 +197,19 @@ class SensorForm(Form):
         )
 
 
-class FingerForm(Form):
-    LONGEST: ClassVar = {"sigma_point": LARGEST}
-
-    frame: Text
+class FingerForm(Section, kw_only=True):
+    frame: Annotated[Text, key("the body the tip moves with")]
+    surface: Annotated[LinkPoseForm | None, key("the shape's centre in it; the tip points along +z")] = None
     tip: TipForm
-    sensor: SensorForm
-    surface: LinkPoseForm | None = None
-    """In the frame."""
-    sigma_point: AtLeastZero | None = None
+    sigma_point: Annotated[
+        AtLeastZero | None,
+        key("calibration, softness: what joints and sensor do not explain", metres=LARGEST),
+    ] = None
     sigma_normal: Angle | None = field(name="sigma_normal_deg", default=None)
+    sensor: SensorForm
 
     def finger(self) -> Finger:
-        """The part of the rig."""
+        """Returns the part of the rig."""
         sensor, T_frame_surface = self.sensor, (self.surface or LinkPoseForm()).matrix()
         T_surface_sensor = se3.inverse(T_frame_surface) @ (sensor.pose or LinkPoseForm()).matrix()
         return Finger(
@@ -152,40 +223,35 @@ class FingerForm(Form):
         )
 
 
-class SkinForm(Form):
-    LONGEST: ClassVar = {"sigma_point": LARGEST, "sigma_mount": LARGEST}
-
+class SkinForm(Form, kw_only=True):
     frame: Text
+    pose: LinkPoseForm | None = None
     rows: int
     columns: int
     pitch: float
     threshold: Positive
-    pose: LinkPoseForm | None = None
-    """Of the middle of the grid in the frame."""
     full_scale: Positive | None = None
-    sigma_point: Positive | None = None
+    sigma_point: Annotated[Positive | None, key(metres=LARGEST)] = None
     sigma_normal: Annotated[float, Meta(gt=0, le=180)] | None = field(name="sigma_normal_deg", default=None)
-    sigma_mount: Positive | None = None
+    sigma_mount: Annotated[Positive | None, key(metres=LARGEST)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.array()
 
     def array(self) -> TaxelArray:
-        """The part of the rig; raises InvalidInput where there is none of such a size."""
+        """Returns the part of the rig; raises InvalidInput for a size that no array has."""
         given = {name: value for name, value in self.given().items() if name != "pose"}
         return TaxelArray(T_frame_grid=(self.pose or LinkPoseForm()).matrix(), **given)
 
 
 class VisionNoiseForm(Form):
-    LONGEST: ClassVar = {"sigma_position": LARGEST_HELD}
-
-    sigma_position: AtLeastZero | None = field(name="position", default=None)
+    sigma_position: Annotated[AtLeastZero | None, key(metres=5)] = field(name="position", default=None)
     sigma_rotation: Angle | None = field(name="rotation_deg", default=None)
 
 
 class IntrinsicsForm(Form):
-    """[pixels]"""
+    """A camera matrix and the size of the images [pixels]."""
 
     width: Pixels
     height: Pixels
@@ -195,15 +261,16 @@ class IntrinsicsForm(Form):
     cy: Pixels
 
 
-class CameraForm(Form):
-    fixed_to: Literal["world", "palm"] = "world"
-    pose: PoseForm | None = None
-    noise: VisionNoiseForm | None = None
-    constant_error: VisionNoiseForm | None = None
+class CameraForm(Section):
+    fixed_to: Annotated[Literal["world", "palm"], key("world or palm")] = "world"
+    pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
+    noise: Annotated[VisionNoiseForm | None, key("of a seen pose, each time anew")] = None
+    constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
+    depth_camera: Annotated[
+        DepthCamera | None, key("structured_light, time_of_flight or stereo: how it measures depth")
+    ] = None
     intrinsics: IntrinsicsForm | None = None
     lens: list[float] | None = None
-    """k1, k2, p1, p2[, k3[, k4, k5, k6]]."""
-    depth_camera: DepthCamera | None = None
 
     def __post_init__(self) -> None:
         if self.lens is not None:
@@ -212,7 +279,7 @@ class CameraForm(Form):
             raise ValueError("lens: expected intrinsics beside it, got none")
 
     def camera(self) -> Camera:
-        """The part of the rig."""
+        """Returns the part of the rig."""
         constant, k = (self.constant_error or VisionNoiseForm()).sigmas(), self.intrinsics
         return Camera(
             on=self.fixed_to,
@@ -226,17 +293,17 @@ class CameraForm(Form):
         )
 
 
-class TableForm(Form):
-    LONGEST: ClassVar = {"height": FARTHEST, "sigma_height": LARGEST_HELD}
-
-    height: float
-    sigma_height: Positive | None = None
+class TableForm(Section):
+    height: Annotated[float, key("of its top in the world", metres=100)]
+    sigma_height: Annotated[Positive | None, key(metres=5)] = None
     sigma_tilt: Angle | None = field(name="sigma_tilt_deg", default=None)
 
 
-class WorldForm(Form):
+class WorldForm(Section):
+    palm_from: Annotated[
+        Literal["tf", "joints", "nowhere"], key("tf, joints (the hand's file has the arm in it), nowhere")
+    ] = "tf"
     gravity: Vector = (0.0, 0.0, -9.81)
-    palm_from: Literal["tf", "joints", "nowhere"] = "tf"
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.gravity))
@@ -244,37 +311,74 @@ class WorldForm(Form):
             raise ValueError(f"gravity: expected a vector of 1.5 to 30 m/s², got length {length:.3g}")
 
 
-class FramesForm(Form):
+class FramesForm(Section):
     world: Text = "world"
     palm: Text = "palm"
     camera: Text = "camera"
 
 
-class TopicsForm(Form):
+class TopicsForm(Section):
     joint_states: Text | None = None
-    wrenches: dict[str, Text] | None = None
-    contacts: dict[str, Text] | None = None
-    """Of tips that sense contacts themselves."""
-    skin: dict[str, Text] | None = None
     vision: Text | None = None
     tf: Text | None = None
     color: Text | None = None
     depth: Text | None = None
     camera_info: Text | None = None
     truth: Text | None = None
+    wrenches: dict[str, Text] | None = None
+    contacts: dict[str, Text] | None = None
+    skin: dict[str, Text] | None = None
 
 
-class RigForm(Form):
+class CylinderForm(Form):
+    radius: Annotated[Positive, key(metres=5)]
+    height: Annotated[Positive, key(metres=5)]
+
+
+class ObjectForm(Form):
+    """An object: its sides, a cylinder, a mesh (a path from the rig file on) or a name in the object library."""
+
+    box: Annotated[tuple[Positive, Positive, Positive] | None, key(metres=5)] = None
+    cylinder: CylinderForm | None = None
+    mesh: Text | None = None
+    scale: Positive | None = None
+    name: Text | None = None
+    mass: Annotated[Positive | None, key(kilograms=100)] = None
+    center_of_mass: Annotated[Vector | Literal["homogeneous"] | None, key(metres=5)] = None
+    sigma_center_of_mass: Annotated[Positive | None, key(metres=5)] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sigma_center_of_mass is not None and self.center_of_mass is None:
+            raise ValueError("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
+        kinds = ("box", "cylinder", "mesh", "name")
+        found = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(found) != 1:
+            raise ValueError(f"expected one of {', '.join(kinds)}, got {' and '.join(found) or 'none'}")
+        if self.scale is not None and self.mesh is None:
+            raise ValueError(f"scale: expected beside mesh only, got it beside {found[0]}")
+
+    def entry(self, folder: Path) -> ObjectEntry:
+        """Returns the part of the rig; the path of a mesh begins at the folder."""
+        given = self.given()
+        if self.cylinder is not None:
+            given["cylinder"] = (self.cylinder.radius, self.cylinder.height)
+        if self.mesh is not None:
+            given["mesh"] = folder / self.mesh
+        return ObjectEntry(**given)
+
+
+class RigForm(Section):
     version: float
     hand: HandForm
     fingers: dict[str, FingerForm]
+    skin: dict[str, SkinForm] | None = None
     camera: CameraForm | None = None
-    table: TableForm | None = None
+    table: Annotated[TableForm | None, key("objects stand on it until they are lifted")] = None
     world: WorldForm | None = None
-    frames: FramesForm | None = None
+    frames: Annotated[FramesForm | None, key("what messages call them in frame_id")] = None
     topics: TopicsForm | None = None
     objects: dict[str, ObjectForm] | None = None
-    skin: dict[str, SkinForm] | None = None
 
     def __post_init__(self) -> None:
         if not self.fingers:

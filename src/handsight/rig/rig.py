@@ -1,4 +1,4 @@
-"""The robot as one value: hand, fingertips with their sensors, camera, table, and where each is heard.
+"""The robot as one value: hand, fingertips with their sensors, camera, table, and their topics.
 
 Every sigma is one standard deviation per axis.
 """
@@ -16,58 +16,48 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Fingertip, TaxelArray, WrenchCalibration
 from handsight.errors import InvalidInput
-from handsight.explain import Path as FieldPath
-from handsight.explain import named
 from handsight.hand import Hand
+from handsight.msgspec_errors import FieldPath as FieldPath
+from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectModel
 
-FARTHEST = 100.0
-"""Nothing of a rig is farther away than this [m]; beyond it the unit is wrong."""
-LONGEST_LINK = 0.5
-"""Of what a fingertip hangs on [m]."""
-LARGEST_HELD = 5.0
-"""Side, radius or height of what is in a hand [m]."""
-SAME_POSE = 1e-9
-"""Two fingertips so alike [m] are one."""
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
-"""How a camera measures depth; what is wrong with it then, `handsight.vision.depth_noise` knows."""
-LENSES = (0, 4, 5, 8)
-"""How many numbers a lens may have: none, plumb_bob without and with k3, rational polynomial."""
+"""How a camera measures depth; `handsight.vision.depth_noise` has the errors of each."""
 
 
-class Shared(InvalidInput):
-    """Two parts of a rig have what only one can have."""
+class NotUnique(InvalidInput):
+    """Two parts of a rig have one body, pose or topic."""
 
-    def __init__(self, field: FieldPath, said: str) -> None:
-        super().__init__(f"{named(field)}: {said}")
-        self.field, self.said = field, said
+    def __init__(self, field: FieldPath, message: str) -> None:
+        super().__init__(f"{field_name(field)}: {message}")
+        self.field, self.message = field, message
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Finger:
-    """One fingertip and the six-axis sensor it hangs on."""
+    """A `Finger` is one fingertip and the six-axis sensor on which it hangs."""
 
     frame: str
-    """The body of the hand's file that the tip moves with."""
+    """Body of the hand's file to which the tip is fixed."""
     T_frame_surface: Array
-    """(4, 4) the tip's frame (origin at the surface's centre, the tip points along +z) in the body's."""
+    """(4, 4) pose of the tip's frame (origin at the surface's centre, the tip points along +z) in the body."""
     tip: Fingertip
-    """Shape, cap and friction; its `T_surface_sensor` is where the sensor sits."""
+    """Shape, cap and friction, and the sensor's pose `T_surface_sensor`."""
     calibration: WrenchCalibration
-    """Bias, mass and centre of mass in the sensor's frame, and which way it reads."""
+    """Bias, mass and centre of mass in the sensor's frame, and the sign of its readings."""
     sigma_force: float = 0.01
-    """Noise of a reading [N]."""
+    """Noise of a force reading [N]."""
     sigma_torque: float = 5e-5
-    """[N m]"""
+    """Noise of a torque reading [N m]."""
     sigma_point: float = 5e-4
-    """What joints and sensor do not explain: calibration, a soft tip [m]."""
+    """Error of a contact's position beside those of joints and sensor: calibration, a soft tip [m]."""
     sigma_normal: float = np.deg2rad(1.0)
-    """[rad]"""
+    """The same of a contact's normal [rad]."""
     full_scale: tuple[float, float] | None = None
-    """Largest force [N] and torque [N m] the sensor can read; at it the reading is no measurement."""
+    """Largest force [N] and torque [N m] that the sensor can read; such a reading is no measurement."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for what is no pose or no standard deviation."""
+        """Raises InvalidInput for a wrong pose or standard deviation."""
         se3.check(self.T_frame_surface, "T_frame_surface")
         for name in ("sigma_force", "sigma_torque"):
             checks.sigma(getattr(self, name), name)
@@ -76,67 +66,68 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Camera:
-    """What sees the object, where it is, and how far it may be wrong."""
+    """A `Camera` is the camera that observes the object, with its pose and its errors."""
 
     on: Literal["world", "palm"] = "world"
-    """What it is fixed to."""
+    """What the camera is fixed to."""
     T_mount_camera: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) its optical frame in the world or the palm."""
+    """(4, 4) pose of its optical frame in the world or the palm."""
     intrinsics: Array | None = None
-    """(3, 3) of its images [pixels]; None: it gives poses only."""
+    """(3, 3) camera matrix of its images [pixels]; None: it gives poses only."""
     size: tuple[int, int] | None = None
     """(width, height) of its images [pixels]."""
     lens: Array = field(default_factory=lambda: np.zeros(0))
-    """k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV and ROS' CameraInfo; none: its images are rectified."""
+    """Distortion k1, k2, p1, p2[, k3[, k4, k5, k6]] as OpenCV and ROS' CameraInfo have it; empty: rectified images."""
     depth_camera: DepthCamera = "structured_light"
-    """How it measures depth, where it does."""
+    """How it measures depth, if it does."""
     sigma_position: float = 0.005
-    """Of a seen pose, from one to the next [m]."""
+    """Noise of a detected pose's position, independent in each image [m]."""
     sigma_rotation: float = np.deg2rad(3.0)
-    """[rad]"""
+    """Noise of its rotation [rad]."""
     sigma_position_constant: float = 0.05
-    """Of its constant error: what a wrong extrinsic calibration does to a seen pose [m]."""
+    """Constant error of a detected pose's position, by a wrong extrinsic calibration [m]."""
     sigma_rotation_constant: float = np.deg2rad(6.0)
-    """[rad]"""
+    """Constant error of its rotation [rad]."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for what is no pose, no standard deviation, no lens or no kind of depth camera."""
+        """Raises InvalidInput for a wrong pose, standard deviation, lens or kind of depth camera."""
         se3.check(self.T_mount_camera, "T_mount_camera")
         object.__setattr__(self, "lens", check_lens(self.lens, "lens"))
         kinds = get_args(DepthCamera)
         if self.depth_camera not in kinds:
-            came = f"{checks.brief(self.depth_camera)!r}{checks.among(str(self.depth_camera), kinds)}"
+            came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
         _check_sigmas(self, *(name for name in Camera.__slots__ if name.startswith("sigma")))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A horizontal plane that the object stands on until it is lifted."""
+    """A `Table` is a horizontal plane on which the object stands until it is lifted."""
 
     height: float
-    """Of its top in the world, along +z [m]."""
+    """Height of its top in the world, along +z [m]."""
     sigma_height: float = 0.003
-    """[m]"""
+    """Standard deviation of the height [m]."""
     sigma_tilt: float = np.deg2rad(1.0)
-    """Of the object's stand on it [rad]."""
+    """Standard deviation of the angle between the object's base and the table [rad]."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for what is no height or no standard deviation."""
+        """Raises InvalidInput for a wrong height or standard deviation."""
         checks.position(self.height, "height", ())
         _check_sigmas(self, "sigma_height", "sigma_tilt")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topics:
-    """Where a recording, or a running robot, says what."""
+    """`Topics` are the names of a recording's, or a running robot's, topics."""
 
     joint_states: str = "/joint_states"
     wrenches: Mapping[str, str] = field(default_factory=dict)
-    """By finger."""
+    """By finger: WrenchStamped."""
     contacts: Mapping[str, str] = field(default_factory=dict)
     """By finger, of tips that sense contacts themselves: ShadowContactStateStamped."""
-    skin: Mapping[str, str] = field(default_factory=dict)  # by tactile array: Float32MultiArray or Image
+    skin: Mapping[str, str] = field(default_factory=dict)
+    """By tactile array: Float32MultiArray or Image."""
     vision: str | None = "/vision/object"
     """PoseStamped or PoseWithCovarianceStamped."""
     tf: str | None = "/tf"
@@ -144,32 +135,42 @@ class Topics:
     depth: str | None = None
     camera_info: str | None = None
     truth: str | None = None
-    """PoseStamped of the object in the palm, where it is known: never used, only compared with."""
+    """PoseStamped of the true pose in the palm, which is only compared with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectEntry:
-    """An object the rig knows by name; one of box, cylinder, mesh, name."""
+    """An `ObjectEntry` is an object that the rig knows by name: one of box, cylinder, mesh, name."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
     cylinder: tuple[float, float] | None = None
     """Radius and height [m]."""
     mesh: Path | None = None
+    """File of a mesh."""
     scale: float = 1.0
     """Metres of a unit of the mesh."""
     name: str | None = None
-    """In the library that `ObjectModel.from_library` opens."""
+    """Name in the library that `ObjectModel.from_library` opens."""
     mass: float | None = None
-    """[kg]; beside a name: instead of the library's."""
+    """Mass [kg]; beside a name it replaces the library's."""
     center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
-    """In the object's frame [m]; `homogeneous`: the centroid of its volume."""
+    """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
     sigma_center_of_mass: float | None = None
-    """One standard deviation per axis [m]."""
+    """Standard deviation of the centre of mass per axis [m]."""
 
     def model(self) -> ObjectModel:
-        """The object's surface, and what is known of its weight; raises a HandsightError where it cannot be made."""
-        model = self._surface()
+        """Returns the object's surface with what is known of its weight; raises a HandsightError."""
+        if self.box is not None:
+            model = ObjectModel.box(self.box)
+        elif self.cylinder is not None:
+            model = ObjectModel.cylinder(*self.cylinder)
+        elif self.name is not None:
+            model = ObjectModel.from_library(self.name)
+        elif self.mesh is not None:
+            model = ObjectModel.from_file(self.mesh, scale=self.scale)
+        else:
+            raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
         if self.mass is None and self.center_of_mass is None:
             return model
         center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass
@@ -179,26 +180,15 @@ class ObjectEntry:
         mass = model.mass if self.mass is None else self.mass
         return model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
 
-    def _surface(self) -> ObjectModel:
-        if self.box is not None:
-            return ObjectModel.box(self.box)
-        if self.cylinder is not None:
-            return ObjectModel.cylinder(*self.cylinder)
-        if self.name is not None:
-            return ObjectModel.from_library(self.name)
-        if self.mesh is None:
-            raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
-        return ObjectModel.from_file(self.mesh, scale=self.scale)
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Rig:
-    """A robot hand that feels and is seen."""
+    """A `Rig` is a robot hand with its sensors, and the camera that observes it."""
 
     hand: Hand
-    """Its palm frame is what poses are estimated in."""
+    """The hand, in whose palm frame poses are estimated."""
     fingers: Mapping[str, Finger]
-    """By name."""
+    """Fingers by name."""
     sigma_joint_offset: float = np.deg2rad(1.0)
     """Constant error of each joint angle [rad]."""
     sigma_joint: float = np.deg2rad(0.1)
@@ -206,22 +196,22 @@ class Rig:
     camera: Camera | None = None
     table: Table | None = None
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-    """(3,) in the world [m/s²]."""
+    """(3,) gravity in the world [m/s²]."""
     world_from: Literal["tf", "joints"] | None = "tf"
-    """Where `T_world_palm` comes from: /tf between `world_frame` and `palm_frame`, the hand's own file with the arm in
-    it, or nowhere."""
+    """Source of `T_world_palm`: /tf between `world_frame` and `palm_frame`, the hand's own file with the arm in it, or
+    none."""
     frames: Mapping[str, str] = field(
         default_factory=lambda: {"world": "world", "palm": "palm", "camera": "camera"}
     )
-    """What messages call world, palm and camera in their frame_id."""
+    """Names of world, palm and camera in the frame_id of messages."""
     topics: Topics = field(default_factory=Topics)
     objects: Mapping[str, ObjectEntry] = field(default_factory=dict)
-    """By name."""
+    """Objects by name."""
     skin: Mapping[str, TaxelArray] = field(default_factory=dict)
     """Tactile arrays on links, by name."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for a hand without a tip for each finger, and for two fingers or topics that are one."""
+        """Raises InvalidInput for a hand without a tip for each finger, and for two fingers or topics of one name."""
         for name, finger in self.fingers.items():
             body = self.hand.tips.get(name)
             if body != finger.frame:
@@ -233,16 +223,15 @@ class Rig:
             self.hand.chains_to({f"skin[{name!r}].frame": array.frame})
         checks.load(self.gravity, "gravity", (3,))
         _check_sigmas(self, "sigma_joint_offset", "sigma_joint")
-        if found := shared(self):
-            raise Shared(*found)
+        _check_unique(self)
 
     @classmethod
     def from_file(cls, path: str | Path) -> "Rig":
-        """The rig that a YAML file describes; docs/robots.md shows one.
+        """Returns the rig of a YAML file; docs/robots.md shows one.
 
-        Raises InvalidFile with file, line, and the nearest valid name where there is one.
+        Raises an InvalidFile with file, line, and the nearest valid name if there is one.
         """
-        from handsight.rig.load import load  # which makes one
+        from handsight.rig.load import load  # which imports this module
 
         if not isinstance(path, str | Path):
             raise InvalidInput(f"path: expected a path, got {checks.brief(path)}")
@@ -250,15 +239,18 @@ class Rig:
 
 
 def check_lens(value: ArrayLike, name: str) -> Array:
-    """A lens' numbers as an array (n,); raises InvalidInput for another count of them."""
+    """Returns the coefficients of a lens (n,); raises InvalidInput for another number of them.
+
+    They are none, plumb_bob without and with k3, or a rational polynomial.
+    """
     lens = checks.finite(value, name, (None,))
-    if len(lens) not in LENSES:
-        raise InvalidInput(f"{name}: expected {', '.join(map(str, LENSES))} numbers, got {len(lens)}")
+    if len(lens) not in (0, 4, 5, 8):
+        raise InvalidInput(f"{name}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
     return lens
 
 
-def shared(rig: Rig) -> tuple[FieldPath, str] | None:
-    """Where a rig has two fingers with one body, place or topic, or two topics of one name, and what is wrong then."""
+def _check_unique(rig: Rig) -> None:
+    """Raises NotUnique where two fingers have one body or pose, or two topics one name."""
     frames: dict[FieldPath, str] = {
         ("fingers", name, "frame"): finger.frame for name, finger in rig.fingers.items()
     }
@@ -274,27 +266,23 @@ def shared(rig: Rig) -> tuple[FieldPath, str] | None:
         owners = dict[str, FieldPath]()
         for path, value in values.items():
             if value in owners:
-                return path, f"expected a {kind} of its own, got {value!r}, which is {named(owners[value])}'s"
+                owner = field_name(owners[value])
+                raise NotUnique(path, f"expected a {kind} of its own, got {value!r}, which is {owner}'s")
             owners[value] = path
-    return _same_place(rig)
-
-
-def _same_place(rig: Rig) -> tuple[FieldPath, str] | None:
-    """The same of two tips of one pose, whatever the joints do."""
     hand = rig.hand
-    # No two joints alike, so that fingers that are do not meet.
+    # Each joint has another position, so that fingers of one shape are at different poses.
     positions = {joint: 0.1 + 0.01 * k for k, joint in enumerate(hand.moving)}
     Ts = dict(zip(hand.tips, hand.Ts_palm_tip(positions), strict=True))
     Ts = {name: Ts[name] @ finger.T_frame_surface for name, finger in rig.fingers.items()}
     for one, other in combinations(Ts, 2):
-        if np.abs(Ts[one] - Ts[other]).max() < SAME_POSE:
-            return ("fingers", other, "surface"), f"expected a place of its own, got that of fingers.{one}"
-    return None
+        if np.abs(Ts[one] - Ts[other]).max() < 1e-9:
+            message = f"expected a place of its own, got that of fingers.{one}"
+            raise NotUnique(("fingers", other, "surface"), message)
 
 
 def _check_sigmas(part: object, *names: str) -> None:
     """Raises InvalidInput for a standard deviation that is not from zero to the largest there is."""
     for name in names:
         value = getattr(part, name)
-        if not 0 <= float(checks.finite(value, name, ())) <= checks.FARTHEST:
-            raise InvalidInput(f"{name}: expected a number from 0 to {checks.FARTHEST:g}, got {value:g}")
+        if not 0 <= float(checks.finite(value, name, ())) <= checks.MAX_DISTANCE:
+            raise InvalidInput(f"{name}: expected a number from 0 to {checks.MAX_DISTANCE:g}, got {value:g}")

@@ -1,197 +1,163 @@
-"""A `Rig` as the text of a `rig.yaml`, each key with what it means: `read` gives the same rig again."""
+"""A `Rig` as the text of a `rig.yaml`, with a comment beside each key; reading the text gives the same rig again."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from textwrap import indent
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Fingertip, Sphere
-from handsight.contact.taxels import TaxelArray
-from handsight.files import written
+from handsight.contact import Sphere
+from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
-from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight.rig import form
+from handsight.rig.form import Form, Section, Values, keys
+from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig
 
 
 def write(rig: Rig, path: Path) -> None:
-    """Writes the rig's text to a file; raises NotWritten where that cannot be.
+    """Writes the rig's text to a file; raises NotWritten.
 
-    Files that the rig names are written as they are found from anywhere: with their whole path, or as `package://`.
+    Files that the rig names are written with their absolute path, or as `package://`, so that they are found from
+    anywhere.
     """
-    with written(path):
+    with write_errors(path):
         path.write_text(text(rig), encoding="utf-8")
 
 
 def text(rig: Rig) -> str:
-    """The rig as YAML."""
-    objects = {_said(name): _object(entry) for name, entry in rig.objects.items()}
-    return (
-        f"""\
-# Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
-version: 1
-hand:
-  file: {_said(_file(rig.hand.file))}   # URDF or MJCF
-  palm: {_said(rig.hand.palm)}
-  joint_offset_deg: {_said(np.rad2deg(rig.sigma_joint_offset))}   # constant error of each joint angle
-  joint_noise_deg: {_said(np.rad2deg(rig.sigma_joint))}
-fingers:
-{_fingers(rig.fingers)}{_skin(rig.skin)}{_camera(rig.camera)}{_table(rig.table)}world:
-  palm_from: {rig.world_from or "nowhere"}   # tf, joints (the hand's file has the arm in it), nowhere
-  gravity: {_said(rig.gravity)}
-frames:   # what messages call them in frame_id
-{_lines(rig.frames)}{_topics(rig.topics)}{"objects:" if objects else ""}
-{_lines(objects)}""".rstrip("\n")
-        + "\n"
-    )
-
-
-def _fingers(fingers: Mapping[str, Finger]) -> str:
-    lines = []
-    for k, (name, finger) in enumerate(fingers.items()):
-        # What each key means is said once.
-        said = [line if k == 0 else line.partition("   #")[0] for line in _finger(finger).splitlines()]
-        lines += [f"  {_said(name)}:", *(f"    {line}" for line in said)]
-    return "\n".join(lines) + "\n"
-
-
-def _finger(finger: Finger) -> str:
-    known, tip = finger.calibration, finger.tip
-    T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
-    bias = {"force": known.bias_force, "torque": known.bias_torque}
-    full_scale = (
-        "" if finger.full_scale is None else f"  full_scale: {_said(finger.full_scale)}   # force, torque"
-    )
-    return f"""\
-frame: {_said(finger.frame)}   # the body the tip moves with
-surface: {pose_text(finger.T_frame_surface)}   # the shape's centre in it; the tip points along +z
-tip: {_tip(tip)}
-sigma_point: {_said(finger.sigma_point)}   # calibration, softness: what joints and sensor do not explain
-sigma_normal_deg: {_said(np.rad2deg(finger.sigma_normal))}
-sensor:
-  pose: {pose_text(finger.T_frame_surface @ T_surface_sensor)}   # in the frame
-  reading: {known.reading}   # a tip at rest reads its weight along gravity: on_sensor; against it: on_tip
-  noise: {_said({"force": finger.sigma_force, "torque": finger.sigma_torque})}
-  bias: {_said(bias)}
-  tip_mass: {_said(known.mass)}   # kg; handsight.calibrate_wrench finds bias, mass and centre
-  tip_center: {_said(known.center_of_mass)}   # of mass, from the sensor
-{full_scale}"""
-
-
-def _tip(tip: Fingertip) -> str:
-    shape = {"sphere": tip.radius} if isinstance(tip, Sphere) else {"ellipsoid": tip.semi_axes}
-    return _said(shape | {name: getattr(tip, name) for name in ("min_force", "cap", "max_friction")})
-
-
-def _skin(skin: Mapping[str, TaxelArray]) -> str:
-    return _section("skin", {_said(name): _array(array) for name, array in skin.items()})
-
-
-def _array(array: TaxelArray) -> dict[str, Any]:
-    given = {name: getattr(array, name) for name in ("pitch", "threshold", "full_scale", "sigma_point")}
-    T = array.T_frame_grid
-    return {
-        "frame": array.frame,
-        "pose": {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])},
-        "rows": array.rows,
-        "columns": array.columns,
-        **given,
-        "sigma_normal_deg": np.rad2deg(array.sigma_normal),
-        "sigma_mount": array.sigma_mount,
+    """Returns the rig as YAML."""
+    document = {
+        "version": form.VERSION,
+        "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
+        "fingers": {name: _finger(finger) for name, finger in rig.fingers.items()},
+        "skin": {
+            name: _values(form.SkinForm, array, pose=_pose(array.T_frame_grid))
+            for name, array in rig.skin.items()
+        },
+        "camera": None if rig.camera is None else _camera(rig.camera),
+        "table": None if rig.table is None else _values(form.TableForm, rig.table),
+        "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
+        "frames": rig.frames,
+        "topics": _values(form.TopicsForm, rig.topics),
+        "objects": {name: _object(entry) for name, entry in rig.objects.items()},
     }
-
-
-def _camera(camera: Camera | None) -> str:
-    if camera is None:
-        return ""
-    lines = f"""\
-camera:
-  fixed_to: {camera.on}   # world or palm
-  pose: {pose_text(camera.T_mount_camera)}   # of its optical frame (x right, y down, z forward)
-  noise: {_sigmas(camera.sigma_position, camera.sigma_rotation)}   # of a seen pose, each time anew
-  constant_error: {_sigmas(camera.sigma_position_constant, camera.sigma_rotation_constant)}   # of its calibration
-  depth_camera: {camera.depth_camera}   # structured_light, time_of_flight or stereo: how it measures depth
-"""
-    if camera.intrinsics is None or camera.size is None:
-        return lines
-    sizes = (*camera.size, *camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
-    intrinsics = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), sizes, strict=True))
-    lens = camera.lens if len(camera.lens) else None
-    return lines + _lines({"intrinsics": intrinsics, "lens": lens})
-
-
-def _sigmas(position: float, rotation: float) -> str:
-    return _said({"position": position, "rotation_deg": np.rad2deg(rotation)})
-
-
-def _table(table: Table | None) -> str:
-    if table is None:
-        return ""
-    return f"""\
-table:   # objects stand on it until they are lifted
-  height: {_said(table.height)}   # of its top in the world
-  sigma_height: {_said(table.sigma_height)}
-  sigma_tilt_deg: {_said(np.rad2deg(table.sigma_tilt))}
-"""
-
-
-def _topics(topics: Topics) -> str:
-    keys = ("joint_states", "vision", "tf", "color", "depth", "camera_info", "truth")
-    named = _section("topics", {key: getattr(topics, key) for key in keys})
-    for kind in ("wrenches", "contacts", "skin"):
-        by_finger = {_said(name): topic for name, topic in getattr(topics, kind).items()}
-        named += indent(_section(kind, by_finger), "  ")
-    return named
-
-
-def _object(entry: ObjectEntry) -> dict[str, Any]:
-    known = {name: getattr(entry, name) for name in ("mass", "center_of_mass", "sigma_center_of_mass")}
-    return _surface(entry) | {name: value for name, value in known.items() if value is not None}
-
-
-def _surface(entry: ObjectEntry) -> dict[str, Any]:
-    if entry.box is not None:
-        return {"box": entry.box}
-    if entry.cylinder is not None:
-        return {"cylinder": dict(zip(("radius", "height"), entry.cylinder, strict=True))}
-    if entry.name is not None:
-        return {"name": entry.name}
-    return {"mesh": _file(str(entry.mesh)), "scale": entry.scale}
-
-
-def _file(name: str) -> str:
-    """A file's name that does not depend on the folder the rig lies in."""
-    return name if name.startswith(PACKAGE) else str(Path(name).absolute())
+    title = "# Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis."
+    return "\n".join([title, *_section(document, form.RigForm)]) + "\n"
 
 
 def pose_text(T: Array) -> str:
-    """A pose (4, 4) as the rig file writes it."""
-    return _said({"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])})
+    """Returns a pose (4, 4) as the rig file has it."""
+    return _inline(_pose(T))
 
 
-def _section(name: str, entries: Mapping[str, object]) -> str:
-    return f"{name}:\n{_lines(entries)}" if entries else ""
+def _values(kind: type[Form], part: object, **given: object) -> Values:
+    """Returns the values of a form's keys: those that are given, else the part's attributes; angles in degrees."""
+    values = Values()
+    for key in keys(kind):
+        value: Any = given[key.name] if key.name in given else getattr(part, key.name, None)
+        values[key.text] = np.rad2deg(value) if key.text.endswith("_deg") else value
+    return values
 
 
-def _lines(entries: Mapping[str, object]) -> str:
-    """A line for each entry that is not None."""
-    return "".join(f"  {key}: {_said(value)}\n" for key, value in entries.items() if value is not None)
+def _finger(finger: Finger) -> Values:
+    known, tip = finger.calibration, finger.tip
+    T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
+    size = {"sphere": tip.radius} if isinstance(tip, Sphere) else {"ellipsoid": tip.semi_axes}
+    sensor = _values(
+        form.SensorForm,
+        finger,
+        pose=_pose(finger.T_frame_surface @ T_surface_sensor),
+        reading=known.reading,
+        noise=_values(form.SensorNoiseForm, finger),
+        bias={"force": known.bias_force, "torque": known.bias_torque},
+        tip_mass=known.mass,
+        tip_center=known.center_of_mass,
+    )
+    shape = _values(form.TipForm, tip, **size)
+    return _values(form.FingerForm, finger, surface=_pose(finger.T_frame_surface), tip=shape, sensor=sensor)
 
 
-def _said(value: Any) -> str:
-    """A value in one line; of a mapping what is not None."""
+def _camera(camera: Camera) -> Values:
+    values = _values(
+        form.CameraForm,
+        camera,
+        fixed_to=camera.on,
+        pose=_pose(camera.T_mount_camera),
+        noise=_values(form.VisionNoiseForm, camera),
+        constant_error=_values(
+            form.VisionNoiseForm,
+            camera,
+            sigma_position=camera.sigma_position_constant,
+            sigma_rotation=camera.sigma_rotation_constant,
+        ),
+        intrinsics=None,
+        lens=None,
+    )
+    if camera.intrinsics is not None and camera.size is not None:
+        numbers = (*camera.size, *camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
+        values["intrinsics"] = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), numbers, strict=True))
+        values["lens"] = camera.lens if len(camera.lens) else None
+    return values
+
+
+def _object(entry: ObjectEntry) -> Values:
+    """Returns the values of the first of box, cylinder, name and mesh that the entry has, and of its weight."""
+    values = _values(form.ObjectForm, entry)
+    if entry.cylinder is not None:
+        values["cylinder"] = dict(zip(("radius", "height"), entry.cylinder, strict=True))
+    if entry.mesh is not None:
+        values["mesh"] = _file_name(str(entry.mesh))
+    kind = next(name for name in ("box", "cylinder", "name", "mesh") if values[name] is not None)
+    others = {"box", "cylinder", "name", "mesh"} - {kind} | ({"scale"} if kind != "mesh" else set())
+    return {name: value for name, value in values.items() if name not in others}
+
+
+def _file_name(name: str) -> str:
+    """Returns the name of a file that does not depend on the folder of the rig."""
+    return name if name.startswith(PACKAGE) else str(Path(name).absolute())
+
+
+def _pose(T: Array) -> Values:
+    return {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])}
+
+
+def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> Iterator[str]:
+    """Yields a line for each value that is not None, and the lines of the sections in it.
+
+    `kind`: the form of these values, or the type of each of them. Of several sections of one form, the first alone has
+    comments.
+    """
+    declared = {key.text: key for key in keys(kind)} if isinstance(kind, type) else {}
+    for i, (name, value) in enumerate(values.items()):
+        key = declared.get(name)
+        inner = key.kind if key else get_args(kind)[1]
+        comment = f"   # {key.comment}" if key and key.comment and comments else ""
+        name = name if key else _inline(name)
+        if value is None or (isinstance(value, Mapping) and not value):
+            continue
+        if get_origin(inner) is dict or (isinstance(inner, type) and issubclass(inner, Section)):
+            yield f"{name}:{comment}"
+            yield from (
+                f"  {line}" for line in _section(value, inner, comments and (key is not None or i == 0))
+            )
+        else:
+            yield f"{name}: {value if get_origin(inner) is Literal else _inline(value)}{comment}"
+
+
+def _inline(value: object) -> str:
+    """Returns a value in one line; of a mapping, the entries that are not None."""
     if isinstance(value, Mapping):
-        parts = (f"{key}: {_said(part)}" for key, part in value.items() if part is not None)
+        parts = (f"{name}: {_inline(part)}" for name, part in value.items() if part is not None)
         return "{" + ", ".join(parts) + "}"
     if isinstance(value, str):  # YAML's double-quoted text is JSON's
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Iterable):
-        return "[" + ", ".join(map(_said, value)) + "]"
+        return "[" + ", ".join(map(_inline, value)) + "]"
     if isinstance(value, int):
         return str(value)
-    number = f"{float(value):.12g}" if value else "0.0"
+    number = f"{float(value):.12g}" if value else "0.0"  # type: ignore[arg-type]
     # YAML wants a dot before an exponent.
     return number.replace("e", ".0e") if "." not in number else number

@@ -1,55 +1,60 @@
-"""A YAML file as plain values that know their lines: every error is `file:line: field: expected ..., got ...`."""
+"""A YAML file as plain values that know their lines: errors read `file:line: field: expected ..., got ...`."""
 
 import math
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
 from handsight import checks
 from handsight.errors import InvalidFile, MissingExtra
-from handsight.explain import Path as FieldPath
-from handsight.explain import explain, named
 from handsight.files import read_bytes
+from handsight.msgspec_errors import FieldPath, explain, field_name
 
-LARGEST_FILE = 1 << 20
-"""Bytes; a rig is a page or two."""
-MOST_VALUES = 5_000
-"""In a file, aliases written out: of a few lines they can make billions. A hand of twenty fingers has a thousand, and
-so many take the parser a second or two."""
-LONGEST_NAME = 200
+if TYPE_CHECKING:
+    from ruamel.yaml.comments import CommentedMap
+
+MAX_FILE_SIZE = 1 << 20
+"""Bytes of a file; a rig is a page or two."""
+MAX_VALUES = 5_000
+"""Values of a file, aliases written out, of which a few lines can make billions. A hand of twenty fingers has a
+thousand, and the parser takes a second or two for 5000."""
+MAX_NAME_LENGTH = 200
 """Characters of a field's name in a message."""
 
 Form = TypeVar("Form", bound=msgspec.Struct)
 
 
 class YamlFile:
-    """The values of a file whose outermost is a mapping."""
+    """A `YamlFile` holds the values of a file that is a mapping."""
+
+    values: dict[str, object]
+    """The mapping as Python's own types, aliases written out."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the file; raises InvalidFile where it is no mapping of names to values, MissingExtra."""
+        """Reads the file; raises InvalidFile where it is not a mapping of names to values, MissingExtra."""
         self.path = path
-        self._marked = _loaded(path)
+        self._marked = _parse(path)
         self._count = 0
         try:
-            self.values = self._plain(self._marked, ())
+            self.values = self._plain(self._marked, ())  # type: ignore[assignment]
         except RecursionError:
             raise InvalidFile(f"{path}: expected YAML, got: too deep") from None
 
     def read(self, form: type[Form]) -> Form:
-        """The file's values in a form; raises InvalidFile for the first that is not as the form wants it."""
+        """Returns the values in a form; raises InvalidFile for the first value that the form does not allow."""
         try:
             return msgspec.convert(self.values, form)
         except msgspec.ValidationError as error:
-            raise self.wrong(*explain(error, form, self.values)) from None
+            raise self.error(*explain(error, form, self.values)) from None
 
-    def wrong(self, field: FieldPath, said: str) -> InvalidFile:
-        """The error that tells what is wrong with a field, at its line."""
-        name = named(field)[:LONGEST_NAME] or "file"
-        return InvalidFile(f"{self.path}:{self.line(field)}: {name}: {said}")
+    def error(self, field: FieldPath, message: str) -> InvalidFile:
+        """Returns the error of a message about a field, with its line."""
+        name = field_name(field)[:MAX_NAME_LENGTH] or "file"
+        return InvalidFile(f"{self.path}:{self.line(field)}: {name}: {message}")
 
     def line(self, field: FieldPath) -> int:
-        """The line of a field; of what it would be in, where it is not there."""
+        """Returns the line of a field, or of the mapping that it is missing in."""
         value, line = self._marked, 1
         for step in field:
             marks = getattr(getattr(value, "lc", None), "data", None) or {}
@@ -63,34 +68,34 @@ class YamlFile:
                 line = int(value.lc.line) + 1
         return line
 
-    def _plain(self, value: Any, field: FieldPath) -> Any:
-        """YAML's own mappings, lists and numbers as Python's, aliases written out.
+    def _plain(self, value: object, field: FieldPath) -> object:
+        """Returns mappings, lists and numbers of the YAML library as Python's own, aliases written out.
 
-        Raises InvalidFile for too many, for tags, for keys that are no texts and numbers that are not finite.
+        Raises InvalidFile for too many values, tags, keys that are not texts, and numbers that are not finite.
         """
         self._count += 1
-        if self._count > MOST_VALUES:
+        if self._count > MAX_VALUES:
             raise _too_many(self.path)
         tag = getattr(getattr(value, "tag", None), "value", None)
         if tag is not None:
-            raise self.wrong(field, f"expected values without tags, got {checks.brief(str(tag))}")
+            raise self.error(field, f"expected values without tags, got {checks.brief(str(tag))}")
         if isinstance(value, dict):
             for key in value:
                 if not isinstance(key, str):
-                    raise self.wrong(field, f"expected names as keys, got {checks.brief(key)} (not quoted?)")
+                    raise self.error(field, f"expected names as keys, got {checks.brief(key)} (not quoted?)")
             return {str(key): self._plain(part, (*field, key)) for key, part in value.items()}
         if isinstance(value, list):
             return [self._plain(part, (*field, i)) for i, part in enumerate(value)]
         if isinstance(value, float) and not math.isfinite(value):
-            raise self.wrong(field, f"expected a finite number, got {float(value)}")
+            raise self.error(field, f"expected a finite number, got {float(value)}")
         for kind in (bool, int, float, str):
             if isinstance(value, kind):
                 return kind(value)
         return value
 
 
-def _loaded(path: Path) -> Any:
-    """The file's mapping with the lines of its keys, as ruamel.yaml's CommentedMap."""
+def _parse(path: Path) -> "CommentedMap":
+    """Returns the file's mapping with the lines of its keys; raises InvalidFile, MissingExtra."""
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.comments import CommentedMap
@@ -98,14 +103,12 @@ def _loaded(path: Path) -> Any:
     except ImportError:
         raise MissingExtra("rig files need ruamel.yaml: pip install 'handsight[robot]'") from None
     try:
-        text = read_bytes(path, LARGEST_FILE).decode("utf-8")
+        text = read_bytes(path, MAX_FILE_SIZE).decode("utf-8")
     except UnicodeDecodeError:
         raise InvalidFile(f"{path}: expected YAML in UTF-8, got other bytes") from None
-    # A value takes one of these or a line; counting them takes no time.
-    if (
-        sum(line.count(",") + 1 for line in text.splitlines() if not line.lstrip().startswith("#"))
-        > MOST_VALUES
-    ):
+    # Each value takes a comma or a line; counting these takes no time.
+    lines = (line for line in text.splitlines() if not line.lstrip().startswith("#"))
+    if sum(line.count(",") + 1 for line in lines) > MAX_VALUES:
         raise _too_many(path)
     try:
         value = YAML(typ="rt", pure=True).load(text)
@@ -115,14 +118,13 @@ def _loaded(path: Path) -> Any:
         raise InvalidFile(f"{path}{line}: expected YAML, got: {str(error.problem).splitlines()[0]}") from None
     except (ValueError, RecursionError, YAMLError) as error:
         raise InvalidFile(f"{path}: expected YAML, got: {str(error).splitlines()[0]:.200}") from None
-    except Exception:  # ruamel's constructors trip over strange tags and merges in many ways
-        raise InvalidFile(
-            f"{path}: expected YAML, got tags, merges or aliases that stand for nothing"
-        ) from None
+    except Exception:  # ruamel.yaml fails in many ways for strange tags and merges
+        message = "expected YAML, got tags, merges or aliases that stand for nothing"
+        raise InvalidFile(f"{path}: {message}") from None
     if not isinstance(value, CommentedMap):
         raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(value)}")
     return value
 
 
 def _too_many(path: Path) -> InvalidFile:
-    return InvalidFile(f"{path}: expected at most {MOST_VALUES} values, got more (aliases of aliases?)")
+    return InvalidFile(f"{path}: expected at most {MAX_VALUES} values, got more (aliases of aliases?)")

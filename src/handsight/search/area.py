@@ -41,7 +41,7 @@ class Area:
         if not isinstance(self.table, Table):
             raise InvalidInput(f"area.table: expected a Table, got {type(self.table).__name__}")
         Rs = checks.finite(self.Rs_world_object, "area.Rs_world_object", (None, 3, 3))
-        checks.whole(len(Rs), "area.Rs_world_object: rotations", MAX_STABLE_POSES)
+        checks.integer(len(Rs), "area.Rs_world_object: rotations", MAX_STABLE_POSES)
         for i, R in enumerate(Rs):
             se3.check(se3.compose(R, np.zeros(3)), f"area.Rs_world_object[{i}]")
         if not len(Rs):

@@ -108,7 +108,7 @@ class Belief:
         if not isinstance(self.model, ObjectModel) or not isinstance(self.area, Area):
             came = f"{type(self.model).__name__} and {type(self.area).__name__}"
             raise InvalidInput(f"belief: expected an ObjectModel and an Area, got {came}")
-        checks.whole(self.seed, "belief.seed", MAX_SEED)
+        checks.integer(self.seed, "belief.seed", MAX_SEED)
         rng = np.random.default_rng((self.seed, len(self.touches)))
         placements, log_weights = self._draw(rng)
         probabilities = np.exp(log_weights - log_weights.max())

@@ -7,7 +7,7 @@ import numpy as np
 
 from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import read_bytes, written
+from handsight.files import read_bytes, write_errors
 from handsight.simulation.grasp_search import GraspSearchResult
 from handsight.simulation.motion import SERVOS, Grasp
 
@@ -62,7 +62,7 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
         opening=dict(grasp.opening),
         closed=dict(grasp.closed),
     )
-    with written(path):
+    with write_errors(path):
         path.write_bytes(msgspec.json.format(msgspec.json.encode(form), indent=1) + b"\n")
 
 

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm
+from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.table_contacts import mark_on_table
-from handsight._kernels.touch.tips_touching import NEAR_TIP
+from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.correction import PoseEstimate
@@ -41,7 +40,7 @@ class FingertipContacts:
     """(n, 6, j) by how much point and normal of each contact are off for one standard deviation of each of j
     independent errors of the joints (`JointOffsets.root`)."""
     near: tuple[str, ...] = ()
-    """Of those that touch, the ones within `NEAR_TIP` of another tip, whose contact is the less certain for it."""
+    """Of those that touch, the ones within `TIP_TO_TIP.max_gap` of another tip, whose contact is less certain."""
     loads: Array | None = None
     """(n, 5) of each contact, of the object on the tip: tangential force (3,) along the palm's axes and normal force
     [N], torque about the normal [N m]; NaN where a tip does not say it."""
@@ -83,7 +82,7 @@ class FingertipSensors:
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
         # A hinge may have turned however often; a slide that is far off takes the tip along.
         places = Ts_palm_tip[:, :3, 3]
-        if not np.abs(places).max() <= checks.FARTHEST:
+        if not np.abs(places).max() <= checks.MAX_DISTANCE:
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
         by_joint = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
         by_error = by_joint @ offsets.root
@@ -105,7 +104,7 @@ class FingertipSensors:
         touching = records[records["reason"] == 0] if reasons else records
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
-        near = tuple(name for name, gap in gaps if gap < NEAR_TIP)
+        near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
         return FingertipContacts(fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads)
 
@@ -118,7 +117,7 @@ class FingertipSensors:
         if {type(row) for row in rows} == {np.ndarray} and {(row.dtype, row.shape) for row in rows} == WRENCH:
             readings = np.array(rows)
             # NaN is smaller than nothing: where one is, each row is looked at.
-            if readings.min() >= -checks.STRONGEST and readings.max() <= checks.STRONGEST:
+            if readings.min() >= -checks.MAX_LOAD and readings.max() <= checks.MAX_LOAD:
                 return readings
         named = zip(self.names, rows, strict=True)
         return np.array([_reading(row, f"observation.wrenches[{name!r}]") for name, row in named])

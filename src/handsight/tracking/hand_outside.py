@@ -76,11 +76,11 @@ class HandOutside:
         surface = self._surface
         if not self.links or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
             return None
-        points, levers = surface.placed(joint_positions)
+        points, levers = surface.points_and_sensitivities(joint_positions)
         sigmas, known = np.sqrt(self._variance_joint * levers**2 + SKIN**2), margins.known
         slacks = np.array([known.get(link, 0.0) for link in self.links])[surface.body_of] if known else None
         given = points, sigmas[surface.body_of], surface.body_of, slacks
-        if np.abs(points).max() <= checks.FARTHEST:
+        if np.abs(points).max() <= checks.MAX_DISTANCE:
             return Outside.trusted(*given)
         return Outside(points, sigmas=given[1], links=given[2], slacks=slacks)  # which says what is wrong
 

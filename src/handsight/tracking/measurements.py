@@ -69,7 +69,7 @@ class VisionUpdate:
         T_mount_object, covariance = self._in_mount(measured)
         T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
         place = T_palm_object[:3, 3]
-        if not np.abs(place).max() <= checks.FARTHEST:
+        if not np.abs(place).max() <= checks.MAX_DISTANCE:
             checks.position(place, "vision: the object's place in the palm", (3,))
         self._last = T_mount_object, covariance, T_mount_palm
         updated = None if smoother is None else self._gated(smoother, *self._last)

@@ -54,12 +54,12 @@ class TrackerSettings:
         """Raises InvalidInput."""
         if self.rate is not None:
             checks.positive(self.rate, "settings.rate")
-        for names, most in ((LIMITS, np.inf), (STEPS, checks.FARTHEST)):
+        for names, most in ((LIMITS, np.inf), (STEPS, checks.MAX_DISTANCE)):
             for name in names:
                 _check_size(getattr(self, name), f"settings.{name}", most)
         checked_answer(self.answer, "settings.answer")
-        checks.whole(self.samples, "settings.samples", MOST_SAMPLES)
-        checks.whole(self.outside, "settings.outside", MOST_POINTS)
+        checks.integer(self.samples, "settings.samples", MOST_SAMPLES)
+        checks.integer(self.outside, "settings.outside", MOST_POINTS)
 
 
 LIMITS = ("moved", "turned", "memory", "uncertain_position", "lost_after")

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from handsight import se3
 from handsight._kernels.posterior import pose_bias
 from handsight._kernels.records import MEASUREMENT
-from handsight.checks import FARTHEST, Array
+from handsight.checks import MAX_DISTANCE, Array
 from handsight.correction import PosePrior
 from handsight.tracking.propagation import MAX_PROPAGATION
 
@@ -153,7 +153,7 @@ class PoseBiasSmoother:
     def is_near(self) -> bool:
         """Whether the object is anywhere that a hand could be."""
         x, y, z = self.solved.Ts[0, :3, 3].tolist()
-        return bool(abs(x) <= FARTHEST and abs(y) <= FARTHEST and abs(z) <= FARTHEST)
+        return bool(abs(x) <= MAX_DISTANCE and abs(y) <= MAX_DISTANCE and abs(z) <= MAX_DISTANCE)
 
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
         """After a step of the random walk of the pose, of `variance` (6,)."""

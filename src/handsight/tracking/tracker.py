@@ -10,7 +10,7 @@ from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
 from handsight.forces import Slip
 from handsight.objects import ObjectModel
-from handsight.observation import Observation, checked
+from handsight.observation import Observation, check_observation
 from handsight.rig import Rig
 from handsight.tracking.clock import MAX_JUMP, TrackClock
 from handsight.tracking.fingertips import FingertipContacts
@@ -98,7 +98,7 @@ class Tracker:
         """
         before = self.track_state, self._clock, self.late, self.undone, self.state, self.reason
         try:
-            clean = checked(observation)
+            clean = check_observation(observation)
             if not self._is_next(clean.stamp):
                 self.late += 1
                 self._leave_out(clean.stamp, "older than the last one")

@@ -11,7 +11,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, MissingExtra
-from handsight.files import written
+from handsight.files import write_errors
 from handsight.objects import ObjectModel
 from handsight.viewer.shapes import creases, middle, opened
 
@@ -60,7 +60,7 @@ def save(figure: Any, path: Path) -> None:
     legends = [axes.get_legend_handles_labels() for axes in figure.axes]
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
     figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)
-    with written(path):
+    with write_errors(path):
         try:
             figure.savefig(path, dpi=130)
         except ValueError as error:

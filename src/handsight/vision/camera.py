@@ -48,7 +48,7 @@ class PinholeCamera:
             raise InvalidInput(
                 f"matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {checks.brief(K)}"
             )
-        width, height = (checks.whole(n, "size", MOST_PIXELS) for n in self.size)
+        width, height = (checks.integer(n, "size", MOST_PIXELS) for n in self.size)
         if not 0 < width * height <= MOST_PIXELS:
             raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
         lens = check_lens(self.lens, "lens")

@@ -64,7 +64,7 @@ class DepthNoise:
             )
             if not 0 <= value <= most:
                 raise InvalidInput(f"{name}: expected a number from 0 to {most:g}, got {value:g}")
-        checks.whole(self.edge_width, "edge_width", int(LARGEST))
+        checks.integer(self.edge_width, "edge_width", int(LARGEST))
         if not self.nearest < self.farthest:
             raise InvalidInput(
                 f"farthest: expected more than nearest, {self.nearest:g}, got {self.farthest:g}"

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.explain import in_form
 from handsight.files import read_bytes
+from handsight.msgspec_errors import decode
 from handsight.rig.rig import check_lens
 from handsight.vision import pixels
 from handsight.vision.camera import MOST_PIXELS, Depth, PinholeCamera
@@ -45,7 +45,7 @@ def read_camera(path: str | Path) -> PinholeCamera:
 
     `lens`: k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV. Raises InvalidFile with the file's name and the key.
     """
-    form = in_form(read_bytes(path, LARGEST_CAMERA), CameraForm, str(path))
+    form = decode(read_bytes(path, LARGEST_CAMERA), CameraForm, str(path))
     K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
     try:
         return PinholeCamera(K, (form.width, form.height), np.array(form.lens))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import FARTHEST
+from handsight.checks import MAX_DISTANCE
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.vision.camera import Depth
 
@@ -30,7 +30,7 @@ def metres(pixels: NDArray[Any], scale: float = MILLIMETRE) -> Depth:
     unit = scale if is_integer else 1.0
     depth = pixels.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        depth[~((depth > 0) & (depth < (np.inf if is_integer else FARTHEST)))] = np.nan
+        depth[~((depth > 0) & (depth < (np.inf if is_integer else MAX_DISTANCE)))] = np.nan
     sample = depth[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan

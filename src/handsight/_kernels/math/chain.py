@@ -1,7 +1,7 @@
-"""Where bodies on chains of joints are, and how they move.
+"""Poses and Jacobians of bodies on chains of joints.
 
-A chain is a product of exponentials: each joint's axis stands in the base's frame as it lies when all joints are at
-their zero, and the body's pose then is its `home`. What comes first in the chain moves what comes after.
+A chain is a product of exponentials: each joint's axis is given in the base frame with all joints at zero, and the
+body's pose is then its `home`. Each joint moves the joints that come after it in the chain.
 """
 
 from typing import Any
@@ -33,7 +33,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 @inner
 def rotation(axis: Vec3, angle: float) -> Mat33:
-    """About a unit axis (Rodrigues)."""
+    """Returns the rotation about a unit axis (Rodrigues)."""
     cosine = np.cos(angle)
     along, across = scale33(outer(axis, axis), 1 - cosine), scale33(skew(axis), np.sin(angle))
     return add33(add33(scale33(IDENTITY, cosine), across), along)
@@ -41,10 +41,10 @@ def rotation(axis: Vec3, angle: float) -> Mat33:
 
 @entry
 def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any) -> bool:
-    """`Ts` (t, 4, 4) of the bodies, and `axes` (s, 2, 3): each joint's axis and a point on it, as they lie now.
+    """Writes the poses `Ts` (t, 4, 4) of the bodies, and `axes` (s, 2, 3): each joint's axis and a point on it.
 
-    `values` (j,): positions of the joints. Body i hangs on `joints[starts[i] : starts[i + 1]]`, each a CHAIN_JOINT;
-    `homes` (t, 4, 4): its pose at zero. False where a value is not finite.
+    `values` (j,): positions of the joints. Body i has the chain `joints[starts[i] : starts[i + 1]]`, records
+    CHAIN_JOINT, and the pose `homes[i]` (4, 4) with all joints at zero. Returns False where a value is not finite.
     """
     for v in values:
         if not np.isfinite(v):
@@ -72,8 +72,10 @@ def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any)
 
 @entry
 def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out: Any) -> None:
-    """`out` (k, 6, j), zeros before: how `points` (k, 3) as they lie now, each fixed on one of the `bodies` (k,), move
-    and turn by each joint; `axes` as `poses` gives them."""
+    """Writes the Jacobians `out` (k, 6, j), zeros before, by each joint.
+
+    `points` (k, 3) are each fixed on one of the `bodies` (k,), and in the base; `axes` as `poses` writes them.
+    """
     for i in range(len(points)):
         for k in range(starts[bodies[i]], starts[bodies[i] + 1]):
             c, axis = joints[k].value, vector(axes[k, 0])
@@ -85,17 +87,17 @@ def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out
 
 
 @entry
-def carried(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
-    """`out` (m, 3): points (m, 3), each fixed in the body whose pose is `Ts[bodies[i]]`."""
+def transform_points(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
+    """Writes `out` (m, 3): points (m, 3) transformed by the poses `Ts[bodies[i]]`."""
     for i in range(len(points)):
         T = Ts[bodies[i]]
         store(add(mul(matrix(T), vector(points[i])), (T[0, 3], T[1, 3], T[2, 3])), out[i])
 
 
 def warm() -> None:
-    """Compiles every kernel, or loads it."""
+    """Compiles every kernel, or loads its machine code."""
     starts, bodies, joints = np.array([0, 1]), np.zeros(1, np.int64), np.zeros(1, dtype=CHAIN_JOINT)
     Ts, axes = np.empty((1, 4, 4)), np.empty((1, 2, 3))
     poses(np.zeros(1), starts, joints, np.eye(4)[None], Ts, axes)
     jacobians(np.zeros((1, 3)), bodies, starts, joints, axes, np.zeros((1, 6, 1)))
-    carried(np.zeros((1, 3)), bodies, Ts, np.empty((1, 3)))
+    transform_points(np.zeros((1, 3)), bodies, Ts, np.empty((1, 3)))

@@ -70,7 +70,7 @@ STAMP = _stamp()
 def folder() -> Path:
     """Where the machine code of this version is: in `$NUMBA_CACHE_DIR` where that is set, else handsight's cache."""
     name, named = f"kernels-{STAMP}", os.environ.get("NUMBA_CACHE_DIR")
-    return cache_folder.own(Path(named), name) if named else cache_folder.cache_folder() / name
+    return cache_folder.private_folder(Path(named), name) if named else cache_folder.cache_folder() / name
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
@@ -112,11 +112,11 @@ class _Files:
 
     def load(self, key: Any) -> Any:
         """What `save` was given. Raises OSError where there is nothing, ValueError where it is not that."""
-        return pickle.loads(cache_folder.read(*self._place(key)))
+        return pickle.loads(cache_folder.read_entry(*self._place(key)))
 
     def save(self, key: Any, compiled: Any) -> None:
         """Raises OSError."""
-        cache_folder.write(*self._place(key), serialize.dumps(compiled))
+        cache_folder.write_entry(*self._place(key), serialize.dumps(compiled))
 
     def _place(self, key: Any) -> tuple[Path, str]:
         what = f"{STAMP} {self._kernel} {key!r}"

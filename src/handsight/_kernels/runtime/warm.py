@@ -13,7 +13,7 @@ from handsight._kernels.mesh import connected_nodes, field, nearest_triangle, pa
 from handsight._kernels.posterior import mean, pose_bias, propagation
 from handsight._kernels.runtime import warm_vision
 from handsight._kernels.solve import batch, search
-from handsight._kernels.touch import contacts_to_palm, sensing, surface_at_contacts, table_contacts
+from handsight._kernels.touch import contacts_to_palm, sensing, surface_at_contacts
 
 Report = Callable[[str, float], None]
 
@@ -72,7 +72,6 @@ def _objects() -> None:
 def _hands() -> None:
     chain.warm()
     contacts_to_palm.warm()
-    table_contacts.warm()
 
 
 def _time() -> None:

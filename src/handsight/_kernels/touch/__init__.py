@@ -1,1 +1,1 @@
-"""Contact sensing: wrenches and joint positions to contacts in the palm."""
+"""Contact sensing: from wrenches and joint positions to contacts in the palm."""

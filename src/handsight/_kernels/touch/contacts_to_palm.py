@@ -1,4 +1,4 @@
-"""A hand's raw wrenches to contacts in the palm, with all that is uncertain about them: a finger at a time."""
+"""From a hand's raw wrenches to contacts in the palm, with their uncertainty, and which of them are the table's."""
 
 from typing import Any
 
@@ -8,6 +8,7 @@ from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
     add,
+    block,
     cross,
     dot,
     matmul,
@@ -25,13 +26,18 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.touch.sensing import uncertain_contact
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.sensing_steps import CONTACT, Vec6, fingertip
-from handsight._kernels.touch.tips_touching import TWO_AT_ONCE, add_press, chance_of_touch, set_gaps
+from handsight._kernels.touch.sensing_steps import CONTACT, Vec6, unpack_fingertip
+from handsight._kernels.touch.tip_to_tip import (
+    TIP_TO_TIP,
+    add_load_of_other_tip,
+    find_nearest_tips,
+    touch_probability,
+)
 
 
 @inner
-def _load(reading: Any, finger: Any, gravity_sensor: Vec3) -> Vec6:
-    """Force and torque of the object on the tip, in the sensor's frame: bias and weight taken out of a reading."""
+def _compensate(reading: Any, finger: Any, gravity_sensor: Vec3) -> Vec6:
+    """Returns force and torque of the object on the tip in the sensor's frame: a reading without bias and weight."""
     weight = scale(gravity_sensor, finger.mass)
     force = scale(sub(vector(reading[:3]), vector(finger.bias[:3])), finger.sign)
     torque = scale(sub(vector(reading[3:]), vector(finger.bias[3:])), finger.sign)
@@ -40,19 +46,19 @@ def _load(reading: Any, finger: Any, gravity_sensor: Vec3) -> Vec6:
 
 @inner
 def _rotate(R: Mat33, C: Any) -> None:
-    """A covariance (6, 6) of two vectors in another frame, in place: `R block Rᵀ`, 3 x 3 each."""
+    """Rotates a covariance (6, 6) of two vectors in place: each 3 x 3 block becomes `R block Rᵀ`."""
     for row in range(0, 6, 3):
         for column in range(0, 6, 3):
-            block = C[row : row + 3, column : column + 3]
-            store33(matmul(matmul(R, matrix(block)), transpose(R)), block)
+            part = C[row : row + 3, column : column + 3]
+            store33(matmul(matmul(R, matrix(part)), transpose(R)), part)
 
 
 @inner
-def _add_joints(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
-    """Adds to a contact's covariance what independent errors of the joints make of it.
+def _add_joint_errors(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
+    """Adds the effect of independent errors of the joints to a contact's covariance.
 
-    `J` (6, j): how the tip moves and turns by each; overwritten by how point and normal change, the point by `lever`
-    from where the tip's motion is given.
+    `J` (6, j): motion of the tip by each error; overwritten by the motion of point and normal. The point is displaced
+    by `lever` from the place whose motion is given.
     """
     for j in range(J.shape[1]):
         turn = J[3, j], J[4, j], J[5, j]
@@ -65,8 +71,8 @@ def _add_joints(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
 
 
 @inner
-def _keep_tangent(C: Any, n: Vec3) -> None:
-    """Takes out of a covariance (6, 6) what a unit normal cannot do: change along itself."""
+def _project_to_tangent(C: Any, n: Vec3) -> None:
+    """Removes from a covariance (6, 6) the change of a unit normal along itself, which cannot occur."""
     for i in range(6):
         row = C[i, 3:]
         store(sub(vector(row), scale(n, dot(vector(row), n))), row)
@@ -76,32 +82,31 @@ def _keep_tangent(C: Any, n: Vec3) -> None:
 
 
 @inner
-def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contacts: Any) -> None:
-    """A contact sensed in its tip's frame, into the palm, with what tip and joints add to its covariance."""
-    R, C = matrix(T_palm_surface), contacts.covariance
-    point = add(mul(R, vector(contacts.point)), vector(T_palm_surface[:3, 3]))
-    normal = mul(R, vector(contacts.normal))
-    store(point, contacts.point)
-    store(normal, contacts.normal)
+def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact: Any) -> None:
+    """Transforms a contact from its tip's frame to the palm, adding the errors of tip and joints to its covariance."""
+    R, C = matrix(T_palm_surface), contact.covariance
+    point = add(mul(R, vector(contact.point)), vector(T_palm_surface[:3, 3]))
+    normal = mul(R, vector(contact.normal))
+    store(point, contact.point)
+    store(normal, contact.normal)
     _rotate(R, C)
-    _add_joints(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
-    two = chance_of_touch(contacts.gap)  # the sensor then feels the sum of two contacts
+    _add_joint_errors(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
+    two = touch_probability(contact.gap)  # the sensor then measures the sum of two contacts
     for i in range(3):
-        C[i, i] += finger.variance_point + two * TWO_AT_ONCE[0]
-        C[3 + i, 3 + i] += finger.variance_normal + two * TWO_AT_ONCE[1]
-    _keep_tangent(C, normal)
+        C[i, i] += finger.variance_point + two * TIP_TO_TIP.variance_point
+        C[3 + i, 3 + i] += finger.variance_normal + two * TIP_TO_TIP.variance_normal
+    _project_to_tangent(C, normal)
 
 
 @entry
 def contacts_to_palm(
     fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, contacts: Any
 ) -> None:
-    """What n `fingers` FINGER feel, by raw `readings` (n, 6), NaN where a sensor is silent.
+    """Writes the `contacts` (n) PALM_CONTACT of n `fingers` FINGER with raw `readings` (n, 6), NaN without a reading.
 
-    `by_error` (n, 6, j): how the tips, at the origins of `Ts_palm_tip` (n, 4, 4), move and turn by one standard
-    deviation of each of j independent errors; of a finger with a contact it becomes how that one's point and normal
-    change. `gravity_palm` (3): zeros where it is not known, and the tips' weight stays in. Written: `contacts` (n)
-    PALM_CONTACT.
+    `by_error` (n, 6, j): motion of the tips, at the origins of `Ts_palm_tip` (n, 4, 4), by one standard deviation of
+    each of j independent errors; of a finger with a contact it is overwritten by the motion of the contact's point and
+    normal. `gravity_palm` (3): zeros where gravity is unknown, and the tips' weight stays in the readings.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
     for i in range(len(fingers)):
@@ -110,16 +115,16 @@ def contacts_to_palm(
         center = add(mul(R, vector(finger.center_tip)), vector(Ts_palm_tip[i, :3, 3]))
         store(center, Ts_palm_surface[i, :, 3])
     n, nearest, loads = len(fingers), np.zeros((len(fingers), 4)), np.zeros((len(fingers), 6))
-    set_gaps(fingers, Ts_palm_surface, nearest, contacts)
+    find_nearest_tips(fingers, Ts_palm_surface, nearest, contacts)
     gravity = vector(gravity_palm)
     for i in range(n):
         R_palm_sensor = matmul(matrix(Ts_palm_surface[i]), matrix(fingers[i].tip.R_surface_sensor))
-        force, torque = _load(readings[i], fingers[i], tmul(R_palm_sensor, gravity))
+        force, torque = _compensate(readings[i], fingers[i], tmul(R_palm_sensor, gravity))
         store(force, loads[i, :3])
         store(torque, loads[i, 3:])
     for i in range(n):
         finger, contact, load = fingers[i], contacts[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
-        tip = fingertip(finger.tip)
+        tip = unpack_fingertip(finger.tip)
         sigmas = vector(finger.sigmas[:3]), vector(finger.sigmas[3:])
         answer = uncertain_contact(load, tip, sigmas, contact.covariance)
         contact.reason = int(answer[0])
@@ -130,15 +135,36 @@ def contacts_to_palm(
             store(mul(matrix(Ts_palm_surface[i]), tangential), contact.load[:3])
             contact.load[3], contact.load[4] = answer[4], answer[5]
             other = norm(vector(loads[int(nearest[i, 0]), :3]))
-            # Comparing is false where the other sensor is silent: then its own load must do.
-            lighter = other if other < norm(load[0]) else norm(load[0])
-            add_press(load, tip, Ts_palm_surface[i], vector(nearest[i, 1:]), lighter, contact)
+            # The comparison is false where the other sensor has no reading; then the tip's own load is taken.
+            smaller = other if other < norm(load[0]) else norm(load[0])
+            add_load_of_other_tip(load, tip, Ts_palm_surface[i], vector(nearest[i, 1:]), smaller, contact)
             _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], by_error[i], contact)
 
 
+@entry
+def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> None:
+    """Writes `reason` to those of the contacts (n) PALM_CONTACT that touch the table and not the object.
+
+    They are within three standard deviations of the table's height and face up; no object's surface faces up where it
+    stands. `table` (3): its height, and the standard deviations of height [m] and tilt [rad].
+    """
+    up = vector(T_world_palm[2, :3])
+    for i in range(len(contacts)):
+        contact = contacts[i]
+        if contact.reason != 0:
+            continue
+        height = dot(vector(contact.point), up) + T_world_palm[2, 3] - table[0]
+        angle = np.arccos(min(max(dot(vector(contact.normal), up), -1.0), 1.0))
+        C = contact.covariance
+        variance_height = dot(up, mul(block(C, 0, 0), up)) + table[1] ** 2
+        variance_angle = (C[3, 3] + C[4, 4] + C[5, 5]) / 2 + table[2] ** 2
+        if height**2 < 9.0 * variance_height and angle**2 < 9.0 * variance_angle:
+            contact.reason = reason
+
+
 def warm() -> None:
-    """Compiles the kernel, or loads it."""
+    """Compiles the kernels, or loads their machine code."""
     fingers, poses = np.ones(1, FINGER), np.eye(4)[None]
-    contacts_to_palm(
-        fingers, np.zeros((1, 6)), poses, np.zeros((1, 6, 1)), np.zeros(3), np.empty(1, PALM_CONTACT)
-    )
+    contacts = np.zeros(1, PALM_CONTACT)
+    contacts_to_palm(fingers, np.zeros((1, 6)), poses, np.zeros((1, 6, 1)), np.zeros(3), contacts)
+    mark_on_table(np.eye(4), np.ones(3), 1, contacts)

@@ -1,11 +1,11 @@
-"""What contact sensing's kernels take and give, as records; without numba, for those who make them."""
+"""The records that contact sensing's kernels take and return; without numba, whose import takes half a second."""
 
 import numpy as np
 
 FINGERTIP = np.dtype(
     [
         ("semi_axes", "f8", (3,)),
-        ("cap", "f8"),  # least z that is sensed [m], or -inf
+        ("cap", "f8"),  # least z of a sensed point [m], or -inf
         ("max_friction", "f8"),  # or inf
         ("min_force", "f8"),  # [N]
         ("R_surface_sensor", "f8", (3, 3)),
@@ -26,13 +26,13 @@ FINGER = np.dtype(
     [
         ("tip", FINGERTIP),
         ("R_tip_surface", "f8", (3, 3)),
-        ("center_tip", "f8", (3,)),  # the surface's, in the frame of the body that it moves with [m]
+        ("center_tip", "f8", (3,)),  # the surface's centre in the frame of the body to which it is fixed [m]
         ("sign", "f8"),  # 1 where readings are of the tip on the sensor, -1 where of the sensor on the tip
         ("bias", "f8", (6,)),  # [N], [N m]
         ("mass", "f8"),
         ("center_of_mass", "f8", (3,)),  # in the sensor's frame [m]
-        ("sigmas", "f8", (6,)),  # of a reading
-        ("variance_point", "f8"),  # per axis, what sensor and joints do not explain [m²]
+        ("sigmas", "f8", (6,)),  # of a reading [N], [N m]
+        ("variance_point", "f8"),  # per axis, of errors beside those of sensor and joints [m²]
         ("variance_normal", "f8"),  # [rad²]
     ]
 )
@@ -46,4 +46,4 @@ PALM_CONTACT = np.dtype(
         ("load", "f8", (5,)),  # tangential force (3,), normal force [N], torque about the normal [N m]
     ]
 )
-"""What a finger feels, in the palm; only `reason` and `gap` where that is no contact."""
+"""A finger's contact in the palm; only `reason` and `gap` are set where there is none."""

@@ -1,4 +1,4 @@
-"""What a surface under a contact says of the contact itself: of its point and its normal."""
+"""The information that an object's surface gives on the points and normals of the contacts themselves."""
 
 from typing import Any
 
@@ -21,11 +21,11 @@ from handsight._kernels.solve.batch import load_terms
 def information_by_contact(
     model: Any, nodes: Any, contacts: Any, descent: Any, information: Any, gradient: Any
 ) -> None:
-    """Normal equations of n contacts' residuals by the contacts themselves, the object being at a pose.
+    """Writes the normal equations of n contacts' residuals by the contacts themselves, with the object at a pose.
 
-    A contact whose point and normal change by c (6,) has the residuals r + A c, A = [gᵀ 0; N -I]; with their covariance
-    S, which is that of `contacts` (n,) and of the field: `information` (n, 6, 6) = Aᵀ S⁻¹ A, `gradient` (n, 6) = Aᵀ S⁻¹
-    r.
+    A contact whose point and normal change by c (6,) has the residuals r + A c, A = [gᵀ 0; N -I], with covariance S,
+    which is that of `contacts` (n,) and of the field. Written: `information` (n, 6, 6) = Aᵀ S⁻¹ A, `gradient` (n, 6) =
+    Aᵀ S⁻¹ r.
     """
     terms, pose, field = np.empty(len(contacts), TERM), pose_of(descent[0].pose), model[0].fine
     load_terms(contacts, terms)
@@ -49,7 +49,7 @@ def information_by_contact(
 
 
 def warm(model: Any, nodes: Any) -> None:
-    """Compiles the kernel, or loads it."""
+    """Compiles the kernel, or loads its machine code."""
     contacts, descent = np.zeros(1, CONTACT), np.zeros(1, DESCENT)
     contacts["covariance"] = np.eye(6)
     information_by_contact(model, nodes, contacts, descent, np.empty((1, 6, 6)), np.empty((1, 6)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.explain import plain
+from handsight.msgspec_errors import decode_object
 from handsight.objects.files import read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
 from handsight.objects.files.write import ply_bytes
@@ -61,8 +61,8 @@ def add(folder: Folder, new: NewObject) -> None:
                 raise InvalidInput(
                     f"name: expected a new one, got {entry.name!r}, which is that of object {entry.number}"
                 )
-        infos = plain(documents.info, INFO)
-        known = {} if documents.facts is None else plain(documents.facts, FACTS)["objects"]
+        infos = decode_object(documents.info, INFO)
+        known = {} if documents.facts is None else decode_object(documents.facts, FACTS)["objects"]
         # What an add that was cut short has left is not taken for another object's.
         facts = {key: value for key, value in known.items() if key in infos}
         number = 1 + max([0, *map(int, infos), *_numbers(models)])
@@ -82,7 +82,7 @@ def revise(folder: Folder, number: int, facts: Facts) -> None:
     models = folder.models
     with locked(models):
         documents = folder.documents()
-        known = {} if documents.facts is None else plain(documents.facts, FACTS)["objects"]
+        known = {} if documents.facts is None else decode_object(documents.facts, FACTS)["objects"]
         data = content(models / f"obj_{number:06d}.ply")
         entry = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
         before = known.get(str(number), entry)

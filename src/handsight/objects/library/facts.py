@@ -58,7 +58,7 @@ class Record(Facts, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
         super().__post_init__()
         if not re.fullmatch(r"[0-9a-f]{64}", self.sha256):
             raise InvalidInput(f"sha256: expected 64 hexadecimal digits, got {checks.brief(self.sha256)}")
-        checks.whole(self.bytes, "bytes", LARGEST_FILE)
+        checks.integer(self.bytes, "bytes", LARGEST_FILE)
 
 
 class Document(msgspec.Struct, forbid_unknown_fields=True):
@@ -70,8 +70,8 @@ class Document(msgspec.Struct, forbid_unknown_fields=True):
 
 def check_name(name: Any) -> None:
     """Raises InvalidInput for what no object can be called: what a path or a terminal would obey, or a number."""
-    message = f"expected up to {checks.LONGEST_NAME} letters, digits, blanks and _.+-, the first a letter or a digit"
-    if not isinstance(name, str) or len(name) > checks.LONGEST_NAME or not _NAME.fullmatch(name):
+    message = f"expected up to {checks.MAX_NAME_LENGTH} letters, digits, blanks and _.+-, the first a letter or a digit"
+    if not isinstance(name, str) or len(name) > checks.MAX_NAME_LENGTH or not _NAME.fullmatch(name):
         raise InvalidInput(f"name: {message}, got {checks.brief(name)!r}")
     if name != name.strip() or _NUMBERED.fullmatch(name):
         raise InvalidInput(f"name: expected no number and no blank at its end, got {name!r}")

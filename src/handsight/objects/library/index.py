@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.explain import Form, in_form, plain
+from handsight.msgspec_errors import Form, decode, decode_object
 from handsight.objects.library.bop import MM, Info, symmetries_of
 from handsight.objects.library.facts import VERSION, Document, Record
 from handsight.objects.symmetry import Symmetries
@@ -71,7 +71,7 @@ class Entry:
 def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
     """The objects by their numbers; raises InvalidFile, which begins with the place."""
     where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
-    infos = _by_number(in_form(documents.info, dict[str, Info], where), where)
+    infos = _by_number(decode(documents.info, dict[str, Info], where), where)
     records: dict[int, Record] = {}
     if documents.facts is not None:
         records = _by_number(_records(documents.facts, there), there)
@@ -90,10 +90,10 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
 
 
 def _records(data: bytes, where: str) -> dict[str, Record]:
-    version = plain(data, where).get("version")
+    version = decode_object(data, where).get("version")
     if version != VERSION:
         raise InvalidFile(f"{where}: version: expected {VERSION}, got {checks.brief(version)}")
-    return in_form(data, Document, where).objects
+    return decode(data, Document, where).objects
 
 
 def _by_number(of: Mapping[str, Form], where: str) -> dict[int, Form]:

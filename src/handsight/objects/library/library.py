@@ -65,7 +65,7 @@ class Library:
         for entry in known:
             if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
                 return entry
-        near = checks.among(str(name), [entry.name for entry in known])
+        near = checks.suggestion(str(name), [entry.name for entry in known])
         raise InvalidInput(f"name: expected an object of {self.place}, got {checks.brief(name)!r}{near}")
 
     def file(self, entry: Entry) -> Path:

@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 
-from handsight.cache_folder import cache_folder, read, write
+from handsight.cache_folder import cache_folder, read_entry, write_entry
 from handsight.errors import HandsightError, InvalidFile, MissingExtra
-from handsight.files import written
+from handsight.files import write_errors
 from handsight.objects.files.read import LARGEST_FILE
 from handsight.objects.library.index import FACTS, INFO, LARGEST_DOCUMENT, Documents, Entry, NoLibrary
 from handsight.objects.library.store import check_content, check_sha256, new_file
@@ -98,11 +98,11 @@ class Remote:
         return self._kept()
 
     def _kept(self) -> _Copy:
-        return msgspec.msgpack.decode(read(self._path, self.url), type=_Copy)
+        return msgspec.msgpack.decode(read_entry(self._path, self.url), type=_Copy)
 
     def _keep(self, copy: _Copy) -> None:
-        with written(self._path.parent):
-            write(self._path, self.url, msgspec.msgpack.encode(copy))
+        with write_errors(self._path.parent):
+            write_entry(self._path, self.url, msgspec.msgpack.encode(copy))
 
     @property
     def _path(self) -> Path:

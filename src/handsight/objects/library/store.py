@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from handsight.errors import InvalidFile, NotWritten
-from handsight.files import open_regular, written
+from handsight.files import open_regular, write_errors
 
 LOCK = ".handsight.lock"
 LOCK_SECONDS = 60.0
@@ -37,7 +37,7 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
     Whatever ends it before, a kill too, leaves what was under that name as it was.
     """
     temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex}.part")
-    with written(path):
+    with write_errors(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(temporary, "xb") as file:
@@ -60,14 +60,14 @@ def locked(folder: Path) -> Iterator[None]:
     and between machines the file server keeps it (NFS, SMB). A folder whose system has no locks is refused: two writers
     there could lose what one of them added.
     """
-    with written(folder):
+    with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         file = open(folder / LOCK, "ab")  # noqa: SIM115
     with file:
         until = time.monotonic() + LOCK_SECONDS
         while True:
             try:
-                with written(folder):
+                with write_errors(folder):
                     _take(file)
                 break
             except NotWritten as error:

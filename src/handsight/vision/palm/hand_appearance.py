@@ -13,8 +13,7 @@ from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains
-from handsight.hand.shape import HandShape
-from handsight.hand.surface import sample
+from handsight.hand.surface import HandShape, sample_by_area
 from handsight.vision.camera import Depth, PinholeCamera
 
 POINTS = 1200
@@ -51,7 +50,9 @@ class HandAppearance:
         if not len(shape.faces):
             raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
         corners, link = shape.vertices_body[shape.faces], shape.body_of[shape.faces[:, 0]]
-        body, points, normals = sample([corners[link == b] for b in range(len(shape.bodies))], POINTS, 0)
+        body, points, normals = sample_by_area(
+            [corners[link == b] for b in range(len(shape.bodies))], POINTS, 0
+        )
         order = np.random.default_rng(0).permutation(len(points))
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
@@ -68,10 +69,10 @@ class HandAppearance:
         turns[:, :3, 3] = 0
         points, normals, bodies = self.skin
         skin = np.empty((2, len(points), 3))
-        chain.carried(points, bodies, Ts, skin[0])
-        chain.carried(normals, bodies, turns, skin[1])
+        chain.transform_points(points, bodies, Ts, skin[0])
+        chain.transform_points(normals, bodies, turns, skin[1])
         vertices = np.empty_like(self.coarse[0])
-        chain.carried(self.coarse[0], self.coarse[1], Ts, vertices)
+        chain.transform_points(self.coarse[0], self.coarse[1], Ts, vertices)
         return PlacedHand(self, skin, vertices, axes, float(sigma_joint))
 
 

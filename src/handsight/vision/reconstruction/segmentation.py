@@ -10,7 +10,7 @@ from handsight._kernels.math import chain
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
-from handsight.hand.surface import sample
+from handsight.hand.surface import sample_by_area
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.object.region import scene_of, table_plane
 
@@ -70,7 +70,9 @@ class InHandView:
             self._shape.vertices_body[self._shape.faces],
             self._shape.body_of[self._shape.faces[:, 0]],
         )
-        body, points, _ = sample([corners[link == b] for b in range(len(self._shape.bodies))], SKIN, 0)
+        body, points, _ = sample_by_area(
+            [corners[link == b] for b in range(len(self._shape.bodies))], SKIN, 0
+        )
         self._bodies: Indices = body.astype(np.int64)
         self._points = np.ascontiguousarray(points)
 
@@ -95,7 +97,7 @@ class InHandView:
         """
         Ts, axes = self._shape.chains.poses(joint_positions)
         skin = np.empty_like(self._points)
-        chain.carried(self._points, self._bodies, Ts, skin)
+        chain.transform_points(self._points, self._bodies, Ts, skin)
         moves = self._shape.chains.jacobians(skin, self._bodies, axes)[:, :3]
         slack = CLOSE + DEVIATIONS * self._sigma_joint * np.linalg.norm(moves, axis=(1, 2))
         points = se3.apply(se3.inverse(T_camera_palm), camera.points(depth).reshape(-1, 3).astype(np.float64))

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from msgspec import Meta
 
-from handsight.explain import explain, named
+from handsight.msgspec_errors import explain, field_name
 
 
 class Leaf(msgspec.Struct, forbid_unknown_fields=True):
@@ -49,7 +49,7 @@ def test_the_field_the_expectation_and_what_came_are_named(value, said):
     with pytest.raises(msgspec.ValidationError) as error:
         msgspec.convert(value, Tree)
     path, sentence = explain(error.value, Tree, value)
-    assert f"{named(path)}: {sentence}" == said
+    assert f"{field_name(path)}: {sentence}" == said
 
 
 @pytest.mark.parametrize("key", ["x - at `$.foo", "x` - at `$.leaf`", "x - at `$.leaves[3]", "`", ""])

@@ -1,0 +1,151 @@
+"""Fingertips that may touch each other: the distance of two, and a contact's uncertainty where another tip presses."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add,
+    cross,
+    dot,
+    matrix,
+    mul,
+    norm,
+    scale,
+    store,
+    sub,
+    times,
+    tmul,
+    vector,
+)
+from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.touch.sensing_steps import CONTACT, Fingertip, Vec6, wrench_to_contact
+
+
+class TipToTip(NamedTuple):
+    """`TipToTip` are the parameters of contacts between two fingertips."""
+
+    max_gap: float
+    """Below this distance a tip touches another with a probability above 5 % [m]. One degree of each joint is 1.3 mm
+    per axis at each of two tips."""
+    gap_scale: float
+    """Factor of a gap in the argument of `erfc` [1/m], by which `max_gap` is 1.645 of its standard deviations."""
+    variance_point: float
+    """Added variance of a contact's point where two contacts are taken for one [m²]."""
+    variance_normal: float
+    """The same of its normal [rad²]."""
+    mean_load: float
+    """Mean load of one tip on another, as a share of the smaller of both tips' loads; it is from none to twice that.
+    Simulated tips press each other with less than they press the object."""
+    max_halvings: int
+    """Halvings of a load of the other tip that leaves no contact that would explain the rest."""
+    iterations: int
+    """Steps to the direction that separates two tips best; the gap is then too small by 0.1-1 mm."""
+
+
+TIP_TO_TIP = TipToTip(
+    max_gap=0.003,
+    gap_scale=1.645 / (math.sqrt(2.0) * 0.003),
+    variance_point=0.002**2,
+    variance_normal=math.radians(12.0) ** 2,
+    mean_load=0.4,
+    max_halvings=4,
+    iterations=12,
+)
+
+
+@inner
+def _support(R: Mat33, axes: Vec3, u: Vec3) -> Vec3:
+    """Returns the point of an ellipsoid, from its centre, that is farthest along u."""
+    local = times(axes, tmul(R, u))
+    return mul(R, scale(times(axes, local), 1.0 / norm(local)))
+
+
+@inner
+def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec3]:
+    """Returns the distance of two ellipsoids, below zero where they overlap, and the direction to the second.
+
+    The distance of convex bodies is the widest slab that separates them; each step turns the slab's normal halfway
+    towards the line between the points that touch the slab.
+    """
+    R, R_other = matrix(T), matrix(T_other)
+    between = sub(vector(T_other[:3, 3]), vector(T[:3, 3]))
+    u, widest = scale(between, 1.0 / max(norm(between), 1e-12)), -np.inf
+    direction = u
+    for _ in range(TIP_TO_TIP.iterations):
+        v = sub(add(between, _support(R_other, axes_other, scale(u, -1.0))), _support(R, axes, u))
+        if dot(u, v) > widest:
+            widest, direction = dot(u, v), u
+        length = norm(v)
+        if widest <= 0.0 or length < 1e-12:
+            break
+        u = add(u, scale(v, 1.0 / length))
+        u = scale(u, 1.0 / max(norm(u), 1e-12))
+    return widest, direction
+
+
+@inner
+def find_nearest_tips(fingers: Any, Ts_palm_surface: Any, nearest: Any, contacts: Any) -> None:
+    """Writes each tip's gap to the nearest other one, and in `nearest` (n, 4) that tip and the direction to it."""
+    for i in range(len(contacts)):
+        contacts[i].gap = np.inf
+        for j in range(i):
+            axes, axes_other = vector(fingers[i].tip.semi_axes), vector(fingers[j].tip.semi_axes)
+            gap, u = _gap(Ts_palm_surface[i], axes, Ts_palm_surface[j], axes_other)
+            if gap < contacts[i].gap:
+                contacts[i].gap, nearest[i, 0] = gap, j
+                store(u, nearest[i, 1:])
+            if gap < contacts[j].gap:
+                contacts[j].gap, nearest[j, 0] = gap, i
+                store(scale(u, -1.0), nearest[j, 1:])
+
+
+@inner
+def touch_probability(gap: float) -> float:
+    """Returns the probability that two tips touch whose gap is that by their joints [m]."""
+    return 0.5 * math.erfc(TIP_TO_TIP.gap_scale * gap)
+
+
+@inner
+def add_load_of_other_tip(
+    load: Vec6, tip: Fingertip, T_palm_surface: Any, toward: Vec3, smaller: float, contact: Any
+) -> None:
+    """Moves a contact in its tip's frame for the load that the nearest other tip may exert, and adds its covariance.
+
+    The other tip lies `toward` (palm) and presses where the tips are nearest, with a force from none to twice
+    `mean_load` times `smaller` [N]. So the object's own load has that much more along `toward`, and its contact is
+    between c and c + 2 δ. With a probability P of a touch its mean is c + P δ, its covariance (4/3 P - P²) δ δᵀ.
+    """
+    if not contact.gap < TIP_TO_TIP.max_gap:
+        return
+    probability = touch_probability(contact.gap)
+    R = matrix(T_palm_surface)
+    along = tmul(R, toward)
+    reach = times(tip.semi_axes, along)
+    at = tmul(tip.R, sub(scale(times(tip.semi_axes, reach), 1.0 / norm(reach)), tip.origin))
+    press = scale(tmul(tip.R, along), TIP_TO_TIP.mean_load * smaller)
+    share = 1.0
+    for _ in range(TIP_TO_TIP.max_halvings):
+        more = scale(press, share)
+        answer = wrench_to_contact(add(load[0], more), add(load[1], cross(at, more)), tip)
+        if answer[0] == CONTACT:
+            change = np.empty(6)
+            store(scale(sub(answer[1], vector(contact.point)), 1.0 / share), change[:3])
+            store(scale(sub(answer[2], vector(contact.normal)), 1.0 / share), change[3:])
+            _add_change(change, probability, contact)
+            return
+        share *= 0.5
+
+
+@inner
+def _add_change(change: Any, probability: float, contact: Any) -> None:
+    variance = probability * (4.0 / 3.0 - probability)
+    for i in range(6):
+        for j in range(6):
+            contact.covariance[i, j] += variance * change[i] * change[j]
+    store(add(vector(contact.point), scale(vector(change[:3]), probability)), contact.point)
+    normal = add(vector(contact.normal), scale(vector(change[3:]), probability))
+    store(scale(normal, 1.0 / norm(normal)), contact.normal)

@@ -1,0 +1,312 @@
+"""Tables of wrenches, as CSV or JSON lines, and the tables of the contacts that are computed from them.
+
+Tables are read and written in chunks, so that they may be larger than the memory.
+"""
+
+import contextlib
+import csv
+import io
+import json
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, count, islice, repeat
+from pathlib import Path
+from typing import Literal, TextIO
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks
+from handsight.checks import Array
+from handsight.contact.contact import REASON_NAMES, ContactBatch
+from handsight.contact.fingertips import Fingertip
+from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.files import atomic_file, check_not_overwritten, stream_name, write_errors
+from handsight.msgspec_errors import explain, field_name
+
+Place = str | os.PathLike[str] | TextIO
+Format = Literal["csv", "jsonl"]
+Labels = dict[str, object]
+
+NUMBERS, LABELS = ("fx", "fy", "fz", "tx", "ty", "tz"), ("stamp", "finger")
+"""Columns of a CSV of wrenches."""
+COLUMNS = (
+    *("reason", "x", "y", "z", "nx", "ny", "nz", "force_normal"),
+    *("force_tangential_x", "force_tangential_y", "force_tangential_z", "torque"),
+    *("sigma_x", "sigma_y", "sigma_z", "sigma_normal"),
+)
+"""Columns of a CSV of contacts, after `stamp` and `finger` where the wrenches have them."""
+COLUMNS_HELP = """\
+Wrenches: CSV with a header, columns in any order
+  fx, fy, fz  force of the object on the tip [N]
+  tx, ty, tz  torque of the object on the tip [N m], about the point the force is given at
+  stamp       optional; copied as it is
+  finger      optional; copied as it is
+or JSON, one object a line: {"stamp": 1.5, "finger": "ff", "force": [fx, fy, fz], "torque": [tx, ty, tz]}.
+Text is UTF-8; a byte order mark at its beginning, as spreadsheets write it, is dropped.
+An empty number (CSV), null (JSON) or NaN is a reading that is missing: its row is answered "invalid".
+
+Contacts: one row for each wrench, in order, all in the frame of the tip's surface
+  stamp, finger               as in the wrenches
+  reason                      contact, or why there is none: free (weaker than min_force), off_cap,
+                              beyond_friction, invalid (a missing reading)
+  x, y, z                     where the object touches the tip [m]
+  nx, ny, nz                  the object's outward normal there, into the tip
+  force_normal                along the normal [N]
+  force_tangential_x, _y, _z  the rest of the force [N]
+  torque                      local torque about the normal [N m]
+  sigma_x, sigma_y, sigma_z   standard deviation of x, y, z from the sensor's noise [m]
+  sigma_normal                of the normal's angle, per tangent axis [rad]
+Without a contact the numbers are left empty. CSV has nine digits. As JSON lines, in full precision: stamp,
+finger, reason, and for a contact point, normal, force_normal, force_tangential, torque and covariance (6 x 6
+of point and normal).
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchRows:
+    """`WrenchRows` are some consecutive rows of a table of wrenches."""
+
+    labels: list[Labels]
+    """For each row its `stamp` and `finger`, if the table has them; as text from CSV."""
+    forces: Array
+    """(n, 3) forces [N]; NaN where the table has no number."""
+    torques: Array
+    """(n, 3) torques [N m]; NaN where the table has no number."""
+
+
+def read_wrenches(source: Place, *, chunk: int = 8192) -> Iterator[WrenchRows]:
+    """Yields the rows of a table of wrenches, `chunk` at a time; its first character tells CSV from JSON lines.
+
+    Blank lines are skipped. Raises an InvalidFile that names the file, the line, the column, what was expected and what
+    came; also for a table without rows.
+    """
+    is_path = isinstance(source, str | os.PathLike)
+    name = str(source) if is_path else stream_name(source)
+    empty = True
+    try:
+        with contextlib.ExitStack() as stack:
+            if isinstance(source, str | os.PathLike):
+                source = stack.enter_context(Path(source).open(encoding="utf-8", newline=""))
+            lines = _lines(source, name)
+            blank, first = 0, ""
+            for first in lines:
+                if first.strip():
+                    break
+                blank += 1
+            parse = _json_rows if first.lstrip().startswith("{") else _csv_rows
+            rows = parse(chain(repeat("\n", blank), [first], lines), name)
+            while some := list(islice(rows, chunk)):
+                empty = False
+                numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
+                yield WrenchRows([labels for labels, _ in some], numbers[:, :3], numbers[:, 3:])
+    except OSError as error:
+        raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise InvalidFile(f"{name}: expected UTF-8 text, got byte {error.object[error.start]:#04x}") from None
+    if empty:
+        raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
+
+
+def _lines(file: TextIO, name: str) -> Iterator[str]:
+    """Yields the lines, without a byte order mark before the first."""
+    mark, longest = "\ufeff", 100_000
+    for i in count(1):
+        line = file.readline(longest + 1)
+        if len(line) > longest:
+            raise InvalidFile(f"{name}: line {i}: expected at most {longest} characters, got more")
+        if not line:
+            return
+        yield line.removeprefix(mark)
+        mark = ""
+
+
+def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:
+    """Yields labels and six numbers of each row."""
+    reader = csv.reader(lines, strict=True)
+    try:
+        header: list[str] = []
+        for cells in reader:
+            if len(cells) < 2 and not "".join(cells).strip():
+                continue
+            where = f"{name}: line {reader.line_num}"
+            if not header:
+                header = [cell.strip().lower() for cell in cells]
+                _check_header(header, where)
+                continue
+            if len(cells) != len(header):
+                raise InvalidFile(f"{where}: expected {len(header)} columns as the header, got {len(cells)}")
+            row = dict(zip(header, cells, strict=True))
+            labels: Labels = {column: row[column] for column in LABELS if column in row}
+            yield labels, [_number(row[column], f"{where}, column {column}") for column in NUMBERS]
+    except csv.Error as error:
+        raise InvalidFile(f"{name}: line {reader.line_num}: expected CSV, got {error}") from None
+
+
+def _check_header(header: list[str], where: str) -> None:
+    """Raises InvalidFile unless each column is known, none occurs twice, and none of the numbers is missing."""
+    known = (*LABELS, *NUMBERS)
+    for column in header:
+        if column not in known:
+            raise InvalidFile(f"{where}: expected a header of {', '.join(known)}, got column {column[:40]!r}")
+        if header.count(column) > 1:
+            raise InvalidFile(f"{where}: expected column {column} once, got it {header.count(column)} times")
+    if missing := [column for column in NUMBERS if column not in header]:
+        raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {', '.join(missing)}")
+
+
+def _number(cell: str, where: str) -> float:
+    if not cell or cell.isspace():
+        return math.nan
+    try:
+        number = float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
+    except ValueError:
+        raise InvalidFile(f"{where}: expected a number, got {checks.brief(cell)!r}") from None
+    if error := _load_error(number):
+        raise InvalidFile(f"{where}: {error}")
+    return number
+
+
+def _load_error(number: float) -> str | None:
+    """Returns the message about a number that is too large for a load; infinity is a missing reading, as NaN is."""
+    if abs(number) <= checks.MAX_LOAD or not math.isfinite(number):
+        return None
+    return f"expected newtons and newton metres within {checks.MAX_LOAD:g}, got {number:g}"
+
+
+class _Wrench(msgspec.Struct, forbid_unknown_fields=True):
+    """A wrench as JSON; null is a missing reading."""
+
+    force: tuple[float | None, float | None, float | None]
+    torque: tuple[float | None, float | None, float | None]
+    stamp: float | str | None = None
+    finger: float | str | None = None
+
+    def __post_init__(self) -> None:
+        for key, label in (("stamp", self.stamp), ("finger", self.finger)):
+            if isinstance(label, str) and re.search("[\ud800-\udfff]", label):
+                raise ValueError(f"{key}: expected a text, got half a character in {label[:40]!r}")
+            if isinstance(label, float) and not math.isfinite(label):
+                raise ValueError(f"{key}: expected a finite number, got {label}")
+        for key, vector in (("force", self.force), ("torque", self.torque)):
+            for number in vector:
+                if number is not None and (error := _load_error(number)):
+                    raise ValueError(f"{key}: {error}")
+
+
+def _json_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:
+    """Yields labels and six numbers of each row."""
+    first: Labels | None = None
+    for i, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        where = f"{name}: line {i}"
+        try:
+            row = json.loads(line)
+            wrench = msgspec.convert(row, _Wrench)
+        except msgspec.ValidationError as error:
+            field, message = explain(error, _Wrench, row)
+            raise InvalidFile(f"{where}: {field_name(field) or 'wrench'}: {message}") from None
+        except (ValueError, RecursionError) as error:
+            raise InvalidFile(f"{where}: expected a JSON object, got {error}") from None
+        labels: Labels = {key: row[key] for key in LABELS if key in row}
+        first = labels if first is None else first
+        if labels.keys() != first.keys():
+            came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
+            raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
+        yield labels, [math.nan if x is None else x for x in (*wrench.force, *wrench.torque)]
+
+
+def convert(
+    source: Place,
+    destination: Place,
+    fingertip: Fingertip,
+    *,
+    sigma_force: ArrayLike = SIGMA_FORCE,
+    sigma_torque: ArrayLike = SIGMA_TORQUE,
+    format: Format | None = None,
+) -> dict[str, int]:
+    """Writes the contacts of a table of wrenches, and returns the number of rows of each reason.
+
+    Both are paths or text streams, as `COLUMNS_HELP` describes them; sigmas as in `contact_from_wrench`. `format` None:
+    JSON lines for a path that ends in .jsonl, .ndjson or .json, else CSV. A destination that is a file appears only
+    when it is complete; it may not be the source. Raises an InvalidFile that names file and line.
+    """
+    if format is None:
+        suffix = Path(destination).suffix if isinstance(destination, str | os.PathLike) else ""
+        format = "jsonl" if suffix.lower() in (".jsonl", ".ndjson", ".json") else "csv"
+    writers = {"csv": _write_csv, "jsonl": _write_json}
+    if format not in writers:
+        raise InvalidInput(f"format: expected one of {', '.join(writers)}, got {format!r}")
+    check_not_overwritten(destination, "the contacts", source, "the wrenches")
+    counts: Counter[int] = Counter()
+    with _output(destination) as file:
+        for i, rows in enumerate(read_wrenches(source)):
+            batch = contacts_from_wrenches(
+                rows.forces, rows.torques, fingertip, sigma_force=sigma_force, sigma_torque=sigma_torque
+            )
+            if format == "csv" and i == 0:
+                file.write(",".join([*rows.labels[0], *COLUMNS]) + "\n")
+            writers[format](file, rows, batch)
+            counts.update(batch.reasons.tolist())
+    return {name: counts[reason] for reason, name in enumerate(REASON_NAMES)}
+
+
+def _write_csv(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
+    variances = np.diagonal(batch.covariances, axis1=1, axis2=2)
+    sigmas = (np.sqrt(variances[:, :3]), np.sqrt(variances[:, 3:].sum(axis=1) / 2))
+    numbers = np.column_stack([batch.points, batch.normals, *_loads(batch), *sigmas])
+    contacts = iter((numbers + 0.0).tolist())  # no -0
+    empty = [""] * numbers.shape[1]
+    writer = csv.writer(file, lineterminator="\n")
+    for labels, reason in zip(rows.labels, batch.reasons.tolist(), strict=True):
+        cells = empty if reason else [f"{number:.9g}" for number in next(contacts)]
+        writer.writerow([*labels.values(), REASON_NAMES[reason], *cells])
+
+
+def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
+    columns = (batch.points, batch.normals, *_loads(batch), batch.covariances)
+    contacts = zip(*(column.tolist() for column in columns), strict=True)
+    keys = ("point", "normal", "force_normal", "force_tangential", "torque", "covariance")
+    encode = msgspec.json.Encoder().encode
+    for labels, reason in zip(rows.labels, batch.reasons.tolist(), strict=True):
+        row = {**labels, "reason": REASON_NAMES[reason]}
+        # A number that CSV gave as text keeps all its digits.
+        stamp = row.get("stamp")
+        if isinstance(stamp, str) and re.fullmatch(
+            r"\s*-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][-+]?\d+)?\s*", stamp
+        ):
+            row["stamp"] = msgspec.Raw(stamp.strip().encode())
+        if not reason:
+            row.update(zip(keys, next(contacts), strict=True))
+        file.write(encode(row).decode() + "\n")
+
+
+def _loads(batch: ContactBatch) -> tuple[Array, Array, Array]:
+    """Returns normal forces (k,) and tangential forces (k, 3) [N], and local torques (k,) [N m]."""
+    tangential = batch.forces - batch.forces_normal[:, None] * batch.normals
+    return batch.forces_normal, tangential, batch.torques
+
+
+@contextlib.contextmanager
+def _output(destination: Place) -> Iterator[TextIO]:
+    """Yields a stream to write to; a file gets its name only when it is complete. Raises NotWritten."""
+    if not isinstance(destination, str | os.PathLike):
+        with write_errors(stream_name(destination)):
+            yield destination
+            destination.flush()
+        return
+    path = Path(os.path.realpath(destination))
+    with write_errors(destination):
+        replaceable = path.is_file() or not path.exists()  # a pipe is not
+        with (
+            atomic_file(path) if replaceable else path.open("wb") as binary,
+            io.TextIOWrapper(binary, encoding="utf-8", newline="") as file,
+        ):
+            yield file

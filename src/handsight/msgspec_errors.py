@@ -1,0 +1,141 @@
+"""Messages about values that msgspec refused: which field, what was expected, what came.
+
+A form is a `msgspec.Struct` type, or another type that msgspec converts to. The `__post_init__` of a form may raise
+`ValueError("key: expected ..., got ...")`; the message is then about the field of that key.
+"""
+
+import re
+import types
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+import msgspec
+
+from handsight.checks import brief, suggestion
+from handsight.errors import InvalidFile
+
+FieldPath = tuple[str | int, ...]
+"""Keys of mappings and places in lists that lead from a whole document to one value in it."""
+Form = TypeVar("Form")
+JsonObject = dict[str, Any]
+
+
+def field_name(path: FieldPath) -> str:
+    """Returns the text of a path, such as `contacts[2].point`; empty for the whole document."""
+    steps = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in path]
+    return "".join(steps).removeprefix(".")
+
+
+def decode(data: bytes, form: type[Form], where: str) -> Form:
+    """Returns a JSON document converted to a form; raises an InvalidFile that begins with `where`."""
+    raw = decode_object(data, where)
+    try:
+        return msgspec.convert(raw, form)
+    except msgspec.ValidationError as error:
+        field, message = explain(error, form, raw)
+        raise InvalidFile(f"{where}: {field_name(field) or 'file'}: {message}") from None
+
+
+def decode_object(data: bytes, where: str) -> JsonObject:
+    """Returns a JSON document that is an object; raises an InvalidFile that begins with `where`."""
+    try:
+        raw = msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
+    if not isinstance(raw, dict):
+        raise InvalidFile(f"{where}: expected an object {{...}}, got {brief(raw)}")
+    return raw
+
+
+def explain(error: msgspec.ValidationError, form: object, value: object) -> tuple[FieldPath, str]:
+    """Returns the field of `value` at which msgspec refused it as a `form`, and a message about that field."""
+    text, mark, where = str(error).rpartition(" - at `$")
+    try:
+        return _field_and_message(text, where, form, value) if mark else _message(str(error), (), form, value)
+    except (LookupError, TypeError, ValueError):  # an unknown key that reads like msgspec's own words
+        return _message(str(error), (), form, value)
+
+
+def _field_and_message(text: str, where: str, form: object, value: object) -> tuple[FieldPath, str]:
+    """Follows msgspec's own path, such as `.contacts[2].point`, from the document to the refused value."""
+    path: FieldPath = ()
+    for key in re.findall(r"\.{3}|[^.\[\]`]+", where):
+        if key == "...":  # some entry of a mapping with arbitrary keys: msgspec does not say which one
+            entry_form = _entry_form(form, key)
+            for name, entry in value.items():  # type: ignore[attr-defined]
+                try:
+                    msgspec.convert(entry, entry_form)
+                except msgspec.ValidationError as error:
+                    field, message = explain(error, entry_form, entry)
+                    return (*path, name, *field), message
+            raise ValueError("expected a mapping with an entry that is not of the form, got none")
+        step = int(key) if isinstance(value, list) else key
+        path, form, value = (*path, step), _entry_form(form, step), value[step]  # type: ignore[index]
+    return _message(text, path, form, value)
+
+
+def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[FieldPath, str]:
+    """Returns msgspec's `text` about the value at a path in words for a user, and the path to the field it is about."""
+    if found := re.fullmatch(r"Object contains unknown field `(.*)`", text, re.DOTALL):
+        return (*path, found[1]), f"unknown key{suggestion(found[1], _field_types(form))}"
+    if found := re.fullmatch(r"Object missing required field `(.*)`", text):
+        return (*path, found[1]), "expected, got nothing"
+    if text.startswith("Invalid enum value"):
+        allowed = alternatives(form)
+        names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]
+        others = "".join(f"{_kind_text('array', form)} or " for kind in allowed if get_origin(kind) is tuple)
+        expected = f"expected {others}one of {', '.join(names)}"
+        return path, f"{expected}, got {value!r}{suggestion(str(value), names)}"
+    if text == "Number out of range":
+        return path, f"expected a finite number, got {brief(value)}"
+    if found := re.match(r"Expected `([^`]+)`(?: (>=?|<=?) ([\d.]+))?", text):
+        kinds, bound, limit = found.groups()
+        expected = " or ".join(_kind_text(kind, form) for kind in kinds.split(" | ") if kind != "null")
+        if bound:
+            comparisons = {">": "above", ">=": "of at least", "<": "below", "<=": "of at most"}
+            expected = f"a number {comparisons[bound]} {float(limit):g}"
+        hint = " (a text)" if isinstance(value, str) and "str" not in kinds else ""
+        return path, f"expected {expected}, got {brief(value)}{hint}"
+    if found := re.match(r"(\w+): ", text):
+        return (*path, found[1]), text[found.end() :]
+    return path, text
+
+
+def _kind_text(kind: str, form: object) -> str:
+    """Returns the words for one of msgspec's kinds of values."""
+    sizes = [len(get_args(part)) for part in alternatives(form) if get_origin(part) is tuple]
+    texts = {
+        "object": "keys and values",
+        "array": f"{sizes[0]} finite numbers" if sizes else "a list",
+        "str": "a text",
+        "float": "a finite number",
+        "int": "a whole number",
+        "bool": "true or false",
+    }
+    return texts.get(kind, kind)
+
+
+def alternatives(form: object) -> list[object]:
+    """Returns the types that a type allows: those of a union, without annotations."""
+    if get_origin(form) is Annotated:
+        return alternatives(get_args(form)[0])
+    if get_origin(form) in (Union, types.UnionType):
+        return [kind for part in get_args(form) for kind in alternatives(part)]
+    return [form]
+
+
+def _field_types(form: object) -> dict[str, object]:
+    """Returns the types of a form's fields by the keys they have in the document."""
+    for kind in alternatives(form):
+        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+            return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+    return {}
+
+
+def _entry_form(form: object, step: str | int) -> object:
+    """Returns the type of the value under a key, at a place of a list, or in any entry of a mapping."""
+    for kind in alternatives(form):
+        if get_origin(kind) is tuple:
+            return get_args(kind)[int(step)]
+        if get_origin(kind) not in (None, Literal):
+            return get_args(kind)[-1]
+    return _field_types(form).get(str(step))
