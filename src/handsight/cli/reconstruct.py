@@ -41,8 +41,8 @@ def reconstruct(
             help="The hand holds the object and turns it before the camera; default: it stands on a table.",
         ),
     ] = False,
-    old_given: Annotated[bool, typer.Option("--given", hidden=True)] = False,
-    old_held: Annotated[bool, typer.Option("--held", hidden=True)] = False,
+    former_robot_poses: Annotated[bool, typer.Option("--given", hidden=True)] = False,
+    former_in_hand: Annotated[bool, typer.Option("--held", hidden=True)] = False,
 ) -> None:
     """Make an object's model out of a recording with depth images of many sides of it.
 
@@ -71,8 +71,8 @@ def reconstruct(
     found = rig_of_recording(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
-    in_hand = renamed(in_hand, old_held, ("--in-hand", "--held"))
-    robot_poses = renamed(robot_poses, old_given, ("--robot-poses", "--given"))
+    in_hand = renamed(in_hand, former_in_hand, ("--in-hand", "--held"))
+    robot_poses = renamed(robot_poses, former_robot_poses, ("--robot-poses", "--given"))
     run = Run(not robot_poses and not in_hand, in_hand)
     with open_recording(recording, found) as opened, live_rows(recording.name, Run.progress) as watch:
         with kept_going() as end:
