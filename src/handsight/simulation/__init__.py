@@ -1,5 +1,6 @@
 """Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
 
+from handsight._deprecated import renamed
 from handsight.simulation.camera import camera_facing
 from handsight.simulation.grasp_file import read_grasp, write_grasp
 from handsight.simulation.grasp_search import GraspSearchResult, find_grasp
@@ -28,3 +29,13 @@ __all__ = [
     "touch_search_rig",
     "write_grasp",
 ]
+
+__getattr__ = renamed(
+    __name__,
+    {
+        "Found": "handsight.simulation.GraspSearchResult",
+        "blind_rig": "handsight.simulation.touch_search_rig",
+        "looking": "handsight.simulation.camera_facing",
+        "simulate_blind": "handsight.simulation.simulate_touch_search",
+    },
+)

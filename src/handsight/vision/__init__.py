@@ -1,5 +1,6 @@
-"""Sight: depth cameras, and what their images say of hand and object."""
+"""Vision: depth cameras, and the poses of object and palm in their images."""
 
+from handsight._deprecated import renamed
 from handsight.vision.camera import Drawn, PinholeCamera
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.files import read_camera, read_color, read_depth
@@ -36,3 +37,15 @@ __all__ = [
     "recognise",
     "register_color",
 ]
+
+__getattr__ = renamed(
+    __name__,
+    {
+        "Found": "handsight.vision.ObjectDetection",
+        "HandLook": "handsight.vision.HandAppearance",
+        "HandNotSeen": "handsight.vision.PalmNotFound",
+        "SeenHand": "handsight.vision.PalmDetection",
+        "followed_hand": "handsight.vision.follow_palm",
+        "seen_hand": "handsight.vision.detect_palm",
+    },
+)
