@@ -14,7 +14,6 @@ from handsight._kernels.evidence.contact_term import Frame, Pose, add_contacts, 
 from handsight._kernels.evidence.outside_term import add_outside, outside_cost
 from handsight._kernels.evidence.plane_term import add_planes, plane_cost
 from handsight._kernels.evidence.prior_term import add_prior, prior_cost
-from handsight._kernels.evidence.reach_term import add_reach, reach_cost
 from handsight._kernels.evidence.weight_term import add_weight, weight_cost
 from handsight._kernels.math.vec3 import Vec3
 from handsight._kernels.runtime.compilation import inner
@@ -57,8 +56,6 @@ def add_evidence(
         add_outside(evidence, field, pose, frame, equations)
     if kinds & WALLS:
         add_planes(evidence, pose, frame, equations)
-    if kinds & WALLS:
-        add_reach(pose, frame, equations)
     if kinds & PRIOR:
         add_prior(evidence.prior, pose, frame, equations)
     if kinds & LOADS:
@@ -73,8 +70,6 @@ def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
         total += outside_cost(evidence, evidence.model.fine, pose)
     if kinds & WALLS:
         total += plane_cost(evidence, pose)
-    if kinds & WALLS:
-        total += reach_cost(pose)
     if kinds & CONTACTS:
         total += contact_cost(evidence, pose)
     if kinds & PRIOR:
