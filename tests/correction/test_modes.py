@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import handsight as hs
 from handsight import se3
@@ -192,3 +193,9 @@ def test_a_wrong_contact_is_named_whichever_it_is():
         normals[wrong] = np.cross(normals[wrong], T[:3, 0] + 0.3 * T[:3, 1] + 0.2 * T[:3, 2])
         spoiled = hs.Contacts(contacts.points_palm, normals, sigma_point=5e-4, sigma_normal=np.deg2rad(2))
         assert hs.correct_pose(box(), spoiled, vision=vision).outliers == (wrong,)
+
+
+@pytest.mark.parametrize("alarm", [0.5, 0.1, 0.05, 0.01, 1e-3, 1e-6])
+def test_a_quantile_of_chi_square_is_scipys(alarm):
+    for freedom in (*range(1, 40), 101, 300, 768, 5000):
+        assert modes.chi2_limit(freedom, alarm) == pytest.approx(chdtri(freedom, alarm), rel=1e-10)

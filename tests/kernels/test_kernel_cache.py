@@ -219,3 +219,17 @@ def test_after_warming_up_nothing_is_left_to_compile(tmp_path):
     command = [sys.executable, "-c", WARMED]
     done = subprocess.run(command, capture_output=True, timeout=500, text=True, env=environment)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_first_correction_loads_no_scipy_and_numba_s_linear_algebra_is_there_all_the_same():
+    program = (
+        "import sys, numpy as np, handsight as hs\n"
+        "box = hs.ObjectModel.box((0.06, 0.09, 0.14))\n"
+        "contacts = hs.Contacts([[0.03, 0, 0], [-0.03, 0.01, 0], [0, 0.045, 0.02]], [[1, 0, 0], [-1, 0, 0], [0, 1, 0]])\n"
+        "hs.correct_pose(box, contacts, vision=hs.PosePrior.from_sigmas(np.eye(4), 0.03, 0.25))\n"
+        "assert not {name for name in sys.modules if name.startswith('scipy.')} & {'scipy.linalg', 'scipy.spatial', 'scipy.special'}\n"
+        "import numba\n"
+        "dot = numba.njit(lambda a, b: a @ b)\n"
+        "np.testing.assert_allclose(dot(np.eye(3), 2 * np.eye(3)), 2 * np.eye(3))\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300)

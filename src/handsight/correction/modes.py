@@ -1,5 +1,6 @@
 """When modes are distinct, and when contacts fit."""
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -63,7 +64,7 @@ def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> 
     `wide`: how wide the prior is, of the widest that one start may do for. What could be missed grows with its square.
     """
     doubt = round(wide * wide, 2)  # few different ones, for each has its limits worked out
-    if coarse_cost * doubt > DOUBT_COARSE * _limit(max(freedom, 1), 0.1):
+    if coarse_cost * doubt > DOUBT_COARSE * chi2_limit(max(freedom, 1), 0.1):
         return False
     return fits(cost, freedom, max(DOUBT_P * doubt, RECHECK_P))
 
@@ -75,12 +76,31 @@ def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
 
 def fits(chi2: float, freedom: int, alarm: float = ALARM) -> bool:
     """Whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
-    return bool(chi2 <= _limit(max(freedom, 1), alarm))
+    return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))
 
 
 @lru_cache(maxsize=1024)
-def _limit(freedom: int, alarm: float) -> float:
-    """The 1 - alarm quantile of χ²."""
-    from scipy.special import chdtri
+def chi2_limit(freedom: int, alarm: float) -> float:
+    """Returns the 1 - alarm quantile of χ² with that many degrees of freedom.
 
-    return float(chdtri(freedom, alarm))
+    SciPy has it too, and takes a third of a second to load; the first correction should not wait for that. Found by
+    bisection of the survival function, which is a finite sum for a whole number of degrees of freedom (Abramowitz and
+    Stegun, 26.4.4 and 26.4.5).
+    """
+
+    odd = freedom % 2
+    exponents = np.arange(freedom // 2) + 0.5 * odd
+    log_gamma = np.array([math.lgamma(m + 1) for m in exponents])
+
+    def survival(chi2: float) -> float:
+        half = chi2 / 2
+        terms = np.exp(exponents * math.log(half) - half - log_gamma)  # half^m e^-half / Γ(m + 1)
+        return float(terms.sum()) + (math.erfc(math.sqrt(half)) if odd else 0.0)
+
+    low, high = 0.0, freedom + 10 * math.sqrt(2 * freedom) + 100.0
+    while high - low > 1e-13 * high:
+        middle = (low + high) / 2
+        if not low < middle < high:
+            break
+        low, high = (middle, high) if survival(middle) > alarm else (low, middle)
+    return (low + high) / 2

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.correction.estimate import PoseEstimate
+from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.weight import check_kept, kept_center
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 LEFT_IN_PLACE = 2.0
 """In sigmas: a symmetry that moves the centre of mass farther is none of what weighs so."""
-CONTRADICTS = float(chdtri(3, 0.01))
+CONTRADICTS = chi2_limit(3, 0.01)
 """χ² of three numbers that one in a hundred exceeds: such a centre of mass is another's."""
 PAID = 0.02
 """Of the weight's variance: where less than that is left to compare, the weight alone has told the pose."""

@@ -9,13 +9,25 @@ import hashlib
 import os
 import pickle
 import shutil
+import sys
 import warnings
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
 from numba.core import caching, serialize
+
+# Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of the
+# time to the first correction. What asks is answered, and who needs it imports it as usual.
+if "numba.np.arraymath" not in sys.modules and "scipy.linalg.cython_blas" not in sys.modules:
+    sys.modules["scipy.linalg.cython_blas"] = ModuleType("scipy.linalg.cython_blas")
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        del sys.modules["scipy.linalg.cython_blas"]
 
 from handsight import cache_folder, checks
 from handsight._kernels.runtime.link_only import Linked
