@@ -8,12 +8,13 @@ import numpy as np
 
 import handsight as hs
 from handsight._kernels import records
+from handsight._kernels.evidence import terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.compilation import FAST
 from handsight._kernels.runtime.threads import alone
 from handsight._kernels.runtime.warm import warm
-from handsight._kernels.solve import batch, levenberg
+from handsight._kernels.solve import batch
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
@@ -38,7 +39,7 @@ def fits_at_once(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePr
 def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:
     """The parts of one correction, each as a call."""
     rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    rows["prior"], rows["last"] = vision.record, len(contacts)
+    rows["constraints"], rows["last"] = vision.record, len(contacts)
     given = model.record.model, model.record.nodes, contacts.record, NO_OUTSIDE, rows, residuals
     answer = rows[0]["answer"]
     return {
@@ -62,13 +63,15 @@ class Evaluation:
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
-def _evaluations(n, model, nodes, contacts, vision, outside):
-    prior, workspace, terms = local(PRIOR_TERM), local(WORKSPACE), np.empty(len(contacts), TERM)
-    center = batch._load_terms(contacts, terms)
-    batch._fill_prior(model[0], vision, center, prior)
-    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
-    R, p = pose_of(vision[0].pose)
+def _evaluations(n, model, nodes, contacts, constraints, outside):
+    prior, workspace, rows = local(PRIOR_TERM), local(WORKSPACE), np.empty(len(contacts), TERM)
+    center = batch.load_terms(contacts, rows)
+    batch.fill_prior(model[0], constraints[0], center, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    R, p = pose_of(constraints[0].prior.pose)
     for k in range(n):
         pose = R, (p[0] + 1e-9 * k, p[1], p[2])
-        levenberg.evaluate(evidence, model[0].fine, pose, k == 0, workspace.now)
+        workspace.now[:] = 0.0
+        frame = center, model[0].radius
+        terms.add_evidence(evidence, terms.ALL, model[0].fine, pose, frame, k == 0, workspace.now)
     return workspace.now[6, 6]

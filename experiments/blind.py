@@ -21,14 +21,19 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from handsight.correction.modes import apart
+from handsight.correction.modes import pose_distances
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
-from handsight.search.information import level_sweep, shortened
+from handsight.search.sweep_choice import level_sweep, shortened
 from handsight.simulation import Scenario, model_of
-from handsight.simulation.motion import SETTLED, WEIGH_LEGS
+from handsight.simulation.motion import AT_REST, WEIGH_LEGS
 from handsight.simulation.probe import RADIUS
-from handsight.simulation.touch_search import TABLE_SIDE, begun, blind_rig, simulate_blind
+from handsight.simulation.touch_search import (
+    TABLE_SIDE,
+    simulate_touch_search,
+    start_search,
+    touch_search_rig,
+)
 from shared import figures, report, ycb
 from shared.report import Array, Row, Rows
 
@@ -39,7 +44,7 @@ SHIFT, TURN = 0.008, float(np.deg2rad(8.0))
 REACH = TABLE_SIDE
 """Half the length of a line through the area [m]."""
 STAGES = dict(
-    zip(("gripped", "lifted", "weighed"), SETTLED + np.cumsum(WEIGH_LEGS[:, 0])[[0, 2, 12]], strict=True)
+    zip(("gripped", "lifted", "weighed"), AT_REST + np.cumsum(WEIGH_LEGS[:, 0])[[0, 2, 12]], strict=True)
 )
 """When a stage of the whole task ends, after the fingers began to close [s]."""
 
@@ -60,7 +65,7 @@ def at_random(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
 
 def through_mean(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
     """A line through the mean of what is believed."""
-    return through(belief, belief.places[:, :2].mean(axis=0), heights, rng)
+    return through(belief, belief.placements[:, :2].mean(axis=0), heights, rng)
 
 
 def by_information(belief: Belief, heights: Any, _: np.random.Generator) -> Sweep:
@@ -78,14 +83,16 @@ POLICIES: dict[str, Callable[[Belief, Any, np.random.Generator], Sweep]] = {
 def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectModel | None = None) -> Rows:
     """A row after each touch of one search."""
     scenario = Scenario(object=name, seed=seed)
-    probe, belief = begun(scenario, model_of(scenario) if model is None else model)
+    probe, belief = start_search(scenario, model_of(scenario) if model is None else model)
     rng, start, rows = np.random.default_rng((seed, 20)), probe.T_world_object, list[Row]()
     for touch in range(1, touches + 1):
         belief = belief.after(probe.touch(POLICIES[policy](belief, probe.heights, rng)))
         T, best = probe.T_world_object, belief.modes[0]
-        shift, turn = (float(error[0]) for error in apart(belief.model, T[None], best.T_world_object))
+        shift, turn = (
+            float(error[0]) for error in pose_distances(belief.model, T[None], best.pose_world_object.T_a_b)
+        )
         row = {"object": Path(name).stem, "seed": seed, "policy": policy, "touch": touch}
-        row |= {"met": belief.touches[-1].contact_world is not None, "sure": best.sure}
+        row |= {"met": belief.touches[-1].contact_world is not None, "sure": best.is_certain}
         row |= {"mm": 1e3 * shift, "deg": float(np.rad2deg(turn)), "located": shift < SHIFT and turn < TURN}
         row |= {"chi2": _chi2(belief, T), "seconds": probe.time}
         rows.append(row | {"pushed_mm": 1e3 * float(np.linalg.norm((T - start)[:3, 3]))})
@@ -94,18 +101,18 @@ def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectMode
 
 def _chi2(belief: Belief, T_world_object: Array) -> float:
     """Squared error in the table's plane by its stated covariance, per freedom."""
-    off = (T_world_object - belief.pose.T_palm_object)[:2, 3]
+    off = (T_world_object - belief.pose.T_a_b)[:2, 3]
     return float(off @ np.linalg.solve(belief.pose.covariance[:2, :2], off) / 2)
 
 
 def whole_task(name: str, seed: int) -> Row:
     """Errors of a tracker that is told what a search has found, and nothing of any camera."""
     scenario = Scenario(object=name, seed=seed, motion="weigh")
-    rig = blind_rig(scenario)
+    rig = touch_search_rig(scenario)
     model = rig.objects[name].model()
     tracker, began = hs.Tracker(rig, model), np.inf
     row: Row = {"object": name, "seed": seed}
-    for sample in simulate_blind(scenario):
+    for sample in simulate_touch_search(scenario):
         estimate, now = tracker.update(sample.observation), sample.observation.stamp
         vision, T_world_palm = sample.observation.vision, sample.observation.T_world_palm
         if vision is not None and T_world_palm is not None:
@@ -121,7 +128,7 @@ def whole_task(name: str, seed: int) -> Row:
 
 def _errors(stage: str, model: hs.ObjectModel, T_true: Array, T_hat: Array) -> Row:
     """Of the middle and of the turn, modulo symmetry."""
-    shift, turn = (float(error[0]) for error in apart(model, T_true[None], T_hat))
+    shift, turn = (float(error[0]) for error in pose_distances(model, T_true[None], T_hat))
     return {f"{stage} mm": 1e3 * shift, f"{stage} deg": float(np.rad2deg(turn))}
 
 

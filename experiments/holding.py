@@ -34,7 +34,7 @@ def trial(mesh: Path, seed: int) -> report.Row:
     last, first = samples[-1].T_palm_object, samples[0].T_palm_object
     return {
         "object": mesh.stem, "seed": seed, "trials": found.trials, "hold": found.hold, "failures": found.failures,
-        "held": bool(found.held and not samples[-1].dropped and both >= MOSTLY),
+        "held": bool(found.succeeded and not samples[-1].dropped and both >= MOSTLY),
         "fingers": float(np.mean([len(fingers) for fingers in felt])),
         "thumb": float(np.mean([sample.forces_object.get("th", 0.0) for sample in samples])),
         "moved": 1000 * float(np.linalg.norm(last[:3, 3] - first[:3, 3])),

@@ -14,7 +14,7 @@ from PIL import Image
 
 from handsight import se3
 from handsight.cli.simulate import record
-from handsight.simulation import Scenario, looking, simulate
+from handsight.simulation import Scenario, camera_facing, simulate
 from handsight.simulation.camera import INTRINSICS, spoil
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scene import scene
@@ -92,7 +92,7 @@ def take_picture() -> None:
     """The can in the closed hand, seen from where the fingers hide half of it."""
     scenario = Scenario(object="can", seed=RECORDED_SEED, rate=20)
     sample, rng = list(simulate(scenario))[-1], np.random.default_rng(RECORDED_SEED)
-    T_world_camera = looking(EYE, sample.T_world_object[:3, 3] + AIMED_OFF)
+    T_world_camera = camera_facing(EYE, sample.T_world_object[:3, 3] + AIMED_OFF)
     with closing(Renderer(scene("can"))) as renderer:
         color, exact = renderer.take(sample.configuration, T_world_camera)
     left, top, width, height = CROPPED

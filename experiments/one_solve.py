@@ -23,7 +23,7 @@ from handsight.tracking.fingertips import FingertipSensors
 from handsight.vision import PinholeCamera, depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import LEAST_PIXELS, LEAST_POINTS
-from handsight.vision.object.pose_refiner import Looked, PoseRefiner
+from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.palm.hand_in_image import HandInImage
 from shared import report
 from shared.report import Array, Rows
@@ -68,11 +68,11 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     way, found = rng.uniform(0, 2 * np.pi), []
     for share in COVERED:
         image = np.where(mask, np.nan, uncovered(depth, drawn, share, way))
-        look = PoseRefiner(model, camera, STRUCTURED_LIGHT)
-        seen = look.at(T_seen @ expected.T_palm_object, np.diag(EXPECTED**-2.0), image, None, None)
+        candidate = PoseRefiner(model, camera, STRUCTURED_LIGHT)
+        seen = candidate.at(T_seen @ expected.T_palm_object, np.diag(EXPECTED**-2.0), image, None, None)
         points = camera.points(image).reshape(-1, 3)
         points_palm = se3.apply(T_palm_camera, points[np.isfinite(points).all(axis=1)].astype(np.float64))
-        enough = seen.points >= LEAST_POINTS and seen.look["explained"][0] >= LEAST_PIXELS
+        enough = seen.points >= LEAST_POINTS and seen.candidate["explained"][0] >= LEAST_PIXELS
         answers = fused(
             model, touched, expected, in_palm(seen, T_palm_camera) if enough else None, points_palm
         )
@@ -80,7 +80,7 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     return found
 
 
-def in_palm(seen: Looked, T_palm_camera: Array) -> hs.PosePrior:
+def in_palm(seen: RefinedPose, T_palm_camera: Array) -> hs.PosePrior:
     """What an image says of the object in the palm, which itself is known as the seen hand tells it."""
     T, arm = T_palm_camera @ seen.T_camera_object, np.eye(6)
     arm[:3, 3:] = -se3.skew(T[:3, 3])

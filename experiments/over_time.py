@@ -25,7 +25,7 @@ MESHES = (
     "007_tuna_fish_can", "021_bleach_cleanser", "036_wood_block",
 )  # fmt: skip
 RATE = 50.0
-SETTLED = 2.0
+AT_REST = 2.0
 """From then on the object is in the hand alone [s]."""
 LAST = 2 / 3
 """Of a run, from which on errors are those of its last third."""
@@ -54,7 +54,7 @@ def run(name: str, seed: int) -> Row | None:
     model, tally = known(name), Tally()
     tracker = hs.Tracker(rig_of(scenario), model)
     steps = list(replay((sample.observation for sample in samples), tracker, tally))
-    rows = [judged(model, step.estimate, truths[step.stamp]) for step in steps if step.stamp >= SETTLED]
+    rows = [judged(model, step.estimate, truths[step.stamp]) for step in steps if step.stamp >= AT_REST]
     last = [row["off"] for row in rows[int(LAST * len(rows)) :]]
     means = {
         key: float(np.mean([row[key] for row in rows])) for key in ("off", "turn", "inside", "consistent")

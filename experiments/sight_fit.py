@@ -8,7 +8,7 @@ that it is none of the others. The worth of a mode's score is fitted beside it.
 import numpy as np
 from scipy.optimize import minimize
 
-from handsight.vision.object.first_pose import first_pose, worths
+from handsight.vision.object.first_pose import first_pose, scores
 from handsight.vision.object.locate import WIDER_THAN_OBJECT, scene_in
 from handsight.vision.object.presence import EVIDENCE, evidence_of
 from shared import report, sight, ycb
@@ -29,7 +29,7 @@ def looked_for(name: str, k: int, seed: int) -> tuple[str, dict[str, Array], Arr
     scene = scene_in(scenes.WIDE, picture.depth, extent, wanted=picture.wanted, hand=picture.hand)
     found = {each: first_pose(model, scene) for each, model in models.items()}
     right = scenes.mssd(picture.model, picture.T_camera_object, found[of].Ts_camera_object) < RIGHT
-    return of, {each: one.looks[:1] for each, one in found.items()}, worths(found[of].looks), right
+    return of, {each: one.candidates[:1] for each, one in found.items()}, scores(found[of].candidates), right
 
 
 def loss(weights: Array, indices: Array, evidence: Array) -> float:
@@ -62,9 +62,9 @@ def main() -> None:
     names = list(sight.objects())
     indices = np.array([names.index(of) for of, *_ in answers])
     evidence = np.zeros((len(answers), len(names), len(EVIDENCE)))
-    for k, (_, looks, *_) in enumerate(answers):
+    for k, (_, candidates, *_) in enumerate(answers):
         for j, name in enumerate(names):
-            evidence[k, j] = evidence_of(looks[name])[0] if len(looks[name]) else 0.0
+            evidence[k, j] = evidence_of(candidates[name])[0] if len(candidates[name]) else 0.0
     best = minimize(loss, np.zeros(len(EVIDENCE)), args=(indices, evidence), method="BFGS").x
     modes = [(worth, right) for *_, worth, right in answers if right.any()]
     worth = minimize(unlikely, np.array([1.5, 15]), args=(modes,), method="Nelder-Mead").x

@@ -26,7 +26,7 @@ def trial(name: str, k: int, seed: int) -> report.Row:
     of, picture = sight.picture(name, k, seed)
     answer = recognise(sight.objects(), scenes.WIDE, picture.depth, wanted=picture.wanted, hand=picture.hand)
     odds = {
-        each: float(log_odds(found.looks[:1])[0]) if len(found.looks) else -99.0
+        each: float(log_odds(found.candidates[:1])[0]) if len(found.candidates) else -99.0
         for each, found in answer.found.items()
     }
     Ts = answer.found[of].Ts_camera_object[:1]

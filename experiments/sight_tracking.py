@@ -74,7 +74,7 @@ class Followed:
         sighting, seconds = timed(
             lambda: self._tracker.update(image.stamp, image.depth, hand=image.hand, **told)
         )
-        pose = sighting.look["pose"][0]
+        pose = sighting.candidate["pose"][0]
         self.state, self.covariance = sighting.state, sighting.covariance
         self.T = se3.compose(pose["rotation"], pose["position"])
         return 1e3 * seconds

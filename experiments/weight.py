@@ -31,8 +31,8 @@ from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, simulate
-from handsight.simulation.motion import SETTLED, WEIGH_LEGS
-from handsight.simulation.payload import Loaded, center_of_mass
+from handsight.simulation.motion import AT_REST, WEIGH_LEGS
+from handsight.simulation.payload import Payload, center_of_mass
 from handsight.tracking import JointOffsets
 from handsight.tracking.shared_errors import together
 from shared import report, wrong_weights, ycb
@@ -40,7 +40,7 @@ from shared.grasp_trials import exact_model, fingertips, rig, trial_of
 from shared.report import Array, Row, Rows
 from shared.weight_tables import show
 
-ENDS = SETTLED + np.cumsum(WEIGH_LEGS[:, 0])
+ENDS = AT_REST + np.cumsum(WEIGH_LEGS[:, 0])
 LIFTED, HOLDS, MOVES = ENDS[1], ENDS[[2, 4, 6, 8, 10]], ENDS[10]
 """When it is lifted, when the holds of the five orientations end, and when it begins to be shaken [s]."""
 SIGMA = 1e-3
@@ -70,7 +70,7 @@ def recorded(scenario: Scenario) -> Run | None:
         return None
     samples = [sample for sample in samples if sample.observation.stamp >= LIFTED]
     touched = [fingertips().contacts(sample.observation) for sample in samples]
-    model, center = exact_model(scenario.object), center_of_mass(Loaded.of(scenario).scene)
+    model, center = exact_model(scenario.object), center_of_mass(Payload.of(scenario).scene)
     if np.linalg.norm(center) > 1e-6:
         model = model.with_symmetries(Symmetries())  # what is heavier on one side is not symmetric
     return Run(scenario, samples, touched, model, center)

@@ -8,7 +8,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight.contact.taxels import SkinTouch, TaxelArray
-from handsight.simulation.skin import FLOOR, FOAM, Solid, felt
+from handsight.simulation.skin import FLOOR, FOAM, Solid, taxel_forces
 
 VISION = (0.03 * np.sqrt(3), np.deg2rad(6) * np.sqrt(3))
 """Root mean square length and angle of vision's error: 30 mm and 6° per axis."""
@@ -99,7 +99,7 @@ def _measured(
     contacts = scenes.touched(T, tips, (1.2e-3, np.deg2rad(2)), rng)
     sigma = np.repeat(np.asarray(VISION) / np.sqrt(3), 3)
     vision = hs.PosePrior(se3.moved(T, sigma * rng.normal(size=6)), np.diag(sigma**2))
-    true = felt(array, solid, T, rng.uniform(*FORCE), UNEVEN * rng.normal(size=array.shape), springs)
+    true = taxel_forces(array, solid, T, rng.uniform(*FORCE), UNEVEN * rng.normal(size=array.shape), springs)
     readings = true * (1 + NOISE * rng.normal(size=true.shape)) + FLOOR * rng.normal(size=true.shape)
     # The rig has the array elsewhere: as if all else were off.
     wrong = se3.compose(np.eye(3), np.array([0.0, 0, MOUNT * rng.normal()]))

@@ -101,10 +101,10 @@ def show_pictures(panels: Any, pictures: Sequence[tuple[str, Array]]) -> None:
 
 def close_up(trial: Any, T_palm_object: Array | None = None, color: Any = GREEN) -> Array:
     """(h, w, 3) a simulated grasp from near: as it is, or with the object only where it is said to be."""
-    from handsight.simulation import looking, render
+    from handsight.simulation import camera_facing, render
 
     at = trial.sample.T_world_object[:3, 3] - [CENTRED, 0, 0]
-    options: dict[str, Any] = {"T_world_camera": looking(at + AWAY, at)}
+    options: dict[str, Any] = {"T_world_camera": camera_facing(at + AWAY, at)}
     if T_palm_object is not None:
         options |= {"ghost": T_palm_object, "color": color, "show_object": False}
     picture: Array = render(trial.scenario, trial.sample, **options)

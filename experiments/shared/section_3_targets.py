@@ -14,7 +14,7 @@ REMOVED = (
     ("box", "instant", "best, outside", 90, None),
     ("box", "time", "best, outside, table", 95, None),
 )
-SEEN = 95
+DEPTH_POINT = 95
 """Least share of vision's error removed in the directions that contacts can see [%]."""
 SENSING = {("can", "clean"): 60, ("box", "clean"): 30, ("can", "noisy"): 200, ("box", "noisy"): 200}
 """Most mean error of a contact's location [µm]."""
@@ -60,7 +60,10 @@ def _seen(found: Row) -> Iterator[Row]:
     for name in found["instant"]:
         share = _of(found["instant"][name], "best")["seen removed"][0]
         yield _line(
-            f"{name}, one instant, observable directions", f"≥ {SEEN} %", f"{share:.1f} %", share >= SEEN
+            f"{name}, one instant, observable directions",
+            f"≥ {DEPTH_POINT} %",
+            f"{share:.1f} %",
+            share >= DEPTH_POINT,
         )
 
 

@@ -1,23 +1,28 @@
-"""Know where the object is in the robot's hand, by touch and sight.
+"""handsight estimates where an object is in a robot's hand, from touch and vision together.
 
-The five lines most users need:
+The lines that most users need:
 
     import handsight as hs
+
     model = hs.ObjectModel.from_file("mustard.ply")
     contacts = hs.Contacts(points_palm, normals_palm, sigma_point=1e-3, sigma_normal=0.1)
     vision = hs.PosePrior.from_sigmas(T_palm_object, sigma_position=0.03, sigma_rotation=0.25)
     estimate = hs.correct_pose(model, contacts, vision=vision)
 
-And those whose robot runs:
+And those of a robot that runs:
 
     tracker = hs.Tracker(hs.Rig.from_file("rig.yaml"), model)
+    vision = hs.PoseMeasurement(T_camera_object)
     estimate = tracker.update(hs.Observation(stamp, joint_positions, wrenches, vision, T_world_palm))
+
+Every part of the package is an attribute, such as `hs.vision` or `hs.recording`, and is loaded when it is first asked
+for. `docs/api.md` has a table of all public names.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import importlib as _importlib
+import typing as _typing
 
-if TYPE_CHECKING:
+if _typing.TYPE_CHECKING:
     from handsight.contact import (
         Contact,
         Contacts,
@@ -29,82 +34,108 @@ if TYPE_CHECKING:
         contacts_from_wrenches,
     )
     from handsight.correction import (
+        Outside,
         PaperMethod,
+        Plane,
         PoseEstimate,
         PosePrior,
         TwoPhase,
+        WeightEvidence,
         correct_pose,
         correct_poses,
     )
-    from handsight.errors import HandsightError
+    from handsight.errors import HandsightError, InvalidInput
     from handsight.objects import ObjectModel
-    from handsight.observation import Observation
+    from handsight.observation import Observation, PoseMeasurement
     from handsight.rig import Rig
-    from handsight.tracking import Tracker
+    from handsight.tracking import Tracker, TrackerSettings
     from handsight.viewer import view
+    from handsight.vision import PinholeCamera, locate
 
 __all__ = [
     "Contact",
     "Contacts",
     "Ellipsoid",
     "HandsightError",
+    "InvalidInput",
     "NoContact",
     "ObjectModel",
     "Observation",
+    "Outside",
     "PaperMethod",
+    "PinholeCamera",
+    "Plane",
     "PoseEstimate",
+    "PoseMeasurement",
     "PosePrior",
     "Rig",
     "Sphere",
     "Tracker",
+    "TrackerSettings",
     "TwoPhase",
+    "WeightEvidence",
+    "__version__",
     "calibrate_wrench",
     "contact_from_wrench",
     "contacts_from_wrenches",
     "correct_pose",
     "correct_poses",
+    "locate",
     "view",
 ]
 
-# A name is loaded when it is first asked for: the command's help needs no NumPy.
-_ROOMS = {
-    "PaperMethod": "correction",
-    "PoseEstimate": "correction",
-    "PosePrior": "correction",
-    "TwoPhase": "correction",
-    "correct_pose": "correction",
-    "correct_poses": "correction",
-    "HandsightError": "errors",
-    "ObjectModel": "objects",
-    "Observation": "observation",
-    "Rig": "rig",
-    "Tracker": "tracking",
-    "view": "viewer",
+_NAMES = {
+    "contact": (
+        "Contact",
+        "Contacts",
+        "Ellipsoid",
+        "NoContact",
+        "Sphere",
+        "calibrate_wrench",
+        "contact_from_wrench",
+        "contacts_from_wrenches",
+    ),
+    "correction": (
+        "Outside",
+        "PaperMethod",
+        "Plane",
+        "PoseEstimate",
+        "PosePrior",
+        "TwoPhase",
+        "WeightEvidence",
+        "correct_pose",
+        "correct_poses",
+    ),
+    "errors": ("HandsightError", "InvalidInput"),
+    "objects": ("ObjectModel",),
+    "observation": ("Observation", "PoseMeasurement"),
+    "rig": ("Rig",),
+    "tracking": ("Tracker", "TrackerSettings"),
+    "viewer": ("view",),
+    "vision": ("PinholeCamera", "locate"),
 }
-_MODULES = (
-    "checks",
-    "contact",
-    "correction",
-    "errors",
-    "hand",
-    "objects",
-    "observation",
-    "rig",
-    "se3",
-    "tracking",
-    "viewer",
+# A name is loaded when it is first asked for: the command's help needs no NumPy.
+_ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
+_ROOMS = (
+    *("batch", "bridge", "checks", "contact", "correction", "errors", "evaluation", "forces", "hand", "live"),
+    *("messages", "objects", "observation", "recording", "rig", "se3", "search", "simulation", "tracking"),
+    *("viewer", "vision"),
 )
+__all__ = sorted([*_ROOM_OF, "__version__"])
 
 
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return import_module(f"handsight.{name}")
-    if name not in __all__:
+def __getattr__(name: str) -> _typing.Any:
+    if name in _ROOMS:
+        return _importlib.import_module(f"handsight.{name}")
+    if name == "__version__":
+        value: _typing.Any = _importlib.import_module("importlib.metadata").version("handsight")
+    elif name in _ROOM_OF:
+        value = getattr(_importlib.import_module(f"handsight.{_ROOM_OF[name]}"), name)
+    else:
         raise AttributeError(f"module 'handsight' has no attribute {name!r}")
-    value = getattr(import_module(f"handsight.{_ROOMS.get(name, 'contact')}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_MODULES})
+    return sorted({*__all__, *_ROOMS})

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import handsight as hs
 from batch.box_problem import BOX, KEYS, changed
 from handsight.batch import problems
 
@@ -158,3 +159,58 @@ def test_a_fault_of_ours_costs_its_line_only(monkeypatch):
     monkeypatch.setattr(problems, "answer", faulty)
     text = problems.answer_text(problems.Reader(Path()), json.dumps(BOX).encode())
     assert "line: expected an answer, got ZeroDivisionError: no" in json.loads(text)["error"]
+
+
+def test_planes_and_weight_count_as_they_do_in_correct_pose():
+    """A table under the box and its centre of mass, each of which the pose that vision alone gives contradicts."""
+    plane = {"point": [0, 0, -0.07], "normal": [0, 0, 2.0], "sigma": 0.002}
+    weight = {"center_object": [0, 0, 0], "center_palm": [0, 0, 0.001], "sigma": 0.002}
+    alone = changed("contacts", BOX["contacts"][:1])
+    (bare,), (with_plane,), (with_weight,) = (
+        corrected(problem) for problem in (alone, {**alone, "planes": [plane]}, {**alone, "weight": weight})
+    )
+    vision = hs.PosePrior.from_sigmas(
+        hs.se3.from_position_quaternion(BOX["vision"]["position"], BOX["vision"]["quaternion_xyzw"]),
+        0.03,
+        np.deg2rad(15),
+    )
+    contacts = hs.Contacts(
+        [BOX["contacts"][0]["point"]], [[1.0, 0, 0]], sigma_point=1e-3, sigma_normal=np.deg2rad(5)
+    )
+    model = hs.ObjectModel.box(BOX["object"]["box"])
+    outside = hs.Outside(planes=[hs.Plane(plane["point"], plane["normal"], plane["sigma"])])
+    evidence = hs.WeightEvidence(weight["center_object"], weight["center_palm"], 4e-6 * np.eye(3))
+    for answer, given in (
+        (bare, {}),
+        (with_plane, {"outside": outside}),
+        (with_weight, {"weight": evidence}),
+    ):
+        expected = hs.correct_pose(model, contacts, vision=vision, **given)
+        np.testing.assert_allclose(answer["position"], expected.T_palm_object[:3, 3], atol=1e-12)
+    assert np.linalg.norm(with_weight["position"]) < 0.2 * np.linalg.norm(bare["position"])
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        (
+            {"planes": [{"point": [0, 0, 0], "normal": [0, 0, 0], "sigma": 1e-3}]},
+            "planes[0].normal: expected a direction",
+        ),
+        (
+            {"planes": [{"point": [0, 0, 0], "normal": [0, 0, 1], "sigma": 0}]},
+            "planes[0].sigma: expected a number above 0",
+        ),
+        (
+            {"weight": {"center_object": [0, 0, 0], "center_palm": [0, 0, 0]}},
+            "weight: expected a sigma or a covariance",
+        ),
+        (
+            {"weight": {"center_object": [0, 0, 0], "center_palm": [0, 0, "x"], "sigma": 1e-3}},
+            "weight.center_palm: expected 3 finite numbers",
+        ),
+    ],
+)
+def test_wrong_planes_and_weights_are_named(change, error):
+    (answer,) = corrected({**BOX, **change})
+    assert answer["error"].startswith(error)

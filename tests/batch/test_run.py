@@ -103,8 +103,8 @@ def test_blank_lines_are_none_and_the_last_needs_no_end():
 
 
 def test_a_whole_file_is_one_line_even_an_empty_one():
-    assert list(blocks(io.BytesIO(b"{\n}\n"), whole=True)) == [[b"{\n}\n"]]
-    assert list(blocks(io.BytesIO(b""), whole=True)) == [[b""]]
+    assert list(blocks(io.BytesIO(b"{\n}\n"), single=True)) == [[b"{\n}\n"]]
+    assert list(blocks(io.BytesIO(b""), single=True)) == [[b""]]
 
 
 class InPieces(io.RawIOBase):
@@ -153,7 +153,7 @@ class Endless(io.BufferedIOBase):
 
 
 def test_a_line_that_takes_forever_does_not_let_the_reader_run_ahead(monkeypatch):
-    monkeypatch.setattr(batch, "HELD_BYTES", 4_000_000)
+    monkeypatch.setattr(batch, "MAX_PENDING_BYTES", 4_000_000)
     lines = Endless()
 
     class Stuck(Prompt):
@@ -218,7 +218,7 @@ def test_a_mark_of_utf_8_is_dropped_at_the_beginning_only():
     mark = b"\xef\xbb\xbf"
     assert [*blocks(io.BytesIO(mark + b"a\n" + mark + b"b"))] == [[b"a"], [mark + b"b"]]
     assert [*blocks(io.BytesIO(mark + b"\na"))] == [[b"a"]]
-    assert [*blocks(io.BytesIO(mark + b"{}"), whole=True)] == [[b"{}"]]
+    assert [*blocks(io.BytesIO(mark + b"{}"), single=True)] == [[b"{}"]]
 
 
 def test_a_fault_while_lines_are_begun_is_not_waited_for():

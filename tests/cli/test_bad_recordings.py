@@ -21,7 +21,7 @@ def test_a_good_recording_has_nothing_to_say(grasp, tmp_path):
         [(s.observation.stamp, s.T_palm_object) for s in samples],
     )
     ended, _ = track(path, rig, tmp_path / "out")
-    assert ended.said == []
+    assert ended.messages == []
     assert ended.errors["tracked"].base[-1] < 0.004 < 0.03 < ended.errors["vision"].base[-1]
     assert len(ended.steps) == len(samples)
 
@@ -46,7 +46,7 @@ def test_an_unknown_finger_is_named(grasp, tmp_path):
     ended = assert_tracked(
         path, rig, tmp_path / "out", r"^finger th: no wrench on /th/wrench; the nearest is '/thumb/wrench'$"
     )
-    assert "/thumb/wrench: wrenches of no finger of the rig; not used" in ended.said
+    assert "/thumb/wrench: wrenches of no finger of the rig; not used" in ended.messages
     assert {finger for step in ended.steps for finger in step.fingers} == {"ff", "mf", "rf", "lf"}
 
 
@@ -100,7 +100,7 @@ def test_stamps_that_go_back_are_told_and_begin_a_new_track(grasp, tmp_path, mon
         path = recorded(tmp_path / "a.mcap", [*looped, *again], rig)
     ended, _ = track(path, rig)  # a table of it has each stamp twice
     told = r"/joint_states: stamps went back 1 times, by up to [\d.]+ s, first from [\d.]+ s \(.*: a new track each time"
-    assert re.match(told, ended.said[0])
+    assert re.match(told, ended.messages[0])
     begun = [b for a, b in itertools.pairwise(ended.steps) if b.stamp < a.stamp]
     assert len(begun) == 1
     assert begun[0].reason.startswith("the clock went back by ")
@@ -156,7 +156,7 @@ def test_a_hand_whose_joint_is_not_in_the_recording_says_so(grasp, tmp_path):
     ended, written = track(recorded(tmp_path / "a.mcap", seen, rig), rig, tmp_path / "out")
     assert any(
         said.startswith(f"joint {joint!r}: never on /joint_states; the nearest is 'robot0:THJ")
-        for said in ended.said
+        for said in ended.messages
     )
     assert any(
         sentence.startswith(

@@ -69,7 +69,7 @@ def test_what_stands_on_a_table_becomes_a_model(asked, tmp_path, rig, around):
 
 def test_the_robot_may_be_believed(asked, tmp_path, rig, around):
     name = recorded(tmp_path, rig, *around)
-    assert "0 did not fit" in asked("reconstruct", name, "-o", "can.ply", "--given", columns=200).err
+    assert "0 did not fit" in asked("reconstruct", name, "-o", "can.ply", "--robot-poses", columns=200).err
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_what_the_hand_turns_becomes_a_model(asked, tmp_path, rig):
         ):
             writer.write(Observation(0.1 * k, believed, T_world_palm=T, depth=depth))
     write_rig(seen, tmp_path / "turned.rig.yaml")
-    said = asked("reconstruct", "turned.mcap", "--held", "-o", "can.ply", columns=200).err
+    said = asked("reconstruct", "turned.mcap", "--in-hand", "-o", "can.ply", columns=200).err
     assert "10 views fused of 10 depth images, 0 did not fit" in said
     points, _, _ = ply_shape((tmp_path / "can.ply").read_bytes())
     assert np.ptp(points, axis=0).max() < 0.14  # the hand is 20 cm long

@@ -72,7 +72,7 @@ def observations(grasp):
 def assert_tracked(path, rig, folder, said, *, least=10):
     """The results were written, some pose was found, and one of the sentences is what is expected."""
     ended, written = track(path, rig, folder)
-    assert any(re.search(said, sentence) for sentence in ended.said), ended.said
+    assert any(re.search(said, sentence) for sentence in ended.messages), ended.messages
     assert written[0].startswith(f"wrote {folder}: track.mcap")
     assert assert_results_agree(folder)["poses"] >= least
     return ended

@@ -83,7 +83,7 @@ def scene(said: object) -> None:
         assert len(rows) == frames.total
         for row in rows:
             if isinstance(row, Unread):
-                check_sentence(row.said)
+                check_sentence(row.reason)
             else:
                 assert (row.camera.size, row.number[0]) == ((32, 24), 1)
 

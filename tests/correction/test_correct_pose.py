@@ -300,7 +300,7 @@ def test_contacts_without_normals_are_used_by_their_place():
         ({"samples": -1}, "samples: expected a whole number"),
         ({"outside": [[0, 0, np.nan]]}, "outside: expected finite numbers"),
         ({"outside": [[0, 0]]}, "outside: expected finite numbers of shape"),
-        ({"vision": np.eye(4)}, "vision: expected a PosePrior"),
+        ({"vision": np.eye(4)}, "vision: expected a PosePrior, a PoseMeasurement or None, got ndarray"),
         ({"method": "paper-lm"}, "vision: the paper's method starts from a pose"),
     ],
 )

@@ -6,13 +6,12 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight._kernels import records
-from handsight._kernels.evidence import prior_term
+from handsight._kernels.evidence import prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.posterior import uncertainty
+from handsight._kernels.posterior.options import CALIBRATION
 from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
-from handsight._kernels.solve import levenberg
-from handsight._kernels.solve.settings import LEAST_FACTOR, STRIDE
 from handsight.correction import modes
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import descents_at
@@ -37,12 +36,14 @@ def _second_order(model, values, vectors, answers):
 
 
 @kept
-def _calibrated(model, nodes, vision, outside, descents, values, vectors):
+def _calibrated(model, nodes, constraints, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
-    prior_term.vision_prior(model[0], vision[0], prior, local(UNCERTAINTY))
-    evidence = levenberg.Evidence(model[0], nodes, np.empty(0, TERM), outside, prior, (0.0, 0.0, 0.0))
+    prior_term.vision_prior(model[0], constraints[0].prior, prior, local(UNCERTAINTY))
+    evidence = terms.Evidence(
+        model[0], nodes, np.empty(0, TERM), outside, constraints[0].weight, prior, (0.0, 0.0, 0.0)
+    )
     pose, rises = pose_of(descents[0].pose), np.empty(6)
-    uncertainty.calibrated_information(evidence, pose, STRIDE, values, vectors, rises)
+    uncertainty.calibrated_information(evidence, pose, CALIBRATION.stride, values, vectors, rises)
 
 
 def along_palm_axes(information):
@@ -93,7 +94,10 @@ def test_more_information_stays_more_along_the_palm():
     assert np.linalg.eigvalsh(modes.in_metres(more, RADIUS)).min() > -1e-6
 
 
-SHARP, OPEN = np.array([1e8, 1e6, 1e6, 1e6, 1e6, 1e6]), np.array([6.25e4, 1e6, 1e6, 1e6, 1e6, 1e6])
+SHARP, OPEN = (
+    np.array([1e8, 1e6, 1e6, 1e6, 1e6, 1e6]),
+    np.array([6.25e4, 1e6, 1e6, 1e6, 1e6, 1e6]),
+)
 """Deviations along x of 0.1 mm and of 4 mm."""
 
 
@@ -111,7 +115,7 @@ def test_a_wall_on_one_side_of_the_mode_counts_by_half():
     wall["point"], wall["sigma"] = (0.030, 0.001, 0.002), 1e-4
     values = secant(SHARP, OPEN, np.eye(4), wall)
     # One side rises as the slope at the mode says, the other hardly: least factor, counted with it.
-    assert values[0] == pytest.approx((1 + LEAST_FACTOR) / 2 * 1e8)
+    assert values[0] == pytest.approx((1 + CALIBRATION.min_factor) / 2 * 1e8)
     assert values[1] == pytest.approx(1e6)
 
 

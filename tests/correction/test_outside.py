@@ -8,11 +8,10 @@ import pytest
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight._kernels.evidence import outside_term
+from handsight._kernels.evidence import outside_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM
-from handsight._kernels.solve import levenberg
+from handsight._kernels.records import OBJECT_WEIGHT, OUTSIDE, PRIOR_TERM, TERM
 from handsight.correction import Outside, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem, descents_at
@@ -44,17 +43,18 @@ def hand(thing, rng, count=60, links=6):
 @kept
 def _costs(model, nodes, outside, descents, coarse, costs):
     """Of a walk through poses: what all points cost, and what is left of them by `nearby`."""
-    terms, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.0, 0.0, 0.0)
+    contacts, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.0, 0.0, 0.0)
+    weight = local(OBJECT_WEIGHT)
     field = model[0].coarse if coarse else model[0].fine
-    evidence = levenberg.Evidence(model[0], nodes, terms, outside, nothing, center)
-    look, rows = outside_term.NOT_LOOKED, np.empty(len(outside), OUTSIDE)
+    evidence = terms.Evidence(model[0], nodes, contacts, outside, weight, nothing, center)
+    clearances, rows = outside_term.NEVER_MEASURED, np.empty(len(outside), OUTSIDE)
     for k in range(len(descents)):
         pose = pose_of(descents[k].pose)
-        look = outside_term.nearby(evidence, field, pose, look, rows)
-        near = levenberg.Evidence(model[0], nodes, terms, rows[: look[1]], nothing, center)
+        clearances = outside_term.nearby(evidence, field, pose, clearances, rows)
+        near = terms.Evidence(model[0], nodes, contacts, rows[: clearances[1]], weight, nothing, center)
         costs[k, 0] = outside_term.outside_cost(evidence, field, pose)
         costs[k, 1] = outside_term.outside_cost(near, field, pose)
-        costs[k, 2] = look[1]
+        costs[k, 2] = clearances[1]
 
 
 @pytest.mark.parametrize("name", ["box", "can", "mustard"])

@@ -9,7 +9,7 @@ import trimesh
 import handsight as hs
 from handsight._kernels.solve import search
 from handsight.correction import refine_pose
-from handsight.correction.modes import APART
+from handsight.correction.modes import SAME_MODE
 from handsight.correction.outside import MOST_PLANES
 from handsight.correction.problem import MOST_CONTACTS
 from scenes import NOISE, anywhere_on, box, off, random_scene
@@ -61,7 +61,7 @@ def test_on_an_l_few_better_modes_are_missed():
         (shift, turn) for gain, shift, turn in map(better_near_the_truth, range(3000, 6000)) if gain > 3
     ]
     near = sum(shift > 0.005 for shift, _ in missed)
-    far = sum(shift > APART[0] or turn > APART[1] for shift, turn in missed)
+    far = sum(shift > SAME_MODE[0] or turn > SAME_MODE[1] for shift, turn in missed)
     print(
         f"of 3000, a mode that costs less by 3: {near} over 5 mm off, {far} that would be told as another hypothesis"
     )

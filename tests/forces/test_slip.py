@@ -6,10 +6,10 @@ import pickle
 
 import numpy as np
 import pytest
-from dynamics.loads import FINGERS, Clock, load, rig, sliding, steady
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from forces.loads import FINGERS, Clock, load, rig, sliding, steady
 from handsight.forces import SlipDetector
 from handsight.forces.slip import GAP, LASTS
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from dynamics.test_weigher import weighed
-from dynamics.weighed import CENTER, MASS, TILTS, Held, rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from forces.test_weigher import weighed
+from forces.weighed import CENTER, MASS, TILTS, Held, rig
 from handsight.forces import Weigher
 from handsight.forces.tare import LARGEST, read_in_air
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dynamics.weighed import CENTER, MASS, TILTS, Held, contacts, rig, touched
 
+from forces.weighed import CENTER, MASS, TILTS, Held, contacts, rig, touched
 from handsight import se3
 from handsight.forces import Weigher
 from handsight.forces.loads import load_sum

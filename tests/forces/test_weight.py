@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dynamics.weighed import CENTER, MASS, TILTS, Held, rig, touched
 from scipy.stats import chi2
 
+from forces.weighed import CENTER, MASS, TILTS, Held, rig, touched
 from handsight import se3
 from handsight.forces import Carried, Unknowns, weigh
 from handsight.forces.loads import accelerations, load_sum

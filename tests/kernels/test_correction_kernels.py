@@ -16,12 +16,12 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import records
-from handsight._kernels.evidence import prior_term
+from handsight._kernels.evidence import prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.threads import alone, in_parts
-from handsight._kernels.solve import batch, levenberg, match
-from handsight._kernels.solve.settings import CANDIDATE_APART
+from handsight._kernels.solve import batch, match
+from handsight._kernels.solve.options import SEARCH
 from handsight.correction import WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
@@ -91,24 +91,26 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
 
 
 @kept
-def _evaluate(model, nodes, contacts, vision, outside, descents, equations):
+def _evaluate(model, nodes, contacts, constraints, outside, descents, equations):
     """Normal equations at the second of two poses, whitened as at the first; the center."""
-    prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, terms)
-    batch.fill_prior(model[0], vision, center, prior)
-    if not batch.seen(vision):
+    prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
+    center = batch.load_terms(contacts, rows)
+    batch.fill_prior(model[0], constraints[0], center, prior)
+    if not constraints[0].has_prior:
         prior.kind = 0
-    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
     for k in range(2):
-        levenberg.evaluate(evidence, model[0].fine, pose_of(descents[k].pose), k == 0, equations)
+        equations[:] = 0.0
+        pose, frame = pose_of(descents[k].pose), (center, model[0].radius)
+        terms.add_evidence(evidence, terms.ALL, model[0].fine, pose, frame, k == 0, equations)
     return center
 
 
 @kept
-def _prior(model, vision, descents, equations):
+def _prior(model, constraints, descents, equations):
     """The prior's cost at a pose, and its equations about the palm's origin."""
     term = local(PRIOR_TERM)
-    prior_term.vision_prior(model[0], vision[0], term, local(UNCERTAINTY))
+    prior_term.vision_prior(model[0], constraints[0].prior, term, local(UNCERTAINTY))
     pose = pose_of(descents[0].pose)
     equations[:] = 0.0
     prior_term.add_prior(term, pose, ((0.0, 0.0, 0.0), 1.0), equations)
@@ -148,7 +150,7 @@ def test_normal_equations_are_those_of_the_residuals(name, kind, away):
             _evaluate(
                 *given.model.record[:2],
                 given.contacts.record,
-                given.prior,
+                given.constraints,
                 given.outside,
                 descents_at(np.stack([T_weights, T])),
                 equations,
@@ -192,7 +194,7 @@ def test_a_prior_is_quadratic_in_the_pivots_shift_and_the_turn(name, angle):
         axis = rng.normal(size=3)
         step = np.r_[0.03 * rng.normal(size=3), angle * axis / np.linalg.norm(axis)]
         T, equations = se3.moved(given.vision.T_palm_object, step), np.empty((7, 8))
-        cost = _prior(given.model.record.model, given.prior, descents_at(T[None]), equations)
+        cost = _prior(given.model.record.model, given.constraints, descents_at(T[None]), equations)
         r = oracle.of_prior(given, T)
         assert cost == pytest.approx(r @ r, rel=1e-7, abs=1e-9)
         J = oracle.jacobian(lambda pose, given=given: oracle.of_prior(given, pose), T, np.zeros(3))
@@ -210,13 +212,13 @@ def test_a_prior_knows_nothing_of_a_spin_about_an_axis_that_misses_the_origin():
         T = se3.random(rng, spread=0.1)
         equations = np.empty((7, 8))
         costs = [
-            _prior(thing.record.model, given.prior, descents_at(pose[None]), equations)
+            _prior(thing.record.model, given.constraints, descents_at(pose[None]), equations)
             for pose in (T @ about, T)
         ]
         assert costs[0] == pytest.approx(costs[1], rel=1e-9)
         # A spin at the vision's own pose: no information at all.
         T = given.vision.T_palm_object
-        _prior(thing.record.model, given.prior, descents_at(T[None]), equations)
+        _prior(thing.record.model, given.constraints, descents_at(T[None]), equations)
         axis, through = T[:3, :3] @ direction, se3.apply(T, point[None])[0]
         spin = np.r_[np.cross(through, axis), axis]
         assert np.abs(equations[:6, :6] @ spin).max() < 1e-8 * np.abs(equations[:6, :6]).max()
@@ -226,7 +228,7 @@ def test_a_prior_knows_nothing_of_a_spin_about_an_axis_that_misses_the_origin():
         delta = 1e-5 * rng.normal(size=6)
         nearest = delta - spin * (spin @ information @ delta) / (spin @ information @ spin)
         near = descents_at(se3.moved(T, delta)[None])
-        cost = _prior(thing.record.model, given.prior, near, equations)
+        cost = _prior(thing.record.model, given.constraints, near, equations)
         assert cost == pytest.approx(nearest @ information @ nearest, rel=1e-3)
 
 
@@ -368,7 +370,7 @@ def test_many_problems_are_answered_as_each_alone():
 
 
 @pytest.mark.parametrize("name", ["can", "box", "egg"])
-@pytest.mark.parametrize("limits", [modes.APART, CANDIDATE_APART])
+@pytest.mark.parametrize("limits", [modes.SAME_MODE, SEARCH.same_after_coarse])
 def test_distinct_poses_are_told_as_in_plain_numpy(name, limits):
     rng, thing = np.random.default_rng(4), model(name)
     Ts = np.repeat(se3.random(rng, 20, spread=0.1), 10, axis=0)
@@ -549,7 +551,7 @@ def test_modes_are_weighed_by_the_density_there(name, kind):
     T, used = problem(name, 3).vision.T_palm_object, np.ones((1, len(given.contacts)), dtype=bool)
     Ts = se3.moved(np.broadcast_to(T, (8, 4, 4)), 0.01 * rng.normal(size=(8, 6)))
     descents = descents_at(Ts)
-    batch.weigh(*given.model.record[:2], given.sets(used), given.prior, given.outside, descents)
+    batch.weigh(*given.model.record[:2], given.sets(used), given.constraints, given.outside, descents)
     Ts = poses_of(descents)  # their equivalents nearest to vision
     np.testing.assert_allclose(descents["posterior_cost"], solve.cost(given, Ts, used), rtol=1e-9, atol=1e-9)
     volume = descents["log_weight"] + descents["posterior_cost"] / 2
@@ -601,7 +603,7 @@ def test_the_nearest_equivalent_is_that_of_plain_numpy(name):
     descents, vision = descents_at(Ts), hs.PosePrior.from_sigmas(T, 0.01, 0.1)
     given = Problem(thing, hs.Contacts([[0.0, 0.0, 0.0]], sigma_point=1e-3), vision, NO_OUTSIDE)
     used = np.ones((1, 1), dtype=bool)
-    batch.weigh(*thing.record[:2], given.sets(used), given.prior, given.outside, descents)
+    batch.weigh(*thing.record[:2], given.sets(used), given.constraints, given.outside, descents)
     expected = nearest(thing.symmetries, Ts, T, thing.radius)
     np.testing.assert_allclose(poses_of(descents), expected, atol=1e-9)
     assert name == "can" or 20 < np.isclose(expected, Ts, atol=1e-9).all(axis=(1, 2)).sum() < 180

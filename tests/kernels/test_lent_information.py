@@ -10,10 +10,11 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import records
+from handsight._kernels.evidence import terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.posterior import density, spurious_information
-from handsight._kernels.solve import batch, levenberg
+from handsight._kernels.solve import batch
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, descents_at
 from handsight.objects import Symmetries
@@ -45,18 +46,18 @@ def problem(model, seed, *, bare=False):
 
 
 @kept
-def _information(model, nodes, contacts, vision, outside, descents, by_touch, total, equations):
+def _information(model, nodes, contacts, constraints, outside, descents, by_touch, total, equations):
     """Of touch alone and of all, at a pose, and the sum of the contacts' whole equations."""
-    prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, terms)
-    batch.fill_prior(model[0], vision, center, prior)
-    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
+    prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
+    center = batch.load_terms(contacts, rows)
+    batch.fill_prior(model[0], constraints[0], center, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
     density.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
     whole = np.zeros((6, 6))
-    for k in range(len(terms)):
+    for k in range(len(rows)):
         for i in range(6):
             for j in range(6):
-                whole[i, j] += terms[k].equations[i, j]
+                whole[i, j] += rows[k].equations[i, j]
     return whole
 
 
@@ -64,7 +65,7 @@ def information(given, T):
     """(6, 6) each: of touch without what is lent, of all, and of touch as its equations have it."""
     by_touch, total = np.empty((6, 6)), np.empty((6, 6))
     record = given.model.record[:2]
-    arrays = given.contacts.record, given.prior, given.outside, descents_at(T[None])
+    arrays = given.contacts.record, given.constraints, given.outside, descents_at(T[None])
     whole = _information(*record, *arrays, by_touch, total, np.empty((7, 8)))
     return by_touch, total, whole
 
@@ -96,12 +97,12 @@ def test_a_model_without_bumps_lends_nothing():
 
 
 @kept
-def _wavering(model, nodes, contacts, vision, outside, descents):
-    prior, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, terms)
-    batch.fill_prior(model[0], vision, center, prior)
-    evidence = levenberg.Evidence(model[0], nodes, terms, outside, prior, center)
-    return spurious_information.wavering(evidence, pose_of(descents[0].pose))
+def _wavering(model, nodes, contacts, constraints, outside, descents):
+    prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
+    center = batch.load_terms(contacts, rows)
+    batch.fill_prior(model[0], constraints[0], center, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    return spurious_information.cost_deviation(evidence, pose_of(descents[0].pose))
 
 
 @pytest.mark.parametrize("bare", [False, True])
@@ -110,8 +111,10 @@ def test_costs_waver_from_bump_to_bump_as_drawn_bumps_make_them(sigma, bare):
     for seed in range(3):
         given, T = problem(scan(sigma), seed, bare=bare)
         record = given.model.record[:2]
-        said = _wavering(*record, given.contacts.record, given.prior, given.outside, descents_at(T[None]))
-        assert said == pytest.approx(oracle.wavering(given, T), rel=0.1)
+        said = _wavering(
+            *record, given.contacts.record, given.constraints, given.outside, descents_at(T[None])
+        )
+        assert said == pytest.approx(oracle.cost_deviation(given, T), rel=0.1)
 
 
 def test_costs_of_a_model_without_bumps_do_not_waver():
@@ -120,7 +123,7 @@ def test_costs_of_a_model_without_bumps_do_not_waver():
         hs.ObjectModel.from_points(*scenes.can().sample(3000)),
     ):
         given, T = problem(model, 0)
-        arrays = given.contacts.record, given.prior, given.outside, descents_at(T[None])
+        arrays = given.contacts.record, given.constraints, given.outside, descents_at(T[None])
         assert _wavering(*given.model.record[:2], *arrays) == 0
 
 

@@ -22,7 +22,7 @@ Message = type(header(0.0))
 
 def sentences(tracker, encoding="cdr"):
     """All that the diagnostics say now."""
-    tracker.health._told = -10.0
+    tracker.health._published_at = -10.0
     found = [read(each, encoding) for each in tracker.step(0.0) if each.topic == "/diagnostics"]
     return [value.value for status in found[-1].status for value in status.values] + [
         status.message for status in found[-1].status

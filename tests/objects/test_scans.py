@@ -129,7 +129,7 @@ def test_a_quadric_is_exact_on_a_plane_a_cylinder_and_a_ball(name, window):
 def test_missing_normals_of_noisy_points_are_found_and_point_outwards(name, n, sigma):
     points, _, rng = drawn(name, n, 4)
     scan = scanned(points + sigma * rng.normal(size=points.shape), None, SHAPES[name].diameter)
-    places, normals = scan.surface.settled()
+    places, normals = scan.surface.converged()
     truth = SHAPES[name].evaluate(places).gradient
     along = (normals * truth).sum(axis=1)
     assert (along > 0).mean() > 0.99
@@ -378,5 +378,5 @@ def test_normals_of_few_points_agree_across_the_rims_of_a_can(radius, height):
     can = ObjectModel.cylinder(radius, height)
     for seed in range(4):
         scan = scanned(can.sample(1500, seed)[0], None, can.diameter)
-        places, normals = scan.surface.settled()
+        places, normals = scan.surface.converged()
         assert ((normals * can.evaluate(places).gradient).sum(axis=1) > 0).mean() > 0.98

@@ -170,7 +170,7 @@ def lent(problem: Problem, T: Array) -> Array:
     return F
 
 
-def wavering(problem: Problem, T: Array, draws: int = 300) -> float:
+def cost_deviation(problem: Problem, T: Array, draws: int = 300) -> float:
     """Standard deviation of the contacts' cost where their errors stay what they are and bumps are drawn anew."""
     contacts, rng, square = problem.contacts, np.random.default_rng(0), 0.0
     _, _, normals, _ = surface(problem, contacts.points_palm, T)

@@ -57,7 +57,9 @@ def test_poses_are_those_of_track(tmp_path, release, kind):
     play = [(m.topic, m.type, m.log_time, m.data) for m in messages]
     with processes(tmp_path) as running:
         plays = robot(running, release, tmp_path, ("say", play), ("hear", "/handsight/pose", len(expected)))
-        follower = running.bridge(RIG, "--equal") if kind == "bridge" else running.node(RIG, equal="true")
+        follower = (
+            running.bridge(RIG, "--as-recorded") if kind == "bridge" else running.node(RIG, equal="true")
+        )
         answers = answers_of(plays, tmp_path)
         same(answers, expected)
         assert sum(each.topic == "/handsight/markers" for each in answers) > 5

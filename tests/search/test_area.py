@@ -18,17 +18,17 @@ def test_what_stands_on_the_table_reaches_down_to_it_and_is_where_it_is_said_to_
         for place, T in zip(places, here.poses(model, places), strict=True):
             vertices = se3.apply(T, model.vertices)
             assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
-            assert vertices[:, 2].max() == pytest.approx(here.tops(model)[int(place[3])])
+            assert vertices[:, 2].max() == pytest.approx(here.top_heights(model)[int(place[3])])
             assert se3.apply(T, model.center_object[None])[0, :2] == pytest.approx(place[:2])
-        assert here.holds(places).all()
-        assert not here.holds(places + np.array([1.0, 0, 0, 0])).any()
+        assert here.contains(places).all()
+        assert not here.contains(places + np.array([1.0, 0, 0, 0])).any()
 
 
 def test_a_box_rests_on_three_of_its_sides_and_a_can_on_its_end_or_its_side():
-    heights = {round(float(top), 3) for top in area(Rs=resting(box())).tops(box())}
+    heights = {round(float(top), 3) for top in area(Rs=resting(box())).top_heights(box())}
     assert heights == {0.06, 0.09, 0.14}
     assert len(resting(box())) == 3
-    tops = area(Rs=resting(can())).tops(can())
+    tops = area(Rs=resting(can())).top_heights(can())
     assert sorted(tops) == pytest.approx([0.066, 0.122], abs=2e-4)
 
 

@@ -6,13 +6,12 @@ import pytest
 import handsight as hs
 from blind_touches import RADIUS, area, box, can, level, touched
 from handsight import se3
-from handsight.correction.modes import apart
+from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
 from handsight.rig import Table
 from handsight.search import Belief, Touch, best_sweep, candidates, expected_information
-from handsight.search.belief import KEPT
-from handsight.search.information import LOOKED_AT
-from handsight.search.scores import contact_scores, free_score
+from handsight.search.belief import PARTICLES, contact_log_likelihoods, free_log_likelihood
+from handsight.search.sweep_choice import MAX_POSES
 
 HEIGHTS = (0.09, 0.11)
 
@@ -23,7 +22,7 @@ def truth(model, seed):
 
 
 def errors(belief, T):
-    shift, turn = apart(belief.model, T[None], belief.pose.T_palm_object)
+    shift, turn = pose_distances(belief.model, T[None], belief.pose.T_a_b)
     return float(shift[0]), float(turn[0])
 
 
@@ -42,7 +41,7 @@ def test_a_sweep_that_no_pose_meets_tells_nothing_and_none_tells_more_than_there
     told = expected_information(belief, sweeps, RADIUS)
     assert (told[:2] == 0).all()
     assert (told >= 0).all()
-    assert told.max() <= np.log(LOOKED_AT) + 1e-12
+    assert told.max() <= np.log(MAX_POSES) + 1e-12
     assert told[2:].min() > 0
 
 
@@ -51,7 +50,7 @@ def test_a_sweep_whose_outcome_is_sure_tells_little():
     belief, T = searched(can(), 0, 5)
     before = expected_information(Belief(can(), area()), [level((-0.4, T[1, 3]), (1.0, 0.0), 0.8)], RADIUS)
     after = expected_information(belief, [level((-0.4, T[1, 3]), (1.0, 0.0), 0.8)], RADIUS)
-    assert belief.modes[0].sure
+    assert belief.modes[0].is_certain
     assert after[0] < 0.6 * before[0]
 
 
@@ -67,9 +66,9 @@ def test_a_belief_after_a_touch_holds_the_truth():
         T, rng, belief = truth(can(), seed), np.random.default_rng(seed), Belief(can(), area(), seed)
         for _ in range(3):
             belief = belief.after(touched(can(), T, best_sweep(belief, HEIGHTS, RADIUS), rng))
-            shift, _ = apart(can(), belief.Ts_world_object, T)
+            shift, _ = pose_distances(can(), belief.Ts_world_object, T)
             assert shift.min() < 0.02
-            assert sum(mode.weight for mode in belief.modes) == pytest.approx(1.0)
+            assert sum(mode.probability for mode in belief.modes) == pytest.approx(1.0)
 
 
 @pytest.mark.slow
@@ -78,8 +77,8 @@ def test_the_spread_is_as_large_as_the_error():
     squared = []
     for seed in range(6):
         belief, T = searched(can(), seed, 4)
-        if belief.modes[0].sure:
-            off = (T - belief.pose.T_palm_object)[:2, 3]
+        if belief.modes[0].is_certain:
+            off = (T - belief.pose.T_a_b)[:2, 3]
             squared.append(off @ np.linalg.solve(belief.pose.covariance[:2, :2], off) / 2)
     assert len(squared) >= 4
     assert 0.2 < np.mean(squared) < 2.0
@@ -92,7 +91,7 @@ def test_what_was_swept_is_empty():
     free = sweep.start_world + np.arange(0, 0.6, 0.005)[:, None] * sweep.direction_world
     left = belief.after(Touch(free, RADIUS, 1e-3, None)).Ts_world_object
     inside = se3.apply(se3.inverse(left), free).reshape(-1, 3)
-    distance = box().evaluate(inside).distance.reshape(KEPT, -1).min(axis=1)
+    distance = box().evaluate(inside).distance.reshape(PARTICLES.kept, -1).min(axis=1)
     assert distance.min() > RADIUS - 4e-3
 
 
@@ -100,8 +99,8 @@ def test_the_same_touches_make_the_same_belief_and_another_seed_another():
     T = truth(box(), 0)
     touch = touched(box(), T, level((-0.3, T[1, 3]), (1.0, 0.0), 0.6), np.random.default_rng(0))
     first, second, other = (Belief(box(), area(), seed).after(touch) for seed in (3, 3, 4))
-    assert (first.places == second.places).all()
-    assert (first.places != other.places).any()
+    assert (first.placements == second.placements).all()
+    assert (first.placements != other.placements).any()
     one, two = (best_sweep(belief, HEIGHTS, RADIUS) for belief in (first, second))
     assert (one.start_world == two.start_world).all()
     assert one.length == two.length
@@ -117,9 +116,9 @@ def test_an_edge_is_no_surprise():
     )
     turned = T @ se3.compose(se3.rotation_exp(np.array([0, 0, np.deg2rad(45)])), np.zeros(3))
     table = Table(height=0.0)
-    true, wrong = contact_scores(box(), [touch], table, np.array([T, turned]))[:, 0]
+    true, wrong = contact_log_likelihoods(box(), [touch], table, np.array([T, turned]))[:, 0]
     assert true > wrong + 3
-    assert free_score(box(), [touch], T[None])[0] > -0.5
+    assert free_log_likelihood(box(), [touch], T[None])[0] > -0.5
 
 
 def test_another_way_to_stand_is_found():
@@ -128,7 +127,7 @@ def test_another_way_to_stand_is_found():
 
     Rs = resting(box())
     here = area(Rs=Rs)
-    lying = int(np.argmin(here.tops(box())))
+    lying = int(np.argmin(here.top_heights(box())))
     T = here.poses(box(), np.array([[0.02, -0.03, 0.5, lying]]))[0]
     belief, rng = Belief(box(), here), np.random.default_rng(0)
     for _ in range(8):

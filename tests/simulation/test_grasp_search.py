@@ -10,7 +10,7 @@ import trimesh
 
 from handsight.errors import InvalidFile, InvalidObject
 from handsight.simulation import Scenario, find_grasp, grasp_search, read_grasp, simulate, write_grasp
-from handsight.simulation.grasp_candidates import body_of, holds
+from handsight.simulation.grasp_candidates import body_of, grasp_candidates
 from handsight.simulation.motion import CAN
 from handsight.simulation.posture import FAR, Posture
 from handsight.simulation.scene import convex_hull, mujoco_module, scene, tip_shape
@@ -29,7 +29,7 @@ def block(tmp_path_factory):
 @pytest.fixture(scope="module")
 def fitted(block):
     """The first hold of the block that the hand can have, and its grasp."""
-    found = holds(body_of(convex_hull(block)[0]))
+    found = grasp_candidates(body_of(convex_hull(block)[0]))
     return next(
         (hold, grasp) for hold in found for grasp in [Posture(scene(block), hold).grasp()[0]] if grasp
     )
@@ -88,7 +88,7 @@ def test_the_closed_hand_presses_each_tip_on_its_point_about_as_hard_as_it_shoul
 def test_the_search_is_the_same_for_the_same_seed_and_says_what_holds(block):
     told = []
     first, again = (find_grasp(Scenario(object=block, seed=3), told.append) for _ in range(2))
-    assert first.held
+    assert first.succeeded
     assert first.grasp.closed == again.grasp.closed
     assert first.trials == again.trials >= 1
     assert first.hold.startswith("thumb against ff, mf")
@@ -110,7 +110,7 @@ def test_where_nothing_holds_the_longest_is_taken_and_all_failures_are_counted(b
     monkeypatch.setattr(grasp_search, "_trial", trial)
     monkeypatch.setattr(grasp_search, "MOST_TRIALS", 8)
     found = find_grasp(Scenario(object=block, motion="grasp"))
-    assert (found.held, found.trials) == (False, 8)
+    assert (found.succeeded, found.trials) == (False, 8)
     assert found.grasp is tried[1]
     assert "slipped when let go: 6" in found.failures
     assert "slipped on the table: 1, slipped when lifted: 1" in found.failures
@@ -128,7 +128,7 @@ def test_what_no_hand_spans_is_refused_with_what_was_tried(tmp_path):
 
 def test_a_can_and_a_box_have_grasps_of_their_own():
     found = find_grasp(Scenario(object="can", seed=5))
-    assert (found.grasp, found.trials, found.held) == (CAN, 0, True)
+    assert (found.grasp, found.trials, found.succeeded) == (CAN, 0, True)
 
 
 def test_what_flies_is_the_simulators_fault_and_never_recorded(monkeypatch):
@@ -206,7 +206,7 @@ MESHES = Path(os.environ.get("HANDSIGHT_DATA", Path(__file__).parents[3] / "shar
 def test_flat_bent_and_thin_things_are_held_through_lift_and_turn(name, seed):
     scenario = Scenario(object=str(MESHES / f"{name}.ply"), seed=seed, motion="manipulate", rate=5.0)
     found = find_grasp(scenario)
-    assert found.held, found.failures
+    assert found.succeeded, found.failures
     run = [sample for sample in simulate(scenario, grasp=found.grasp) if sample.phase != "close"]
     assert not run[-1].dropped
     lifted = run[-1].T_world_object[2, 3] - run[0].T_world_object[2, 3]

@@ -9,11 +9,11 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.correction.modes import apart
+from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
-from handsight.simulation import Nuisances, Scenario, blind_rig, model_of, simulate_blind
-from handsight.simulation.touch_search import FELT_AT, begun
+from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
+from handsight.simulation.touch_search import TABLE_PROBES, start_search
 from simulation.simulated import NONE
 
 
@@ -28,7 +28,7 @@ def test_a_touch_is_on_the_object_and_what_was_swept_before_is_not():
     for name, seed in (("can", 0), ("box", 1)):
         scenario = Scenario(object=name, seed=seed, nuisances=NONE)
         model = model_of(scenario)
-        probe, belief = begun(scenario, model)
+        probe, belief = start_search(scenario, model)
         assert belief.area.table.height == pytest.approx(0.0, abs=1e-3)
         before = probe.T_world_object
         assert (np.abs(se3.apply(before, model.vertices)[:, :2].mean(axis=0)) < 0.15).all()
@@ -52,14 +52,14 @@ def test_the_same_seed_stands_and_feels_the_same():
     scenario = Scenario(object="can", seed=3)
     felt = []
     for _ in range(2):
-        probe, _ = begun(scenario, model_of(scenario))
+        probe, _ = start_search(scenario, model_of(scenario))
         felt.append(probe.touch(towards(probe)).contact_world.points_palm)
     assert (felt[0] == felt[1]).all()
 
 
 def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(monkeypatch):
     scenario = Scenario(object="can", seed=3, nuisances=NONE)
-    probe, _ = begun(scenario, model_of(scenario))
+    probe, _ = start_search(scenario, model_of(scenario))
     felt, calls = type(probe)._lowest_point, []
 
     def second_at_an_edge(self, observation):
@@ -67,7 +67,7 @@ def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(
         return calls[-1]
 
     monkeypatch.setattr(type(probe), "_lowest_point", second_at_an_edge)
-    assert probe.feel_table(np.repeat(FELT_AT, 2, axis=0)) == pytest.approx(0.0, abs=1e-3)
+    assert probe.feel_table(np.repeat(TABLE_PROBES, 2, axis=0)) == pytest.approx(0.0, abs=1e-3)
     assert len(calls) >= 3
     with pytest.raises(
         InvalidInput, match=r"^places: expected some over the table, felt nothing at any of 1$"
@@ -78,17 +78,17 @@ def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(
 def test_what_is_larger_than_its_place_on_the_table_is_said():
     scenario = Scenario(object="can")
     with pytest.raises(InvalidInput, match="object: expected one within 300 mm, got 400 x 400 x 100 mm"):
-        begun(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
+        start_search(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
 
 
 @pytest.mark.slow
 def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
     """Nothing of a camera in any sample but the pose that the search has found, once."""
     scenario = Scenario(object="can", seed=0, motion="weigh")
-    rig = blind_rig(scenario)
+    rig = touch_search_rig(scenario)
     model = rig.objects["can"].model()
     tracker, poses, last = hs.Tracker(rig, model), 0, None
-    for sample in simulate_blind(scenario):
+    for sample in simulate_touch_search(scenario):
         observation = sample.observation
         assert observation.color is None
         assert last is None or observation.stamp > last
@@ -96,7 +96,7 @@ def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
         estimate = tracker.update(observation)
         assert (estimate is None) == (poses == 0)
     assert poses == 1
-    shift, turn = apart(model, sample.T_palm_object[None], estimate.T_palm_object)
+    shift, turn = pose_distances(model, sample.T_palm_object[None], estimate.T_palm_object)
     assert shift[0] < 3e-3
     assert turn[0] < np.deg2rad(4)
     assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)
@@ -106,7 +106,7 @@ def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
 def test_a_blind_recording_is_tracked_without_a_camera(tmp_path, monkeypatch, capsys):
     arguments = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
     assert called(monkeypatch, tmp_path, *arguments) == 0
-    assert called(monkeypatch, tmp_path, "track", "can.mcap", "-o", "out") == 0
+    assert called(monkeypatch, tmp_path, "track", "can.mcap", "--output-folder", "out") == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["poses"] > 150
     assert summary["errors_mm_deg"]["tracked"]["base_last"] < 5
@@ -118,7 +118,7 @@ def test_nuisances_of_a_blind_search_are_those_of_any_other():
     """Another size of one error does not move the object."""
     noisy = dataclasses.replace(Nuisances(), force_noise=0.02)
     placed = [
-        begun(Scenario(object="can", seed=5, nuisances=n), model_of(Scenario()))[0].T_world_object
+        start_search(Scenario(object="can", seed=5, nuisances=n), model_of(Scenario()))[0].T_world_object
         for n in (Nuisances(), noisy)
     ]
     assert (placed[0] == placed[1]).all()

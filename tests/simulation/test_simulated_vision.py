@@ -3,8 +3,17 @@ import pytest
 
 from handsight import se3
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.simulation import Nuisances, Scenario, looking, model_of, render, rendering, rig_of, simulate
-from handsight.simulation.camera import LOOKS_AT, displacement
+from handsight.simulation import (
+    Nuisances,
+    Scenario,
+    camera_facing,
+    model_of,
+    render,
+    rendering,
+    rig_of,
+    simulate,
+)
+from handsight.simulation.camera import TARGET, displacement
 from simulation.simulated import NONE, only, samples
 
 
@@ -20,7 +29,7 @@ def test_without_nuisances_vision_is_right():
 
 def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
     moved = np.array(
-        [se3.apply(displacement(Nuisances(), seed), LOOKS_AT[None])[0] - LOOKS_AT for seed in range(1000)]
+        [se3.apply(displacement(Nuisances(), seed), TARGET[None])[0] - TARGET for seed in range(1000)]
     )
     np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1).mean(), 0.08, rtol=0.05)
     np.testing.assert_allclose(moved[:, 2].std(), 0.064, rtol=0.1)
@@ -90,7 +99,7 @@ def test_depth_images_show_the_object_where_it_is():
 
 def test_a_picture_shows_the_object_and_a_second_one_where_it_is_told():
     scenario, sample = Scenario(nuisances=NONE), samples()[-1]
-    view = looking([-0.3, 0.4, 0.3], [0, 0, 0.06])
+    view = camera_facing([-0.3, 0.4, 0.3], [0, 0, 0.06])
     plain = render(scenario, sample, T_world_camera=view).astype(int)
     assert plain.shape == (480, 640, 3)
     red = (plain[..., 0] > 2 * plain[..., 1]) & (plain[..., 0] > 60)
@@ -108,7 +117,7 @@ def test_a_picture_shows_the_object_and_a_second_one_where_it_is_told():
 def test_what_cannot_be_drawn_is_an_error(monkeypatch):
     sample = samples()[-1]
     with pytest.raises(InvalidInput, match=r"^at - eye: expected a direction, got a zero vector"):
-        looking([0, 0, 1], [0, 0, 1])
+        camera_facing([0, 0, 1], [0, 0, 1])
     short = type(sample)(
         **{f: getattr(sample, f) for f in sample.__slots__ if f != "configuration"}, configuration=np.zeros(3)
     )

@@ -5,7 +5,7 @@ import pytest
 
 from handsight.simulation import Nuisances, Scenario
 from handsight.simulation.motion import WEIGH_LEGS, palm_poses
-from handsight.simulation.payload import Loaded, center_of_mass
+from handsight.simulation.payload import Payload, center_of_mass
 from handsight.simulation.scene import FINGERS
 from handsight.simulation.simulate import _one_tip
 from simulation.simulated import only
@@ -13,8 +13,8 @@ from simulation.simulated import only
 
 @pytest.mark.parametrize("name", ["can", "box"])
 def test_an_object_weighs_what_is_asked_and_its_centre_is_off(name):
-    usual = Loaded.of(Scenario(object=name))
-    heavy = Loaded.of(Scenario(object=name, nuisances=only(object_mass=0.3, object_off_center=0.02)))
+    usual = Payload.of(Scenario(object=name))
+    heavy = Payload.of(Scenario(object=name, nuisances=only(object_mass=0.3, object_off_center=0.02)))
     assert heavy.scene.model.body("object").mass == pytest.approx(0.3)
     np.testing.assert_allclose(center_of_mass(usual.scene), 0, atol=1e-12)
     assert np.linalg.norm(center_of_mass(heavy.scene)) == pytest.approx(0.02)
@@ -25,13 +25,13 @@ def test_an_object_weighs_what_is_asked_and_its_centre_is_off(name):
 def test_a_centre_of_mass_stays_well_within_the_object():
     size = np.array([0.06, 0.09, 0.14])
     for seed in range(5):
-        far = Loaded.of(Scenario(object="box", seed=seed, nuisances=only(object_off_center=1.0)))
+        far = Payload.of(Scenario(object="box", seed=seed, nuisances=only(object_off_center=1.0)))
         assert (np.abs(center_of_mass(far.scene)) <= size / 3 + 1e-12).all()
 
 
 def test_nothing_presses_unless_asked_and_the_draws_of_others_stay():
-    assert not Loaded.of(Scenario(nuisances=Nuisances())).force_palm.any()
-    one, two = (Loaded.of(Scenario(nuisances=only(unsensed_force=f))) for f in (0.2, 0.4))
+    assert not Payload.of(Scenario(nuisances=Nuisances())).force_palm.any()
+    one, two = (Payload.of(Scenario(nuisances=only(unsensed_force=f))) for f in (0.2, 0.4))
     assert np.linalg.norm(one.force_palm) == pytest.approx(0.2)
     np.testing.assert_allclose(two.force_palm, 2 * one.force_palm)
     np.testing.assert_array_equal(one.point_object, two.point_object)
@@ -49,7 +49,7 @@ def test_a_weighing_has_five_orientations_20_degrees_apart():
 def test_what_bears_an_object_presses_upwards_on_its_underside():
     import mujoco
 
-    loaded = Loaded.of(Scenario(object="box", seed=4, nuisances=only(support_force=0.5)))
+    loaded = Payload.of(Scenario(object="box", seed=4, nuisances=only(support_force=0.5)))
     data = mujoco.MjData(loaded.scene.model)
     data.joint("object").qpos[:] = [0.1, 0.2, 0.3, np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]  # z to -y
     mujoco.mj_forward(loaded.scene.model, data)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario
-from handsight.simulation.skin import PALM_SKIN, Solid, felt, sunk
+from handsight.simulation.skin import PALM_SKIN, Solid, sunk, taxel_forces
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -57,7 +57,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
 
 def test_a_face_is_felt_where_it_lies_and_with_the_force_it_presses_with():
     T = se3.compose(np.eye(3), np.array([0.018, 0.0, 0.01]))
-    readings = felt(PALM_SKIN, Solid.box(np.array([0.04, 0.03, 0.02])), T, 2.0)
+    readings = taxel_forces(PALM_SKIN, Solid.box(np.array([0.04, 0.03, 0.02])), T, 2.0)
     assert readings.sum() == pytest.approx(2.0)
     places = PALM_SKIN.places_grid[readings > 0]
     np.testing.assert_allclose(places.min(axis=0)[:2], [0.0, -0.014], atol=1e-9)

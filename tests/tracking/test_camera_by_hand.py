@@ -54,7 +54,7 @@ def test_a_camera_is_where_the_hand_is_seen_from():
     rig = rig_with(OFF @ TRUE)
     views = HandViews(rig)
     passed = list(views.watched(pictures(rig, 7)))
-    assert len(passed) == views.looked_at == 7
+    assert len(passed) == views.images == 7
     found = views.calibration()
     assert found.views >= LEAST_VIEWS
     E = found.T_mount_camera @ se3.inverse(TRUE)
@@ -93,4 +93,4 @@ def test_nothing_is_said_without_pictures_or_intrinsics():
         views = HandViews(each)
         assert list(views.watched(few)) == few
         assert views.calibration() is None
-        assert views.looked_at == 0  # joints are missing, or no depth
+        assert views.images == 0  # joints are missing, or no depth

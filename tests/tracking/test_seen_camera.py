@@ -56,10 +56,10 @@ def test_a_view_is_believed_when_it_has_been_the_same_a_few_times():
     E, T, camera = wrong(rng), se3.random(rng, spread=0.3), CameraFromPalm()
     for _ in range(IN_A_ROW):
         assert len(camera.believed) == 0
-        camera = camera.seen(view(rng, E, 1.0, T))
+        camera = camera.updated(view(rng, E, 1.0, T))
     assert len(camera.believed) == 1
     for _ in range(50):  # from the same side they err alike
-        camera = camera.seen(view(rng, E, 1.0, T))
+        camera = camera.updated(view(rng, E, 1.0, T))
     assert len(camera.believed) == 1
 
 
@@ -67,7 +67,7 @@ def test_views_that_jump_about_are_not_believed():
     rng = np.random.default_rng(1)
     camera, T = CameraFromPalm(), se3.random(rng, spread=0.3)
     for _ in range(30):
-        camera = camera.seen(view(rng, wrong(rng), 1.0, T))
+        camera = camera.updated(view(rng, wrong(rng), 1.0, T))
     assert len(camera.believed) == 0
 
 
@@ -76,7 +76,7 @@ def test_a_camera_that_was_moved_is_noticed():
     camera, one, other = CameraFromPalm(), wrong(rng), wrong(rng)
     for E in (one, other):
         for _ in range(IN_A_ROW):
-            camera = camera.seen(view(rng, E, 0.5))
+            camera = camera.updated(view(rng, E, 0.5))
     assert len(camera.believed) == 1
     pivot = np.zeros(3)
     np.testing.assert_allclose(camera.believed[0].bias(pivot)[0], other, atol=0.03)
@@ -93,8 +93,8 @@ def test_a_seen_hand_tells_the_pose_from_the_cameras_error(seed):
     noise, camera = np.diag(SIGMAS**2), np.diag(np.repeat([0.06**2, 0.2**2], 3))
     begun = PoseBiasSmoother.from_prior(se3.inverse(T) @ T_mount_object, WIDE, camera, pivot)
     measured = begun.updated(T_mount_object, noise, T)
-    seen = view(rng, E, 0.0, T).bias(pivot)
-    first, last = begun.informed(*seen).updated(T_mount_object, noise, T), measured.informed(*seen)
+    updated = view(rng, E, 0.0, T).bias(pivot)
+    first, last = begun.informed(*updated).updated(T_mount_object, noise, T), measured.informed(*updated)
     arm = np.linalg.norm(T[:3, 3] @ T[:3, :3] + T_palm_object[:3, 3])
     for smoother in (first, last):
         off = se3.difference(smoother.now.T_palm_object, T_palm_object)
@@ -111,9 +111,9 @@ def test_the_past_is_what_was_nearest_to_a_stamp():
     past = History()
     assert past.at(None) is None
     for k in range(300):
-        past.put(Instant(k / 100, {"j": float(k)}, None))
+        past = past.after(Instant(k / 100, {"j": float(k)}, None))
     assert past.at(None).stamp == 2.99
     assert past.at(2.504).stamp == 2.5
     assert past.at(1.0) is None
-    past.put(Instant(2.5, {"j": 0.0}, None))  # the jump ahead was taken back
+    past = past.after(Instant(2.5, {"j": 0.0}, None))  # the jump ahead was taken back
     assert past.at(9.0).stamp == 2.5

@@ -59,18 +59,18 @@ def test_offsets_and_dead_taxels_are_learnt_before_the_first_touch():
     sensors, offset = SkinSensors(RIG), rng.normal(size=array.shape)
     observation = hs.Observation(0.0)
 
-    def felt(reading, *, touched):
+    def observed(reading, *, touched):
         seen = replace(observation, skin={"palm": reading})
-        return sensors.felt(seen, touched=touched).touches["palm"][0]
+        return sensors.observed(seen, touched=touched).touches["palm"][0]
 
     for _ in range(10):
         reading = offset + 0.001 * rng.normal(size=array.shape)
         reading[3, 3], reading[4, 4] = 0.0, array.full_scale  # one never changes, one is stuck
-        felt(reading, touched=False)
+        observed(reading, touched=False)
     pressed = offset.copy()
     pressed[8:12, 5:9] += 0.1
     pressed[3, 3], pressed[4, 4] = 0.0, array.full_scale
-    touch = felt(pressed, touched=True)
+    touch = observed(pressed, touched=True)
     assert touch.pressed.sum() == 16
     assert touch.pressed[8:12, 5:9].all()
     assert not touch.untouched[[3, 4], [3, 4]].any()
@@ -84,12 +84,14 @@ def test_an_array_on_a_finger_moves_with_it_and_is_as_uncertain_as_its_joints():
     reading[5:8, 5:8] = 1.0
     joints = dict.fromkeys(RIG.hand.joint_names, 0.3)
     observation = hs.Observation(0.0, joints, skin={"palm": reading})
-    felt = sensors.felt(observation, touched=True)
+    observed = sensors.observed(observation, touched=True)
     T = RIG.hand.link_poses(joints)["robot0:ffmiddle"]
     expected = array.touch(reading).contacts(T)
-    np.testing.assert_allclose(felt.contacts().points_palm, expected.points_palm, atol=1e-12)
-    assert (felt.beside(None).skin > SkinSensors(RIG).felt(observation, touched=True).beside(None).skin).any()
-    assert not sensors.felt(replace(observation, joint_positions=None), touched=True).touches
+    np.testing.assert_allclose(observed.contacts().points_palm, expected.points_palm, atol=1e-12)
+    assert (
+        observed.beside(None).skin > SkinSensors(RIG).observed(observation, touched=True).beside(None).skin
+    ).any()
+    assert not sensors.observed(replace(observation, joint_positions=None), touched=True).touches
 
 
 def test_readings_of_another_shape_are_refused_and_change_nothing(grasp):
@@ -105,4 +107,4 @@ def test_readings_of_another_shape_are_refused_and_change_nothing(grasp):
 def test_what_lies_on_the_skin_is_not_weighed(grasp):
     tracker = followed(grasp)
     assert tracker.weight is None
-    assert "skin" in tracker._weight.weigher.reason
+    assert "skin" in tracker.unweighed

@@ -1,15 +1,15 @@
 """While the object slips the pose is uncertain along the slip, and the tracker corrects and says so."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dynamics.loads import load
-from dynamics.loads import rig as some_rig
 
+from forces.loads import load
+from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import Contacts
+from handsight.forces.friction import Friction
 from handsight.tracking import FingertipContacts, Tracker
 from handsight.tracking.slip_update import BEFORE, FARTHEST, SIDEWAYS, SPEED, SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
@@ -106,7 +106,9 @@ def test_a_reading_without_contacts_is_no_slip():
 
 def slippery(tracker, seen, count, friction):
     """The tracker after more of the same instant, with fingertips of a friction that it takes for known."""
-    tracker._slipping.detector.friction = SimpleNamespace(coefficient=friction, update=lambda vectors: None)
+    known = Friction()
+    known.coefficient, known.update = friction, lambda vectors: None
+    tracker.track_state.slip.detector.friction = known
     for _ in range(count):
         tracker.update(replace(seen, stamp=tracker.stamp + 0.01, vision=None))
     return tracker
@@ -149,9 +151,9 @@ def test_contacts_of_fingers_that_let_go_are_forgotten(box, held):
     calibration = box.rig.fingers[finger].calibration
     lifted[finger] = np.concatenate([calibration.bias_force, calibration.bias_torque])
     slippery(held, replace(seen, wrenches=lifted), 3, 50.0)
-    assert finger in held._memory._last
+    assert finger in held.track_state.memory._last
     slippery(held, replace(seen, wrenches=lifted), 3, 1e-3)
-    assert finger not in held._memory._last
+    assert finger not in held.track_state.memory._last
 
 
 def test_a_jump_that_is_taken_back_takes_the_slip_back(box, held):
@@ -160,5 +162,5 @@ def test_a_jump_that_is_taken_back_takes_the_slip_back(box, held):
     held.update(replace(seen, stamp=stamp + 50.0, vision=None))
     held.update(replace(seen, stamp=stamp + 0.01, vision=None))
     assert held.undone == 1
-    assert held._slipping.detector.stamp == held.stamp == stamp + 0.01
+    assert held.track_state.slip.detector.stamp == held.stamp == stamp + 0.01
     assert held.slip.friction == now.friction

@@ -157,10 +157,10 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker.update(later(last, 0.5, wrenches=silent))
-    assert set(tracker._memory._last) - set(tracker.fingertips.fingers) == {finger}
+    assert set(tracker.track_state.memory._last) - set(tracker.fingertips.fingers) == {finger}
     assert len(tracker.estimate.residuals.distance) == len(tracker.fingertips.fingers) + 1
     tracker.update(later(last, 1.6, wrenches=silent))
-    assert set(tracker._memory._last) == set(tracker.fingertips.fingers)
+    assert set(tracker.track_state.memory._last) == set(tracker.fingertips.fingers)
     tracker.update(later(last, 1.7))
     assert finger in tracker.fingertips.fingers
 
@@ -168,14 +168,14 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
 def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
-    kept, row, stamp = tracker._memory._last[finger]
+    kept, row, stamp = tracker.track_state.memory._last[finger]
     points = kept.points_palm.copy()
     points[row] += 0.03 * kept.normals_palm[row]
     wrong = hs.Contacts(points, kept.normals_palm, covariance=kept.covariance)
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
-    tracker._memory._last[finger] = wrong, row, stamp
+    tracker.track_state.memory._last[finger] = wrong, row, stamp
     tracker.update(later(last, 0.1, wrenches=silent))
-    assert finger not in tracker._memory._last
+    assert finger not in tracker.track_state.memory._last
 
 
 def test_an_object_that_is_not_grasped_stays_where_it_is_in_the_world(can):
@@ -216,7 +216,8 @@ def test_what_touch_had_wrong_is_forgotten_when_nothing_fits_for_long(can):
     right = tracker.estimate.T_palm_object
     elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
     known = tracker.smoother.now.given_pose(elsewhere, np.diag([1e6] * 3 + [1e4] * 3))
-    tracker.smoother, tracker._correction = tracker.smoother.restarted(known), None
+    smoother = tracker.smoother.restarted(known)
+    tracker.resume(replace(tracker.track_state, smoother=smoother, correction=None))
     states = []
     for k in range(1, 40):
         tracker.update(later(last, 0.1 * k))

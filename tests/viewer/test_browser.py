@@ -45,7 +45,7 @@ def until(condition):
 def amber(page):
     """(2,) column and row of the middle of what is drawn in the object's colour, from a camera that stands still."""
     (client,), camera = page.server.get_clients().values(), page.server.initial_camera
-    forward = camera.look_at - camera.position
+    forward = camera.normals_at - camera.position
     right = np.cross(forward, camera.up)
     axes = [axis / np.linalg.norm(axis) for axis in (right, np.cross(forward, right), forward)]
     turned = quaternions_wxyz(se3.compose(np.stack(axes, axis=1), np.zeros(3)))

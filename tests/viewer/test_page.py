@@ -54,7 +54,7 @@ def test_nodes_are_where_the_answer_has_them(page, tracked):
     arrows = scene.forces.points
     np.testing.assert_allclose(arrows[:, 0], felt.points_palm, atol=5e-4)
     assert ((arrows[:, 1] - arrows[:, 0]) * felt.normals_palm).sum(axis=1).min() > 0
-    assert scene.slides.visible
+    assert scene.open_shifts.visible
     assert scene.turns.visible
     assert page.panel.status.content.count("TRACKING") == 1
 
@@ -90,7 +90,7 @@ def test_nothing_known_shows_nothing_but_the_hand(page, tracked):
         scene.normals,
         scene.forces,
         scene.covariance,
-        scene.slides,
+        scene.open_shifts,
         scene.turns,
     )
     assert not any(handle.visible for handle in gone)
@@ -109,7 +109,7 @@ def test_what_is_not_wanted_is_not_there(page, tracked):
         scene.contacts,
         scene.forces,
         scene.covariance,
-        scene.slides,
+        scene.open_shifts,
     ]
     assert not any(handle.visible for handle in shown)
 

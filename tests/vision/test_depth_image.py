@@ -8,7 +8,7 @@ from scipy.ndimage import label
 
 from handsight._kernels.image import depth_image
 from handsight._kernels.image.pose_score import HAND, OUT, TABLE
-from handsight._kernels.image.vision_records import SEEN
+from handsight._kernels.image.vision_records import DEPTH_POINT
 from sight_scenes import CAMERA
 
 
@@ -71,9 +71,9 @@ def test_a_step_in_depth_parts():
 
 
 def seen_at(depth, pixels):
-    out = np.zeros(len(pixels), dtype=SEEN)
+    out = np.zeros(len(pixels), dtype=DEPTH_POINT)
     labels = np.zeros(depth.shape, dtype=np.int32)
-    depth_image.look_at(
+    depth_image.normals_at(
         CAMERA.rays, depth, labels, np.ravel_multi_index(np.transpose(pixels), depth.shape), out
     )
     return out

@@ -8,7 +8,7 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight._kernels.image import depth_covariance, depth_term, near_points
-from handsight._kernels.image.vision_records import LOOK, SEEN, WINDOW
+from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT, WINDOW
 from handsight.errors import InvalidInput, InvalidTransform
 from handsight.vision import DepthTracker
 from handsight.vision.object.depth_tracker import LONGEST, SEARCH_EVERY
@@ -271,10 +271,10 @@ def test_points_near_the_surface_are_those_that_are():
     T, depth = table.T_camera_table @ at(0.004), table.depth(at())
     labels = np.zeros(depth.shape, dtype=np.int32)
     labels[:, 150:] = -1
-    window, look = np.zeros(1, dtype=WINDOW), np.zeros(1, dtype=LOOK)
+    window, look = np.zeros(1, dtype=WINDOW), np.zeros(1, dtype=CANDIDATE)
     look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
     window["rows"], window["columns"], window["step"], window["within"] = (40, 220), (60, 300), 1, 0.01
-    seen = np.zeros(30_000, dtype=SEEN)
+    seen = np.zeros(30_000, dtype=DEPTH_POINT)
     image = CAMERA.rays, depth, labels
     count = near_points.near_points(model().record[:2], image, window, look, seen)
     box = (slice(40, 220), slice(60, 150))
@@ -283,7 +283,7 @@ def test_points_near_the_surface_are_those_that_are():
     near = np.abs(model().evaluate(se3.apply(se3.inverse(T), points), fine=False).distance) < 0.01
     assert count == near.sum() > 1000
     np.testing.assert_allclose(seen["point"][:count], points[near], atol=1e-6)
-    few = np.zeros(100, dtype=SEEN)
+    few = np.zeros(100, dtype=DEPTH_POINT)
     assert near_points.near_points(model().record[:2], image, window, look, few) == 100
     places = (few["point"][:, None] == seen["point"][None, :count]).all(axis=2).argmax(axis=1)
     assert set(np.diff(places)) <= {count // 100, count // 100 + 1}
@@ -304,13 +304,17 @@ def test_what_is_on_the_plane_is_left_out():
 def test_of_a_hidden_object_as_many_points_are_taken_as_are_left():
     table = Table(3)
     T, depth = table.T_camera_table @ at(), table.depth(at())
-    labels, look, window = np.zeros(depth.shape, np.int32), np.zeros(1, dtype=LOOK), np.zeros(1, dtype=WINDOW)
+    labels, look, window = (
+        np.zeros(depth.shape, np.int32),
+        np.zeros(1, dtype=CANDIDATE),
+        np.zeros(1, dtype=WINDOW),
+    )
     look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
     window["rows"], window["columns"], window["within"] = (0, 240), (0, 320), 0.01
     counts = []
     for step in (1, 7):
         for shown in (1.0, 0.1):
-            seen = np.zeros(1500, dtype=SEEN)
+            seen = np.zeros(1500, dtype=DEPTH_POINT)
             middle = CAMERA.project(se3.apply(T, model().center_object[None]))[0, 0]
             labels[:] = -1
             labels[:, int(middle - 60 * shown) : int(middle + 60 * shown)] = 0
@@ -323,11 +327,11 @@ def test_of_a_hidden_object_as_many_points_are_taken_as_are_left():
 
 def settled(known, points, start, off, thing=None):
     """The pose (4, 4) that points (n, 3) of a model at `start` moved by `off` settle, from `start` on."""
-    rows, look = np.zeros(len(points), dtype=SEEN), np.zeros(1, dtype=LOOK)
+    rows, look = np.zeros(len(points), dtype=DEPTH_POINT), np.zeros(1, dtype=CANDIDATE)
     rows["point"] = se3.apply(off @ start, points)
     look["pose"]["rotation"], look["pose"]["position"] = start[:3, :3], start[:3, 3]
     rungs = np.array([[1, 0.02, 0.02, 30, 1.0]])
-    depth_term.settle_near(*(thing or model()).record[:2], rows, rungs, known, look)
+    depth_term.refine_near(*(thing or model()).record[:2], rows, rungs, known, look)
     return se3.compose(look["pose"]["rotation"], look["pose"]["position"])[0]
 
 

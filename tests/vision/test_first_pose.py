@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 import handsight as hs
 from handsight import se3
 from handsight._kernels.image import depth_covariance, depth_term, pose_score, votes
-from handsight._kernels.image.vision_records import LOOK, SEEN
+from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT
 from handsight.objects.symmetry import nearest
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import distinct, first_pose
@@ -47,13 +47,13 @@ def test_pairs_are_the_same_wherever_they_are(seed):
 
 
 def seen(points, normals, T):
-    rows = np.zeros(len(points), dtype=SEEN)
+    rows = np.zeros(len(points), dtype=DEPTH_POINT)
     rows["point"], rows["normal"] = se3.apply(T, points), normals @ T[:3, :3].T
     return rows
 
 
 def looks_at(Ts):
-    looks = np.zeros(len(Ts), dtype=LOOK)
+    looks = np.zeros(len(Ts), dtype=CANDIDATE)
     looks["pose"]["rotation"], looks["pose"]["position"] = Ts[:, :3, :3], Ts[:, :3, 3]
     return looks
 
@@ -62,7 +62,7 @@ def test_votes_for_a_whole_object_find_it():
     rng = np.random.default_rng(0)
     appearance, T = appearance_of(model()), se3.random(rng)
     points, normals = model().sample(400, 3)
-    looks = np.zeros((20, votes.PEAKS), dtype=LOOK)
+    looks = np.zeros((20, votes.PEAKS), dtype=CANDIDATE)
     limits = np.array([model().diameter, 140])
     votes.vote(appearance.pairs, appearance.voters, seen(points, normals, T), np.arange(20), limits, looks)
     Ts = se3.compose(looks["pose"]["rotation"], looks["pose"]["position"])
@@ -84,9 +84,9 @@ def test_points_settle_where_least_squares_puts_them(fine):
     start = truth @ se3.compose(
         se3.rotation_exp(np.array([0.03, -0.02, 0.04])), np.array([2e-3, -1e-3, 2e-3])
     )
-    look = np.zeros(1, dtype=LOOK)
+    look = np.zeros(1, dtype=CANDIDATE)
     look["pose"]["rotation"], look["pose"]["position"] = start[:3, :3], start[:3, 3]
-    depth_term.settle_all(*model().record[:2], rows, np.array([fine, bound, bound, 40]), look)
+    depth_term.refine_poses(*model().record[:2], rows, np.array([fine, bound, bound, 40]), look)
     found = se3.compose(look["pose"]["rotation"], look["pose"]["position"])[0]
 
     def distances(T):
@@ -238,7 +238,7 @@ def test_explained_pixels_are_those_of_the_silhouette():
         T, _, _, T_camera_table = picture(seed, neighbours=0)
         depth, labels = drawn(T_camera_table, [letter()], [se3.inverse(T_camera_table) @ T])
         scene = scene_of(CAMERA, np.where(np.isfinite(depth), depth, 0), wanted=labels == 0)
-        look, appearance = np.zeros(1, dtype=LOOK), appearance_of(model())
+        look, appearance = np.zeros(1, dtype=CANDIDATE), appearance_of(model())
         look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
         limits = np.array([appearance.sample_area, 0.006, *model().center_object])
         image = scene.depth, scene.labels

@@ -16,7 +16,7 @@ from hand_scenes import curled
 from handsight.simulation import Scenario, rig_of
 from handsight.vision.reconstruction.completion import one_object
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
-from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, Held
+from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, InHandView
 from sight_scenes import CAMERA
 from views_around import CAN, pictures_of, turned_before
 
@@ -30,7 +30,7 @@ def grip():
     believed, shape = curled(hand, rng), hand.shape()
     true = {name: value + SIGMA_JOINT * rng.normal() for name, value in believed.items()}
     vertices = shape.vertices_palm(true)
-    middle = Held(hand, SIGMA_JOINT).middle(believed)
+    middle = InHandView(hand, SIGMA_JOINT).middle(believed)
     away = middle - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     T_palm_object = se3.compose(se3.random(rng)[:3, :3], middle + 0.35 * away)
     return hand, believed, (vertices, shape.faces), T_palm_object
@@ -47,7 +47,7 @@ def scene(n):
 
 def test_no_pixel_of_the_hand_is_left_and_what_is_clear_of_it_is():
     hand, believed, (vertices, faces), T_palm_object = grip()
-    held = Held(hand, SIGMA_JOINT)
+    held = InHandView(hand, SIGMA_JOINT)
     thing = se3.apply(T_palm_object, np.array(CAN.vertices))
     for T in turned_before(3) @ se3.compose(np.eye(3), -T_palm_object[:3, 3]):
         both = np.concatenate([vertices, thing]), np.concatenate([faces, CAN.faces + len(vertices)])
@@ -68,10 +68,10 @@ def test_no_pixel_of_the_hand_is_left_and_what_is_clear_of_it_is():
 def test_what_is_turned_in_the_hand_is_found_without_a_piece_of_the_hand():
     """The hand reaches centimetres beyond the can."""
     hand, believed, _, T_palm_object = grip()
-    held = Held(hand, SIGMA_JOINT)
+    held = InHandView(hand, SIGMA_JOINT)
     Ts, images = scene(12)
     T_palm_middle = se3.compose(np.eye(3), held.middle(believed))
-    rec = Reconstruction(CAMERA, HELD_BOUNDS / 1.5)
+    rec = Reconstruction(CAMERA, IN_HAND_BOUNDS / 1.5)
     for T, depth in zip(Ts, images, strict=True):
         alone = held.without_hand(CAMERA, depth, believed, T)
         assert rec.grow(View(alone, T @ T_palm_middle), estimate=False) is not None
@@ -91,4 +91,4 @@ def test_a_hand_without_shapes_cannot_be_told_from_what_it_holds(tmp_path):
     )
     bare = Hand.from_file(file, palm="palm", tips={"tip": "tip"})
     with pytest.raises(InvalidInput, match="expected shapes of its links in .*hand.urdf, got none"):
-        Held(bare, SIGMA_JOINT)
+        InHandView(bare, SIGMA_JOINT)

@@ -55,7 +55,7 @@ def test_what_is_there_is_found_and_named(name):
 def nowhere(found, reason):
     assert found.Ts_camera_object.shape == (0, 4, 4)
     assert found.covariances.shape == (0, 6, 6)
-    assert len(found.weights) == len(found.looks) == 0
+    assert len(found.weights) == len(found.candidates) == 0
     assert reason in found.reason
     return True
 

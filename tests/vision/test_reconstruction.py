@@ -76,7 +76,7 @@ def test_where_nothing_was_seen_there_is_no_surface():
     volume = Volume(BOUNDS, 0.004)
     volume.fuse(CAMERA, np.zeros((240, 320), np.float32), path(1, np.random.default_rng(0))[0])
     assert len(volume.surface().points) == 0
-    assert not volume.told().any()
+    assert not volume.observed().any()
 
 
 def test_what_a_camera_looks_through_is_clear_and_what_is_hidden_is_not_told():
@@ -89,7 +89,7 @@ def test_what_a_camera_looks_through_is_clear_and_what_is_hidden_is_not_told():
         middle + way * 0.08 * (eye - middle) / np.linalg.norm(eye - middle) for way in (1, -0.3)
     )
     assert volume.among(volume.clear(), before[None]).all()
-    assert not volume.among(volume.told(), behind[None]).any()
+    assert not volume.among(volume.observed(), behind[None]).any()
 
 
 @pytest.mark.parametrize("name", THINGS)

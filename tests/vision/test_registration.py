@@ -93,10 +93,10 @@ def test_a_camera_with_itself_gives_its_own_picture():
 def test_nothing_is_seen_without_depth_or_from_behind():
     picture = np.full((480, 640, 3), 9, np.uint8)
     nowhere = np.full((240, 320), np.nan, np.float32)
-    assert not register_color(nowhere, CAMERA, picture, COLOR_CAMERA, np.eye(4)).seen.any()
+    assert not register_color(nowhere, CAMERA, picture, COLOR_CAMERA, np.eye(4)).visible.any()
     back = se3.compose(se3.rotation_exp(np.array([0, np.pi, 0])), np.zeros(3))
     wall = np.full((240, 320), 0.8, np.float32)
-    assert not register_color(wall, CAMERA, picture, COLOR_CAMERA, back).seen.any()
+    assert not register_color(wall, CAMERA, picture, COLOR_CAMERA, back).visible.any()
 
 
 @pytest.mark.parametrize(

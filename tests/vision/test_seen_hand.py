@@ -18,7 +18,7 @@ from hand_scenes import CAMERA, SQUARE, error, hand_scene, moved
 from handsight import se3
 from handsight._kernels.image import hand_term, palm_scan
 from handsight._kernels.image.palm_scan import AGREES, FACING
-from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
@@ -129,12 +129,12 @@ def laid(seed, bound=0.012):
     picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, 0.01)
     skin = np.ascontiguousarray(hand.skin[:, hand.visible_from(CAMERA, drawn.T_camera_palm)])
     look, T = (
-        np.zeros(1, dtype=LOOK),
+        np.zeros(1, dtype=CANDIDATE),
         off(hand, drawn.T_camera_palm, np.random.default_rng(seed), 0.003, 0.01),
     )
     look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
     rung = np.array([bound, bound, 60, hand.radius])
-    hand_term.settle_all(CAMERA.record, picture.arrays, skin, hand.middle, rung, look)
+    hand_term.refine_hand(CAMERA.record, picture.arrays, skin, hand.middle, rung, look)
     return picture, hand, skin, look
 
 
@@ -275,7 +275,7 @@ def test_a_hand_that_is_no_longer_there_is_searched():
     assert not refusal
     assert refusal.reason == "no_fit"
     asked_for = CAMERA, drawn.depth, drawn.joints, gone, (0.04, 0.05)
-    found, searched = own.followed(*asked_for), own.seen(*asked_for)
+    found, searched = own.followed(*asked_for), own.detected(*asked_for)
     assert found
     assert searched
     np.testing.assert_array_equal(found.T_camera_palm, searched.T_camera_palm)
@@ -322,7 +322,7 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
         cells[4, 4, 0] = 1.0
         found = np.empty((1, 1, 2))
         palm_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
-        scores.append(found[0, 0, 0] * (len(on) + palm_scan.UNSEEN))
+        scores.append(found[0, 0, 0] * (len(on) + palm_scan.VISIBLE_SLACK))
     np.testing.assert_allclose(scores, [len(on) - palm_scan.BESIDE * len(air), len(on), len(on)])
 
 

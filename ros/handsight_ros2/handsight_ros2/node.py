@@ -91,7 +91,7 @@ class Ears:
         for topic, kinds in self._live.subscriptions.items():
             published = [each.topic_type for each in self._node.get_publishers_info_by_topic(topic)]
             for kind in published:
-                self._types.seen(topic, kind)
+                self._types.on_topic(topic, kind)
             now = self._subscribed.get(topic, ("",))[0]
             better = [kind for kind in published if kind in kinds and made(*kind.split("/"))]
             if better and now not in published:

@@ -84,15 +84,17 @@ CONTACT = record(
     ("covariance", "f8", (6, 6)),  # of (point, normal)
     ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
 )
-# Where the object's centre of mass is in the palm, as what hangs on the fingertips tells.
-WEIGHT = record(
+# Where the object's centre of mass is in the palm, as the loads on the fingertips show.
+OBJECT_WEIGHT = record(
     ("known", "i8"),
     ("center_object", "f8", (3,)),
     ("center_palm", "f8", (3,)),
     ("information", "f8", (3, 3)),  # of the two together
 )
-# What is known of a pose besides contacts; `unseen`: by the weight alone, and pose and covariance say nothing.
-PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)), ("unseen", "i8"), ("weight", WEIGHT))
+# A pose and its covariance before touch: vision's, or the last estimate.
+PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
+# The evidence of which a correction has at most one of each kind, each with a flag that says whether it is there.
+CONSTRAINTS = record(("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT))
 # What cannot be inside the object: a point of the hand, those of one link in a row; or a plane and all behind it,
 # `point` any of its points.
 OUTSIDE = record(
@@ -127,7 +129,6 @@ PRIOR_TERM = record(
     ("pivot_palm", "f8", (3,)),
     ("rotation", "f8", (3, 3)),
     ("information", "f8", (6, 6)),
-    ("weight", WEIGHT),
 )
 
 # One descent among many: where it is, and how it ended.
@@ -165,10 +166,15 @@ ANSWER = record(
     ("rows", "i8"),  # of contact evidence
 )
 
-# One problem of a batch and its answer: the prior, the contacts (from `first` on, before `last`), and, if `follows`, a
-# pose near by that was right.
+# One problem of a batch and its answer: its constraints, the contacts (from `first` on, before `last`), and, if
+# `follows`, a pose near by that was right.
 PROBLEM = record(
-    ("prior", PRIOR), ("first", "i8"), ("last", "i8"), ("follows", "i8"), ("start", POSE), ("answer", ANSWER)
+    ("constraints", CONSTRAINTS),
+    ("first", "i8"),
+    ("last", "i8"),
+    ("follows", "i8"),
+    ("start", POSE),
+    ("answer", ANSWER),
 )
 
 # Room for the nodes that a spline reads, z fastest.
@@ -194,7 +200,7 @@ UNCERTAINTY = record(
 )
 
 # Along what a mode is integrated: columns of (s, radius θ), straight along the object.
-SLIDE = record(
+FLAT_DIRECTIONS = record(
     ("count", "i8"),  # of directions along, of those across
     ("count_across", "i8"),
     ("along", "f8", (6, 3)),
@@ -203,7 +209,10 @@ SLIDE = record(
     ("across", "f8", (6, 6)),
     ("stretch", "f8", (6,)),  # how much wider these are than the slope at the mode says
     ("proper", "i8"),  # whether all is known: blind, a direction may not be
-    ("give", "f8"),  # how far a bumpy model's dents may lower the cost of contacts and walls, and the cost
+    (
+        "bump_margin",
+        "f8",
+    ),  # how far a bumpy model's dents may lower the cost of contacts and walls, and the cost
     ("level", "f8"),  # below which places are therefore alike
 )
 # Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
@@ -215,7 +224,7 @@ SUMS = record(
     ("within", "f8", (6, 6)),
 )
 # One of them: where on the lattice, and the coordinates across.
-PLACE = record(("index", "i8", (3,)), ("aside", "f8", (6,)))
+LATTICE_POINT = record(("index", "i8", (3,)), ("lateral", "f8", (6,)))
 
 # A joint on the way from a base to a body: its axis and a point on it, in the base, when all joints are at their zero.
 CHAIN_JOINT = record(

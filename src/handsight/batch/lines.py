@@ -13,16 +13,16 @@ BLOCK_BYTES = 256_000
 Source = io.BufferedIOBase
 
 
-def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
+def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
     """The lines that are not blank, without their ends, as many at a time as have come; closes the source.
 
     A byte order mark at the beginning is dropped. Of a line longer than `LONGEST` there is the beginning, a byte longer
-    than that; the rest is passed over. `whole`: all of it is one line. Raises InvalidFile.
+    than that; the rest is passed over. `single`: the entire source is one line. Raises InvalidFile.
     """
     marks = codecs.BOM_UTF8
     with source:
         try:
-            if whole:
+            if single:
                 yield [source.read(LONGEST + 1 + len(marks)).removeprefix(marks)]
                 return
             for lines in _split(source):
@@ -35,12 +35,12 @@ def blocks(source: Source, *, whole: bool = False) -> Iterator[list[bytes]]:
 
 def _split(source: Source) -> Iterator[list[bytes]]:
     """All lines as they come, at least one at a time; each is cut where it is too long."""
-    begun = bytearray()
+    partial = bytearray()
     while block := source.read1(BLOCK_BYTES):
         *lines, rest = block.split(b"\n")
         if lines:
-            lines[0] = bytes(begun + lines[0])[: LONGEST + 1]
-            begun.clear()
+            lines[0] = bytes(partial + lines[0])[: LONGEST + 1]
+            partial.clear()
             yield lines
-        begun += rest[: LONGEST + 1 - len(begun)]
-    yield [bytes(begun)]
+        partial += rest[: LONGEST + 1 - len(partial)]
+    yield [bytes(partial)]

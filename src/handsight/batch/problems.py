@@ -17,7 +17,16 @@ from handsight import checks, se3
 from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import ANSWERS, METHODS, MOST_SAMPLES, PosePrior, correct_pose
+from handsight.correction import (
+    ANSWERS,
+    METHODS,
+    MOST_SAMPLES,
+    Outside,
+    Plane,
+    PosePrior,
+    WeightEvidence,
+    correct_pose,
+)
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import explain, field_name
@@ -60,6 +69,19 @@ class VisionFields(_Strict):
     covariance: Any = None
 
 
+class PlaneFields(_Strict):
+    point: Any
+    normal: Any
+    sigma: Any
+
+
+class WeightFields(_Strict):
+    center_object: Any
+    center_palm: Any
+    sigma: Any = None
+    covariance: Any = None
+
+
 class ProblemFields(_Strict):
     """One line of a problem file; `handsight correct --help` explains each key."""
 
@@ -68,6 +90,8 @@ class ProblemFields(_Strict):
     contacts_of_residual: bool = False
     vision: VisionFields | None = None
     outside: Any = None
+    planes: list[PlaneFields] = []
+    weight: WeightFields | None = None
     answer: str = "best"
     samples: Any = 0
     budget: Any = None
@@ -80,7 +104,8 @@ class Problem(msgspec.Struct, frozen=True):
     model: ObjectModel
     contacts: Contacts
     vision: PosePrior | None
-    outside: Array | None
+    outside: Array | Outside | None
+    weight: WeightEvidence | None
     answer: str
     samples: int
     budget: float | None
@@ -105,12 +130,15 @@ class Reader:
             raise InvalidInput(f"answer: expected one of {', '.join(ANSWERS)}, got {fields.answer!r}")
         samples = checks.integer(fields.samples, "samples", MOST_SAMPLES)
         budget = None if fields.budget is None else checks.positive(fields.budget, "budget")
-        outside = None
+        points = None
         if fields.outside is not None and fields.outside != []:
-            outside = checks.position(fields.outside, "outside", (None, 3))
+            points = checks.position(fields.outside, "outside", (None, 3))
+        planes = [_plane(plane, f"planes[{i}]") for i, plane in enumerate(fields.planes)]
+        outside = Outside(() if points is None else points, planes) if planes else points
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
         model, vision, answer = self.model(fields.object), _vision(fields.vision), fields.answer
-        return Problem(model, contacts, vision, outside, answer, samples, budget, fields.method)
+        weight = _weight(fields.weight)
+        return Problem(model, contacts, vision, outside, weight, answer, samples, budget, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
         """The object model, built once for all lines that name the same object."""
@@ -122,11 +150,11 @@ class Reader:
 
     def _build(self, fields: ObjectFields) -> ObjectModel:
         kinds = ("mesh", "box", "cylinder", "name")
-        named = [kind for kind in kinds if getattr(fields, kind) is not None]
-        if len(named) != 1:
-            raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {named or 'none'}")
+        present = [kind for kind in kinds if getattr(fields, kind) is not None]
+        if len(present) != 1:
+            raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {present or 'none'}")
         if fields.scale is not None and fields.mesh is None:
-            raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
+            raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {present[0]}")
         if fields.mesh is not None:
             scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
             try:
@@ -157,6 +185,7 @@ def answer(problem: Problem) -> dict[str, Any]:
         problem.contacts,
         vision=problem.vision,
         outside=problem.outside,
+        weight=problem.weight,
         answer=problem.answer,
         samples=problem.samples,
         budget=problem.budget,
@@ -187,12 +216,12 @@ def answer_text(reader: Reader, line: bytes) -> str:
     try:
         return json.dumps(answer(reader.read(line)), allow_nan=False, default=np.ndarray.tolist)
     except HandsightError as error:
-        said = str(error)
+        message = str(error)
     except MemoryError:
-        said = "line: expected a problem that fits into memory, got a larger one"
+        message = "line: expected a problem that fits into memory, got a larger one"
     except Exception as error:  # our own fault: told in its place, and the other lines are still answered
-        said = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
-    return json.dumps({"error": said})
+        message = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
+    return json.dumps({"error": message})
 
 
 def _fields(line: bytes) -> ProblemFields:
@@ -214,18 +243,18 @@ def _fields(line: bytes) -> ProblemFields:
     try:
         return msgspec.convert(raw, ProblemFields)
     except msgspec.ValidationError as error:
-        field, said = explain(error, ProblemFields, raw)
-        raise InvalidInput(f"{field_name(field)}: {said}") from None
+        field, message = explain(error, ProblemFields, raw)
+        raise InvalidInput(f"{field_name(field)}: {message}") from None
     except UnicodeEncodeError as error:
         raise InvalidInput(f"line: expected text, got half a character in {error.object[:40]!r}") from None
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
+    unique = dict(pairs)
+    if len(unique) < len(pairs):
         twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
         raise InvalidInput(f"{twice}: expected once, got it twice in one object")
-    return made
+    return unique
 
 
 def _contacts(rows: list[ContactFields], *, of_residual: bool) -> Contacts:
@@ -278,6 +307,24 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
     return PosePrior.from_sigmas(
         T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.MAX_DISTANCE)
     )
+
+
+def _plane(fields: PlaneFields, name: str) -> Plane:
+    point = checks.in_reach(fields.point, f"{name}.point", (3,))
+    normal = checks.unit(fields.normal, f"{name}.normal", (3,))
+    return Plane(point, normal, checks.sigma(fields.sigma, f"{name}.sigma"))
+
+
+def _weight(fields: WeightFields | None) -> WeightEvidence | None:
+    if fields is None:
+        return None
+    if (fields.sigma is None) == (fields.covariance is None):
+        came = "neither" if fields.sigma is None else "both"
+        raise InvalidInput(f"weight: expected a sigma or a covariance, got {came}")
+    covariance = fields.covariance
+    if fields.sigma is not None:
+        covariance = checks.sigma(fields.sigma, "weight.sigma") ** 2 * np.eye(3)
+    return WeightEvidence(fields.center_object, fields.center_palm, covariance)
 
 
 def _radians(degrees: Any, name: str, most: float) -> float:

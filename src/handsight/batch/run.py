@@ -15,8 +15,8 @@ from handsight.batch.lines import Source, blocks
 from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
 
 CHUNK_LINES = 256
-HELD_BYTES = 64_000_000
-"""Lines that wait for their answer or for an earlier line's; above it nothing more is begun."""
+MAX_PENDING_BYTES = 64_000_000
+"""Lines that wait for their answer or for an earlier line's; above it nothing more is submitted."""
 LINE_BYTES = 3000
 """What a line takes besides its characters: its answer and Python's own."""
 
@@ -31,7 +31,7 @@ def answering(
     source: Source,
     folder: Path,
     *,
-    whole: bool = False,
+    single: bool = False,
     workers: int = 1,
     cluster: str | None = None,
     first: Callable[[], object] = os.getpid,
@@ -39,22 +39,23 @@ def answering(
     """The lines with their answers, in order: from this process (1 worker), from `workers` others (0: one for each
     core), or from the Dask cluster at an address.
 
-    `source` is closed at its end; `whole`: all of it is one line. `folder`: what mesh paths are relative to, absolute.
+    `source` is closed at its end; `single`: the entire source is one line. `folder`: what mesh paths are relative
+    to, absolute.
     `first` is called in the first worker process before it works. Raises WorkerFailure, InvalidFile.
     """
     if workers == 1 and cluster is None:
-        yield _here(source, folder, whole=whole)
+        yield _here(source, folder, single=single)
         return
     work = functools.partial(answer_lines, str(folder))
     with Cluster(cluster, work) if cluster else Processes(workers or _cores(), work, first) as those:
-        yield iter(Run(source, those, whole=whole))
+        yield iter(Run(source, those, single=single))
 
 
-def _here(source: Source, folder: Path, *, whole: bool) -> Iterator[Answered]:
+def _here(source: Source, folder: Path, *, single: bool) -> Iterator[Answered]:
     from handsight.batch.problems import Reader, answer_text
 
     reader = Reader(folder)
-    for lines in blocks(source, whole=whole):
+    for lines in blocks(source, single=single):
         for line in lines:
             yield [line], Answers([answer_text(reader, line)], 0.0, [])
 
@@ -70,17 +71,17 @@ class Run:
     A thread reads. All else is done in the thread that iterates, as lines come and chunks end.
     """
 
-    def __init__(self, source: Source, workers: Processes | Cluster, *, whole: bool = False) -> None:
-        """`source` is the run's from here on; `whole`: all of it is one line."""
-        self._blocks, self._workers = blocks(source, whole=whole), workers
+    def __init__(self, source: Source, workers: Processes | Cluster, *, single: bool = False) -> None:
+        """`source` is the run's from here on; `single`: the entire source is one line."""
+        self._blocks, self._workers = blocks(source, single=single), workers
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._wanted: SimpleQueue[bool] = SimpleQueue()
-        """Whether to read on, once the lines that came are begun."""
+        """Whether to read on, once the lines that came are submitted."""
         self._reading = True
         self._failure: BaseException | None = None
         self._lines: list[bytes] = []
-        self._begun: deque[tuple[list[bytes], Future[Answers]]] = deque()
-        self._running = self._held = 0
+        self._submitted: deque[tuple[list[bytes], Future[Answers]]] = deque()
+        self._running = self._pending_bytes = 0
         # The first chunks are small, so that a few slow lines are spread over all workers.
         self._size = 1
 
@@ -88,18 +89,18 @@ class Run:
         # A daemon, and never waited for: nothing can interrupt it while it waits for input.
         threading.Thread(target=self._read, name="handsight-reader", daemon=True).start()
         try:
-            while self._reading or self._begun:
+            while self._reading or self._submitted:
                 self._begin()
-                if not self._begun or not self._begun[0][1].done():
+                if not self._submitted or not self._submitted[0][1].done():
                     self._take(self._events.get())
                     continue
-                lines, future = self._begun.popleft()
+                lines, future = self._submitted.popleft()
                 answers = self._workers.answers(future)
                 if answers is None:
                     yield from self._one_by_one(lines)
                 else:
                     yield lines, answers
-                self._held -= _bytes(lines)
+                self._pending_bytes -= _bytes(lines)
         finally:
             self._wanted.put(False)
         if self._failure is not None:
@@ -118,12 +119,12 @@ class Run:
 
     def _begin(self) -> None:
         """Has chunks of the lines that came answered, while there is room."""
-        while self._lines and self._running < self._workers.room and self._held < HELD_BYTES:
+        while self._lines and self._running < self._workers.room and self._pending_bytes < MAX_PENDING_BYTES:
             chunk = self._lines[: self._size]
             future = self._workers.submit(chunk)
             del self._lines[: self._size]
-            self._begun.append((chunk, future))
-            self._held += _bytes(chunk)
+            self._submitted.append((chunk, future))
+            self._pending_bytes += _bytes(chunk)
             self._running += 1
             future.add_done_callback(self._events.put)
             if not self._lines:
@@ -146,8 +147,8 @@ class Run:
         """Lines that were lost with a worker, while no others are at work: who dies, dies of the line."""
         while self._running:
             self._take(self._events.get())
-        said = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"
-        error = Answers([json.dumps({"error": said})], 0.0, [])
+        message = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"
+        error = Answers([json.dumps({"error": message})], 0.0, [])
         for line in lines:
             tried = (self._workers.answers(self._workers.submit([line])) for _ in range(DEATHS))
             yield [line], next(filter(None, tried), error)

@@ -158,8 +158,10 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             except (BrokenProcessPool, OSError) as error:  # it may die before it has read what to do
                 _check_broken(error)
                 self._end()
-        said = ", ".join(str(child.exitcode) for child in children)
-        raise WorkerFailure(f"worker processes end as they start (exit code {said}); --workers 1 needs none")
+        message = ", ".join(str(child.exitcode) for child in children)
+        raise WorkerFailure(
+            f"worker processes end as they start (exit code {message}); --workers 1 needs none"
+        )
 
 
 def _check_broken(error: BrokenProcessPool | OSError) -> None:
@@ -252,10 +254,10 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
                 answers.set_exception(error)
 
     def _lost(self, error: Exception) -> WorkerFailure:
-        said = f"the cluster was lost ({type(error).__name__}: {error})"
+        message = f"the cluster was lost ({type(error).__name__}: {error})"
         if isinstance(error, ModuleNotFoundError):
-            said = f"the workers have no module {error.name!r}; install handsight there"
-        return WorkerFailure(f"{self._address}: {said}")
+            message = f"the workers have no module {error.name!r}; install handsight there"
+        return WorkerFailure(f"{self._address}: {message}")
 
 
 def _connected(address: str) -> Any:
@@ -274,5 +276,5 @@ def _connected(address: str) -> Any:
         connect: Any = Client
         return connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
-        said = str(error).partition("\n")[0] or type(error).__name__
-        raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({said})") from None
+        message = str(error).partition("\n")[0] or type(error).__name__
+        raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({message})") from None

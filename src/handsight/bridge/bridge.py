@@ -93,13 +93,13 @@ class Bridge:
         taken = list[tuple[int, RawMessage]]()
         now = time.time()
         for topic, kind, reader in self._readers:
-            made, samples = message_type(kind), [None] * AT_ONCE
+            dds_type, samples = message_type(kind), [None] * AT_ONCE
             while len(samples) == AT_ONCE:
                 samples = reader.take(AT_ONCE)
                 taken += [
                     (sample.sample_info.source_timestamp, RawMessage(topic, kind, "cdr", now, sample.data))
                     for sample in samples
-                    if isinstance(sample, made)  # else it says that a publisher is gone
+                    if isinstance(sample, dds_type)  # else it says that a publisher is gone
                 ]
         for _, message in sorted(taken, key=itemgetter(0)):
             self._live.put(message)
@@ -115,12 +115,12 @@ class Bridge:
                 self._mute.add(answer.topic)
                 self._say(f"{answer.topic}: an answer could not be published: {error}")
 
-    def look(self) -> None:
+    def check_network(self) -> None:
         """Looks who publishes; to be called about once a second, so that wrong types are named."""
         for each in self._published.take(AT_ONCE):
             name = getattr(each, "topic_name", "") or ""
             if name.startswith("rt/"):
-                self._types.seen(name[2:], ros_name(each.type_name))
+                self._types.on_topic(name[2:], ros_name(each.type_name))
 
     def _topic(self, topic: str, kind: str) -> Any:
         return Topic(self._network.participant, carried(topic), message_type(kind))

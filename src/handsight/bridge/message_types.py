@@ -45,8 +45,8 @@ def message_type(kind: str) -> Any:
 
     def fill(namespace: dict[str, Any]) -> None:
         namespace.setdefault("__annotations__", {}).update(fields)
-        made = classmethod(_made)
-        namespace.update(__init__=_keep, serialize=_bytes, deserialize=made, deserialize_key=made)
+        decode = classmethod(_from_bytes)
+        namespace.update(__init__=_keep, serialize=_bytes, deserialize=decode, deserialize_key=decode)
 
     # A plain `type(...)` call would lose the name that the metaclass is given.
     return new_class(
@@ -76,5 +76,5 @@ def _bytes(self: Sample, *_: Any, **__: Any) -> bytes:
     return self.data
 
 
-def _made(cls: Any, data: bytes, *_: Any, **__: Any) -> Any:
+def _from_bytes(cls: Any, data: bytes, *_: Any, **__: Any) -> Any:
     return cls(data)

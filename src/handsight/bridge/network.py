@@ -23,12 +23,12 @@ MAX_DOMAIN = 232
 
 def domain_id(environment: Mapping[str, str]) -> int:
     """ROS_DOMAIN_ID, 0 where it is not set; raises InvalidInput."""
-    told = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not (told.isascii() and told.isdigit() and int(told[:9]) <= MAX_DOMAIN):
+    declared = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not (declared.isascii() and declared.isdigit() and int(declared[:9]) <= MAX_DOMAIN):
         raise InvalidInput(
-            f"ROS_DOMAIN_ID: expected a number from 0 to {MAX_DOMAIN}, got {checks.brief(repr(told))}"
+            f"ROS_DOMAIN_ID: expected a number from 0 to {MAX_DOMAIN}, got {checks.brief(repr(declared))}"
         )
-    return int(told)
+    return int(declared)
 
 
 def configuration(environment: Mapping[str, str]) -> str:
@@ -47,9 +47,9 @@ class Network:
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         """Raises InvalidInput for a domain or a configuration that cannot be."""
-        number, said = domain_id(environment), configuration(environment)
+        number, config = domain_id(environment), configuration(environment)
         try:
-            self._domain: Any = Domain(number, said)
+            self._domain: Any = Domain(number, config)
             self.participant: Any = DomainParticipant(number)
         except (DDSException, UnicodeEncodeError) as error:
             of = "CYCLONEDDS_URI and the network"

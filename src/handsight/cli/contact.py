@@ -49,5 +49,5 @@ def contact(
         sink = sys.stdout
         sink.reconfigure(encoding="utf-8")
     counts = convert(source, sink, shape, sigma_force=sigma_force, sigma_torque=sigma_torque)
-    said = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count) or "no rows"
-    say(f"{'' if output is None else f'wrote {output}: '}{said}")
+    counted = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count) or "no rows"
+    say(f"{'' if output is None else f'wrote {output}: '}{counted}")

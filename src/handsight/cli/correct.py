@@ -101,6 +101,11 @@ def correct(
       poses; by default they are of the finger, and what the model adds is added.
     * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
+    * **planes**: `[{"point": [x, y, z], "normal": [x, y, z], "sigma": 0.003}]`, which the object cannot cross; the
+    normal
+      is to the object's side.
+    * **weight**: `{"center_object": [x, y, z], "center_palm": [x, y, z], "sigma": 0.003}`: where the object's centre of
+      mass is, in the object and in the palm; or `"covariance"` (3, 3).
     * **answer**: `best` (default) is the mean where contacts bound a slide and do not fix it, else the maximum; or
       `maximum`, or `mean`.
     * **samples**: above 0, answer with the mean of so many posterior samples instead (at most 1000000): a slow check.
@@ -167,8 +172,8 @@ def _answer(
     check_not_overwritten(plot, "the picture", place, "the answers")
     source = _source(problems)
     size = os.fstat(source.fileno()).st_size  # a pipe has none
-    whole, folder = problems.endswith(".json"), _folder(problems)
-    run = answering(source, folder, whole=whole, workers=workers, cluster=cluster, first=announce_compiling)
+    single, folder = problems.endswith(".json"), _folder(problems)
+    run = answering(source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling)
     began, read = time.monotonic(), 0
     with (
         run as answered,

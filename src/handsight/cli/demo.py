@@ -137,11 +137,11 @@ def _pictured(plot: Path) -> str:
     off = 1e3 * math.dist(T[:3, 3], truth[:3, 3])
     tilt = math.degrees(math.acos(min(1.0, abs(float(T[:3, 2] @ truth[:3, 2])))))
     found = f"centre off by {off:.1f} mm, axis by {tilt:.1f}°, in {1e3 * row.seconds:.0f} ms"
-    said = f"can found in a picture with the hand before it, without a guess (synthetic): {found}"
+    text = f"can found in a picture with the hand before it, without a guess (synthetic): {found}"
     try:
-        return f"{said}\n{draw([row], plot)}"
+        return f"{text}\n{draw([row], plot)}"
     except MissingExtra as error:
-        return f"{said}\nno picture: {error}"
+        return f"{text}\nno picture: {error}"
 
 
 def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
@@ -172,8 +172,8 @@ def _replayed(name: str, plot: Path, out: "Console") -> "Run":
     with live_rows(f"{name}.mcap", progress) as watch:
         ended = run(DATA / f"{name}.mcap", rig, model, TrackerSettings(outside=500), watch)
     for end in ended.ends:  # a part of it is no demonstration
-        if end.said:
-            say(end.said)
+        if end.message:
+            say(end.message)
         raise typer.Exit(end.exit_code)
     out.print(draw(ended, model, plot.with_name(f"{plot.stem}-{name}{plot.suffix}")))
     return ended

@@ -1,12 +1,19 @@
 """`handsight locate`: where an object is in depth images, without a guess."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple, cast
 
 import typer
 
 from handsight.cli.locate_images import MOST_PANELS, Sought, draw, run
-from handsight.cli.options import RigFile, by_name, library_objects, object_named, rig_and_objects
+from handsight.cli.options import (
+    DepthCameraKind,
+    RigFile,
+    by_name,
+    library_objects,
+    object_named,
+    rig_and_objects,
+)
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 from handsight.files import check_not_overwritten
@@ -15,6 +22,7 @@ if TYPE_CHECKING:
     from handsight.objects import ObjectModel
     from handsight.recording.frames import Frames
     from handsight.recording.rgbd import Beside
+    from handsight.rig.rig import DepthCamera
     from handsight.vision import DepthNoise
 
 
@@ -67,10 +75,9 @@ def locate(
         ),
     ] = None,
     depth_camera: Annotated[
-        str | None,
+        DepthCameraKind | None,
         typer.Option(
-            help="How it measures depth: structured_light (as if not told), time_of_flight or stereo; of a recording "
-            "the rig says."
+            help="How it measures depth; default: structured_light, of a recording as the rig has it."
         ),
     ] = None,
     scale: Annotated[float, typer.Option(help="Metres per unit of a mesh file.")] = 1.0,
@@ -132,7 +139,7 @@ def locate(
         frames = _boxed(frames, box)
     ended = run(frames, sought, output)
     if plot is not None and ended.panels:
-        ended.said.append(draw(ended.panels, plot))
+        ended.messages.append(draw(ended.panels, plot))
     for sentence in ended.sentences(output):
         say(sentence)
     if ended.exit_code:
@@ -182,22 +189,15 @@ def _numbers(asked: Asked, models: "dict[str, ObjectModel]", library: str | None
     from handsight.objects import Library
 
     opened = Library(library)
-    told = zip(models, asked.names or models, strict=True)
-    return {name: opened.entry(as_told).number for name, as_told in told}
+    declared = zip(models, asked.names or models, strict=True)
+    return {name: opened.entry(name_of).number for name, name_of in declared}
 
 
 def _noise(kind: str | None) -> "DepthNoise":
-    """Of a kind of depth camera; raises InvalidInput for what is none."""
-    from handsight.checks import suggestion
+    """Returns the depth noise of a kind of camera; without one, of structured light."""
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
-    for known, noise in PRESETS.items():
-        if kind == known:
-            return noise
-    if kind is None:
-        return STRUCTURED_LIGHT
-    said = f"expected one of {', '.join(PRESETS)}, got {kind!r:.80}{suggestion(kind, PRESETS)}"
-    raise InvalidInput(f"--depth-camera: {said}")
+    return STRUCTURED_LIGHT if kind is None else PRESETS[cast("DepthCamera", kind)]
 
 
 def _is_csv(output: Path | None) -> bool:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MOST_PANELS = 6
 """Pictures that a figure has room for."""
-MOST_TOLD = 5
+MAX_MESSAGES = 5
 """Pictures that cannot be read, or have no such object in them, that are told each."""
 COLUMNS = ("picture", "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained", "weight", "others", "ms")
 
@@ -50,7 +50,7 @@ class Run:
     panels: "list[Located]" = field(default_factory=list)
     """The first ones, for a figure."""
     cells: list[list[str]] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     """What is to be told beside."""
     ended: int = 0
     """Exit code of what ended it early."""
@@ -68,7 +68,7 @@ class Run:
 
         self.done += 1
         if isinstance(row, Unread):
-            self.unread.append(row.said)
+            self.unread.append(row.reason)
             return
         self.found += row.reason is None
         if row.reason is not None:
@@ -78,13 +78,13 @@ class Run:
 
     def sentences(self, output: Path | None) -> Iterator[str]:
         """The run for a person."""
-        for said in self.unread[:MOST_TOLD]:
-            yield f"handsight: {said}"
-        if len(self.unread) > MOST_TOLD:
-            yield f"handsight: {len(self.unread) - MOST_TOLD} more pictures cannot be read"
+        for messages in self.unread[:MAX_MESSAGES]:
+            yield f"handsight: {messages}"
+        if len(self.unread) > MAX_MESSAGES:
+            yield f"handsight: {len(self.unread) - MAX_MESSAGES} more pictures cannot be read"
         if output is not None:
             yield f"wrote {output}: found in {self.found} of {self.done} pictures"
-        yield from self.said
+        yield from self.messages
 
 
 def run(frames: "Frames", sought: Sought, output: Path | None) -> Run:
@@ -110,13 +110,13 @@ def run(frames: "Frames", sought: Sought, output: Path | None) -> Run:
             move(ended.done / total if total else None, f"{ended.done} of {total or '?'} pictures")
     if shown and ended.cells:
         _show(ended.cells, list(sought.models))
-        ended.said += ended.missed[:MOST_TOLD]
+        ended.messages += ended.missed[:MAX_MESSAGES]
     ended.ended = end.exit_code
     if isinstance(end.error, HandsightError) and not ended.done:
         raise end.error
     if end.exit_code:
-        ended.said.append(
-            end.said or f"handsight: stopped after {ended.done} pictures; what was found is kept"
+        ended.messages.append(
+            end.message or f"handsight: stopped after {ended.done} pictures; what was found is kept"
         )
     return ended
 
@@ -134,7 +134,7 @@ def warmed(sought: Sought) -> "Callable[[Frame], Located]":
     for model in models.values():
         appearance_of(model)
 
-    def look(frame: "Frame") -> "Located":
+    def locate_in(frame: "Frame") -> "Located":
         """Of several the likeliest."""
         camera, depth, wanted, hand = frame.camera, frame.depth, frame.wanted, frame.hand
         began = time.perf_counter()
@@ -146,7 +146,7 @@ def warmed(sought: Sought) -> "Callable[[Frame], Located]":
         found = answer.found[name]
         return Located(frame=frame, model=models[name], found=found, seconds=seconds, recognition=answer)
 
-    return look
+    return locate_in
 
 
 def draw(panels: "list[Located]", path: Path) -> str:
@@ -161,13 +161,13 @@ def _rows(frames: "Frames", sought: Sought) -> "Iterator[Located | Unread]":
     """An answer for each picture."""
     from handsight.recording.frames import Unread
 
-    look = None
+    locate_in = None
     for frame in frames.each:
         if isinstance(frame, Unread):
             yield frame
             continue
-        look = look or warmed(sought)
-        yield look(frame)
+        locate_in = locate_in or warmed(sought)
+        yield locate_in(frame)
 
 
 def _line(row: "Located | Unread", numbers: Mapping[str, int] | None) -> str | None:
@@ -216,5 +216,5 @@ def _show(cells: list[list[str]], names: list[str]) -> None:
     title = f"{len(names)} objects" if several else names[0]
 
     rows = [[printable(cell) for cell in row] for row in cells]
-    made = table(columns, rows, texts=1 + several, title=f"{title} in depth images")
-    Console(markup=False, highlight=False).print(made)
+    table_of = table(columns, rows, texts=1 + several, title=f"{title} in depth images")
+    Console(markup=False, highlight=False).print(table_of)

@@ -44,12 +44,12 @@ def main() -> None:
         finally:
             flush_stdout()
     except HandsightError as error:
-        said, code = str(error), exit_code(error)
+        message, code = str(error), exit_code(error)
     except OSError as error:
-        said, code = f"{error.filename or 'output'}: {error.strerror or error}", CANNOT_WRITE
+        message, code = f"{error.filename or 'output'}: {error.strerror or error}", CANNOT_WRITE
     except MemoryError:
-        said, code = "expected what fits into memory, got more", WRONG_INPUT
-    say(f"handsight: {said}")
+        message, code = "expected what fits into memory, got more", WRONG_INPUT
+    say(f"handsight: {message}")
     sys.exit(code)
 
 

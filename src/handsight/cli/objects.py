@@ -42,8 +42,8 @@ def list_(library: Place = None) -> None:
         facts = entry.facts
         mass = f"{1e3 * facts.mass:.4g}" if facts and facts.mass is not None else "-"
         texts = (entry.name, _symmetries(entry.symmetries), facts.licence if facts else "")
-        said = (*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass)
-        rows.append([printable(cell) for cell in said])
+        cells = (*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass)
+        rows.append([printable(cell) for cell in cells])
     columns = ("name", "symmetries", "licence", "number", "diameter [mm]", "mass [g]")
     style: dict[str, Any] = {"box": None, "pad_edge": False, "padding": (0, 2, 0, 0)}
     Console(markup=False, highlight=False).print(table(columns, rows, texts=3, **style))
@@ -184,8 +184,8 @@ def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
         sigma = facts.sigma_center_of_mass
         yield "centre of mass", f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
     for key in ("licence", "source"):
-        if said := getattr(facts, key):
-            yield key, said
+        if columns := getattr(facts, key):
+            yield key, columns
     yield "SHA-256", facts.sha256
 
 

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from itertools import islice
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handsight.cli.terminal import say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -18,6 +20,23 @@ if TYPE_CHECKING:
     from handsight.recording import Recording
     from handsight.rig import ObjectEntry, Rig
     from handsight.tracking import TrackerSettings
+
+
+class AnswerKind(StrEnum):
+    """Which pose of the best mode is answered, as `correct_pose` takes it."""
+
+    best = "best"
+    maximum = "maximum"
+    mean = "mean"
+
+
+class DepthCameraKind(StrEnum):
+    """How a camera measures depth, and so what is wrong with it (`handsight.vision.depth_noise`)."""
+
+    structured_light = "structured_light"
+    time_of_flight = "time_of_flight"
+    stereo = "stereo"
+
 
 MOST_WITHOUT_INFO = 1000
 """Observations of a recording in which a camera is looked for."""
@@ -39,7 +58,8 @@ Rate = Annotated[
     float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
 ]
 Answer = Annotated[
-    str, typer.Option(help="best (the mean where the maximum is at a slide's end), maximum, or mean.")
+    AnswerKind,
+    typer.Option(help="best: the mean where the posterior is not Gaussian, else the maximum."),
 ]
 Samples = Annotated[
     int, typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check.")
@@ -60,7 +80,7 @@ WithImages = Annotated[
 
 def _settings(
     rate: Rate = None,
-    answer: Answer = "best",
+    answer: Answer = AnswerKind.best,
     samples: Samples = 0,
     outside: OutsideCount = 200,
     images: WithImages = True,
@@ -68,6 +88,13 @@ def _settings(
     from handsight.tracking import TrackerSettings
 
     return TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+
+
+def renamed(new: bool, old: bool, names: tuple[str, str]) -> bool:
+    """Returns a switch that was given under its new or its former name; a warning on stderr names the new one."""
+    if old:
+        say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
+    return new or old
 
 
 def with_settings(command: Callable[..., None]) -> Callable[..., None]:
@@ -78,9 +105,9 @@ def with_settings(command: Callable[..., None]) -> Callable[..., None]:
         shown |= options if name == "settings" else {name: parameter}
 
     @wraps(command)
-    def run(**told: Any) -> None:
-        settings = _settings(**{name: told.pop(name) for name in options})
-        command(settings=settings, **told)
+    def run(**given: Any) -> None:
+        settings = _settings(**{name: given.pop(name) for name in options})
+        command(settings=settings, **given)
 
     # What typer reads.
     run.__annotations__ = {name: parameter.annotation for name, parameter in shown.items()}
@@ -95,7 +122,7 @@ def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tupl
     found, path = _rig_of(recording, rig)
     if name is None:
         if len(found.objects) != 1:
-            raise _nothing_told(found, path)
+            raise _no_object(found, path)
         name = next(iter(found.objects))
     return found, object_named(name, objects=found.objects, of=str(path))
 
@@ -107,7 +134,7 @@ def rig_and_objects(
     found, path = _rig_of(recording, rig)
     wanted = tuple(names) or tuple(found.objects)
     if not wanted:
-        raise _nothing_told(found, path)
+        raise _no_object(found, path)
     return found, by_name(object_named(name, objects=found.objects, of=str(path)) for name in wanted)
 
 
@@ -116,13 +143,13 @@ def library_objects(library: str | None) -> "dict[str, ObjectModel]":
     from handsight.objects import Library
     from handsight.objects.library import NoLibrary
 
-    opened, said = Library(library), "expected a name of the library or a mesh file, got nothing"
+    opened, message = Library(library), "expected a name of the library or a mesh file, got nothing"
     try:
         entries = opened.entries()
     except NoLibrary:
-        raise InvalidInput(f"--object: {said}; there is no library at {opened.place}") from None
+        raise InvalidInput(f"--object: {message}; there is no library at {opened.place}") from None
     if not entries:
-        raise InvalidInput(f"--object: {said}; the library {opened.place} is empty")
+        raise InvalidInput(f"--object: {message}; the library {opened.place} is empty")
     return by_name(opened.model(entry.name) for entry in entries)
 
 
@@ -188,7 +215,7 @@ def _rig_of(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
     return Rig.from_file(path), path
 
 
-def _nothing_told(rig: "Rig", path: Path) -> InvalidInput:
+def _no_object(rig: "Rig", path: Path) -> InvalidInput:
     known = ", ".join(rig.objects) or "none"
     return InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
 

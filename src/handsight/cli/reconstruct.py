@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import Recorded, RigFile, rig_of_recording
+from handsight.cli.options import Recorded, RigFile, renamed, rig_of_recording
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
 from handsight.errors import InvalidInput
 from handsight.files import write_errors
@@ -27,26 +27,29 @@ def reconstruct(
     recording: Recorded,
     output: Annotated[Path, typer.Option("--output", "-o", help="The model, a PLY of points in metres.")],
     rig: RigFile = None,
-    given: Annotated[
+    robot_poses: Annotated[
         bool,
         typer.Option(
-            "--given",
-            help="Take the views to be where the robot says; default: where the growing surface says, from there on.",
+            "--robot-poses",
+            help="Take the views to be where the robot has them; default: align each to the surface, from there on.",
         ),
     ] = False,
-    held: Annotated[
+    in_hand: Annotated[
         bool,
         typer.Option(
-            "--held", help="The hand holds it and turns it before the camera; default: it stands on a table."
+            "--in-hand",
+            help="The hand holds the object and turns it before the camera; default: it stands on a table.",
         ),
     ] = False,
+    old_given: Annotated[bool, typer.Option("--given", hidden=True)] = False,
+    old_held: Annotated[bool, typer.Option("--held", hidden=True)] = False,
 ) -> None:
     """Make an object's model out of a recording with depth images of many sides of it.
 
     Move the camera around what stands on a table, nearest to the middle of the first image; a hand in the picture is
-    left out. Or hold it in the hand and turn that before the camera, clear of all else (`--held`): where it is goes by
-    the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views a few
-    degrees apart are enough; the more sides they show, the less is guessed.
+    left out. Or hold it in the hand and turn that before the camera, clear of all else (`--in-hand`): where it is
+    goes by the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views
+    a few degrees apart are enough; the more sides they show, the less is guessed.
 
     What no view shows is guessed where a symmetry contradicts nothing that was seen, and from the lowest that was seen
     straight down to the table, if there is one. The file's property `measured` is 1 for points that were seen and 0 for
@@ -68,19 +71,21 @@ def reconstruct(
     found = rig_of_recording(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
-    run = Run(not given and not held, held)
+    in_hand = renamed(in_hand, old_held, ("--in-hand", "--held"))
+    robot_poses = renamed(robot_poses, old_given, ("--robot-poses", "--given"))
+    run = Run(not robot_poses and not in_hand, in_hand)
     with open_recording(recording, found) as opened, live_rows(recording.name, Run.progress) as watch:
         with kept_going() as end:
             run.through(opened, found, watch)
         if end.error is not None and run.reconstruction is None:
             raise end.error
         cut = opened.report.truncated
-        said = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
-        said += [end.said] if end.said else []
+        messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
+        messages += [end.message] if end.message else []
     try:
-        said += write(run, output)
+        messages += write(run, output)
     finally:
-        for sentence in said:
+        for sentence in messages:
             say(sentence)
     if end.exit_code:
         raise typer.Exit(end.exit_code)
@@ -91,11 +96,11 @@ class Run:
     """A recording's way into a surface."""
 
     estimate: bool
-    held: bool
+    in_hand: bool
     reconstruction: "Reconstruction | None" = None
     images: int = 0
     """Depth images that were looked at."""
-    begun: int = 0
+    started: int = 0
     """How many of them before the object was seen."""
     fitted: int = 0
 
@@ -106,22 +111,24 @@ class Run:
         from handsight import se3
         from handsight.recording.object_views import camera_of, in_hand_views, views_of
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
-        from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, on_table
+        from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
 
-        seen = (each for each in recording.observations() if each.depth is not None)
-        first = next(seen, None)
+        with_depth = (each for each in recording.observations() if each.depth is not None)
+        first = next(with_depth, None)
         if first is None:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
         camera = camera_of(rig, recording.intrinsics)
         T_reference_object = np.eye(4)
-        for view in (in_hand_views if self.held else views_of)(chain([first], seen), rig, camera):
+        for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
-                begun = (view.T_camera_object, HELD_BOUNDS) if self.held else on_table(camera, view.depth)
-                if begun is None:
-                    self.begun = self.images = self.images + 1
+                started = (
+                    (view.T_camera_object, IN_HAND_BOUNDS) if self.in_hand else on_table(camera, view.depth)
+                )
+                if started is None:
+                    self.started = self.images = self.images + 1
                     continue
-                T_reference_object = se3.inverse(view.T_camera_object) @ begun[0]
-                self.reconstruction = Reconstruction(camera, begun[1])
+                T_reference_object = se3.inverse(view.T_camera_object) @ started[0]
+                self.reconstruction = Reconstruction(camera, started[1])
             placed = View(view.depth, view.T_camera_object @ T_reference_object)
             self.fitted += self.reconstruction.grow(placed, estimate=self.estimate) is not None
             self.images += 1
@@ -132,22 +139,22 @@ class Run:
         from handsight.vision.reconstruction.completion import closed, one_object
 
         if self.reconstruction is None:
-            where = "in the hand" if self.held else "on a table"
-            said = f"expected an object {where}, got none in {self.images} depth images"
-            raise InvalidInput(f"recording: {said}")
+            where = "in the hand" if self.in_hand else "on a table"
+            messages = f"expected an object {where}, got none in {self.images} depth images"
+            raise InvalidInput(f"recording: {messages}")
         volume = self.reconstruction.volume
         if volume.views < LEAST_FUSED:
             raise InvalidInput(
                 f"recording: expected at least {LEAST_FUSED} views of different sides, got {volume.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted"
             )
-        surface = one_object(volume.surface(), volume, table=not self.held)
+        surface = one_object(volume.surface(), volume, table=not self.in_hand)
         if len(surface.points) < LEAST_POINTS:
             raise InvalidInput(
                 f"recording: expected a surface of at least {LEAST_POINTS} points, got {len(surface.points)} "
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
-        return closed(surface, volume, table=not self.held)
+        return closed(surface, volume, table=not self.in_hand)
 
     def progress(self) -> list[tuple[str, str]]:
         """How it goes, as names and values."""
@@ -168,9 +175,9 @@ def write(run: Run, output: Path) -> list[str]:
         output.write_bytes(content)
     size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
     views = run.reconstruction.volume.views if run.reconstruction else 0
-    said = [
-        f"{views} views fused of {run.images} depth images, {run.images - run.begun - run.fitted} did not fit"
+    messages = [
+        f"{views} views fused of {run.images} depth images, {run.images - run.started - run.fitted} did not fit"
     ]
     guessed = "; ".join(model.guesses) or "nothing"
-    said.append(f"{size} mm, {100 * model.share_measured:.0f} % of the surface seen; guessed: {guessed}")
-    return [*said, f"wrote {output}: {len(model.points)} points"]
+    messages.append(f"{size} mm, {100 * model.share_measured:.0f} % of the surface seen; guessed: {guessed}")
+    return [*messages, f"wrote {output}: {len(model.points)} points"]

@@ -126,55 +126,54 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     with open_recording(recording, found) as opened, kept_going() as end:
         for each in calibrations(views.watched(opened.observations()), tracker, tally):
             touched = each
-    seen = views.calibration()
-    if touched is None and seen is None and isinstance(end.error, HandsightError):
+    by_vision = views.calibration()
+    if touched is None and by_vision is None and isinstance(end.error, HandsightError):
         raise end.error
-    _print_calibrated(seen, touched)
-    if seen is None and views.looked_at:
-        say(f"the hand was hardly seen: {views.looked_at} pictures, {_counted(views.refusals)}")
+    _print_calibrated(by_vision, touched)
+    if by_vision is None and views.images:
+        say(f"the hand was hardly seen: {views.images} pictures, {_counted(views.refusals)}")
     for sentence in refusals(tally):
         say(sentence)
-    if end.said:
-        say(end.said)
+    if end.message:
+        say(end.message)
     if end.exit_code:
         raise typer.Exit(end.exit_code)
-    if touched is None and seen is None:
+    if touched is None and by_vision is None:
         raise InvalidInput(f"{recording}: expected an object that is held and seen, got none")
 
 
-def _print_calibrated(seen: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
+def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
     """Prints a camera's pose for the rig file, how well it is known, and from what."""
     from handsight.rig.save import pose_text
     from handsight.tracking.camera_calibration import LITTLE_TURN
 
-    calibrated = touched if seen is None else seen
+    calibrated = touched if by_vision is None else by_vision
     if calibrated is None:
         return
     typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
-    where = "object" if seen is None else "hand"
+    where = "object" if by_vision is None else "hand"
     typer.echo(
         f"# shifted by {_mm(calibrated.correction)} at the {where}, turned by {_degrees(calibrated.correction)}"
     )
     sigma = calibrated.covariance.diagonal() ** 0.5
     typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
-    if seen is not None:
-        views = (
-            f"{seen.views} of {seen.looked_at} pictures, apart by {_mm(seen.spread)}, {_degrees(seen.spread)}"
-        )
+    if by_vision is not None:
+        views = f"{by_vision.views} of {by_vision.images} pictures"
+        views += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
         typer.echo(f"# from the hand seen in {views} (root mean square)")
     if touched is None:
         return
-    if touched.turned < LITTLE_TURN and seen is None:
-        said = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
-        say(f"{said}: error and pose are hardly told apart")
-    if seen is None:
+    if touched.turned < LITTLE_TURN and by_vision is None:
+        reason = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
+        say(f"{reason}: error and pose are hardly told apart")
+    if by_vision is None:
         typer.echo("# from touch")
         return
-    shift, turn = touched.away_from(seen.T_mount_camera)
-    apart = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
+    shift, turn = touched.away_from(by_vision.T_mount_camera)
+    difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
     known = touched.covariance.diagonal() ** 0.5
     typer.echo(
-        f"# touch says {apart} from that, at the object, and knows it to ± {_mm(known)}, {_degrees(known)}"
+        f"# touch says {difference} from that, at the object, and knows it to ± {_mm(known)}, {_degrees(known)}"
     )
 
 
@@ -253,9 +252,9 @@ def _rows(rig: "Rig") -> list[tuple[str, str]]:
     ]
     c = rig.camera
     if c is not None:
-        seen = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"
+        by_vision = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"
         constant = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
-        rows += [("camera", f"fixed to the {c.on}; noise {seen}"), ("", f"constant error {constant}")]
+        rows += [("camera", f"fixed to the {c.on}; noise {by_vision}"), ("", f"constant error {constant}")]
         rows += [("", _images(c))] if c.intrinsics is not None and c.size is not None else []
     for name, array in rig.skin.items():
         size = f"{array.rows} x {array.columns} taxels, {1e3 * array.pitch:g} mm apart"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from handsight.cli.options import ObjectName
+from handsight.cli.options import ObjectName, renamed
 from handsight.cli.terminal import announce_compiling, say
 
 
@@ -18,9 +18,13 @@ def ros2_bridge(
         float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
     ] = None,
     images: Annotated[bool, typer.Option(help="Look at depth images, where the rig names some.")] = True,
-    equal: Annotated[
-        bool, typer.Option(help="Wait for messages as for a recording: 0.2 s late, the same numbers.")
+    as_recorded: Annotated[
+        bool,
+        typer.Option(
+            "--as-recorded", help="Wait for messages as for a recording: 0.2 s late, the same numbers."
+        ),
     ] = False,
+    old_equal: Annotated[bool, typer.Option("--equal", hidden=True)] = False,
     view: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser; 0: none.")
     ] = 0,
@@ -44,7 +48,8 @@ def ros2_bridge(
     from handsight.live.node import live_tracker, work
     from handsight.viewer import Viewer
 
-    live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=equal)
+    as_recorded = renamed(as_recorded, old_equal, ("--as-recorded", "--equal"))
+    live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=as_recorded)
     bridge = Bridge(live, Network(), say)
     if view:
         viewer = Viewer(live.tracker, port=view)
@@ -56,5 +61,5 @@ def ros2_bridge(
         f"the bridge is ready: it follows {live.tracker.model.name}, {len(live.subscriptions)} topics are heard"
     )
     while not ended.wait(1.0):
-        bridge.look()
+        bridge.check_network()
     worker.join(1.0)

@@ -2,12 +2,13 @@
 
 import dataclasses
 from collections.abc import Iterable
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.options import own_rig
+from handsight.cli.options import DepthCameraKind, own_rig
 from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
@@ -23,6 +24,17 @@ MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
 
+class MotionKind(StrEnum):
+    """What the simulated hand does, as `Scenario.motion` takes it."""
+
+    grasp = "grasp"
+    manipulate = "manipulate"
+    weigh = "weigh"
+    ramp = "ramp"
+    steps = "steps"
+    sine = "sine"
+
+
 def simulate(
     object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres.")],
     output: Annotated[
@@ -31,12 +43,12 @@ def simulate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
     motion: Annotated[
-        str,
+        MotionKind,
         typer.Option(
             help="grasp: close and hold; manipulate: then move, lift and turn the object; weigh: then lift and tilt "
             "it; ramp, steps, sine: then lift it, and something pulls it until it slips."
         ),
-    ] = "manipulate",
+    ] = MotionKind.manipulate,
     images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
     skin: Annotated[
         bool,
@@ -45,8 +57,8 @@ def simulate(
         ),
     ] = False,
     depth_camera: Annotated[
-        str, typer.Option(help="How the camera measures depth: structured_light, time_of_flight or stereo.")
-    ] = "structured_light",
+        DepthCameraKind, typer.Option(help="How the camera measures depth.")
+    ] = DepthCameraKind.structured_light,
     nuisance: Annotated[
         list[str] | None,
         typer.Option(
@@ -118,8 +130,8 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
         try:
             chosen = dataclasses.replace(chosen, **{name: float(value)})
         except ValueError as error:
-            said = str(error) if isinstance(error, InvalidInput) else f"expected a number, got {value!r}"
-            raise InvalidInput(f"--nuisance {name}: {said.removeprefix(f'{name}: ')}") from None
+            message = str(error) if isinstance(error, InvalidInput) else f"expected a number, got {value!r}"
+            raise InvalidInput(f"--nuisance {name}: {message.removeprefix(f'{name}: ')}") from None
     return chosen
 
 
@@ -133,17 +145,17 @@ def record(
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
-    from handsight.simulation import blind_rig, rig_of, simulate, simulate_blind
+    from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
     from handsight.simulation.pull import pulls
 
     _recordable(path)
-    rig = blind_rig(scenario) if blind else rig_of(scenario)
+    rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # The one object there is need not be named to `track`.
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
         write_rig(rig, own_rig(path))
-        for sample in simulate_blind(scenario, grasp) if blind else simulate(scenario, advance, grasp):
+        for sample in simulate_touch_search(scenario, grasp) if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
@@ -181,7 +193,7 @@ def _found(scenario: "Scenario", path: Path) -> "Grasp":
         beside = path.with_suffix(".grasp.json")
         write_grasp(found, scenario.object, beside)
         before = f" ({found.failures})" if found.failures else ""
-        end = "the last one holds" if found.held else "none holds, this one did longest"
+        end = "the last one holds" if found.succeeded else "none holds, this one did longest"
         say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
     return found.grasp
 

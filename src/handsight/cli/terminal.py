@@ -95,18 +95,18 @@ def announce_compiling() -> None:
 def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
     """A call `(share, said="")` that moves a bar on the terminal; silent where nobody looks.
 
-    `share`: of the work, 0 to 1, or None where nobody knows; `said`: how far it is, in words.
+    `share`: of the work, 0 to 1, or None where nobody knows; `message`: how far it is, in words.
     """
     if not show or not _messages().is_terminal:
-        yield lambda share, said="": None
+        yield lambda share, message="": None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.fields[said]}"), TimeRemainingColumn())
     with Progress(*columns, console=_messages(), transient=True) as progress:
-        task = progress.add_task("", total=None, said="")
-        yield lambda share, said="": progress.update(
-            task, total=None if share is None else 1.0, completed=share, said=said
+        task = progress.add_task("", total=None, message="")
+        yield lambda share, message="": progress.update(
+            task, total=None if share is None else 1.0, completed=share, message=message
         )
 
 
@@ -143,12 +143,12 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int =
     """Rows under their names, numbers on the right; the first `texts` columns are none."""
     from rich.table import Table
 
-    made = Table(**style)
+    built = Table(**style)
     for k, column in enumerate(columns):
-        made.add_column(column, justify="left" if k < texts else "right", overflow="fold")
+        built.add_column(column, justify="left" if k < texts else "right", overflow="fold")
     for row in rows:
-        made.add_row(*row)
-    return made
+        built.add_row(*row)
+    return built
 
 
 @dataclass(slots=True)
@@ -157,7 +157,7 @@ class End:
 
     exit_code: int = 0
     error: Exception | None = None
-    said: str = ""
+    message: str = ""
     """What is to be said of the error."""
 
 
@@ -173,12 +173,14 @@ def kept_going() -> Iterator[End]:
     except KeyboardInterrupt:
         end.exit_code = INTERRUPTED
     except HandsightError as error:
-        end.exit_code, end.error, end.said = exit_code(error), error, f"handsight: {error}"
+        end.exit_code, end.error, end.message = exit_code(error), error, f"handsight: {error}"
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}, line {place.lineno}"
-        said = f"handsight: ended early by what should not happen: {type(error).__name__} in {where}: {error}"
-        end.exit_code, end.error, end.said = FAILED, error, said
+        message = (
+            f"handsight: ended early by what should not happen: {type(error).__name__} in {where}: {error}"
+        )
+        end.exit_code, end.error, end.message = FAILED, error, message
 
 
 def exit_code(error: HandsightError) -> int:

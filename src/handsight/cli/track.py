@@ -11,12 +11,13 @@ from handsight.cli.options import (
     ObjectName,
     Recorded,
     RigFile,
+    renamed,
     rig_and_object,
     with_intrinsics,
     with_settings,
 )
 from handsight.cli.terminal import announce_compiling, live_rows, say
-from handsight.cli.track_summary import Run, weight_said
+from handsight.cli.track_summary import Run, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import write_errors
 
@@ -35,10 +36,11 @@ def track(
     recording: Recorded,
     rig: RigFile = None,
     object: ObjectName = None,
-    output: Annotated[
+    output_folder: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder for results; default: RECORDING-track, here."),
+        typer.Option("--output-folder", help="Folder for results; default: RECORDING-track, here."),
     ] = None,
+    old_output: Annotated[Path | None, typer.Option("--output", "-o", hidden=True)] = None,
     *,
     settings: "TrackerSettings",
 ) -> None:
@@ -54,7 +56,7 @@ def track(
     handsight simulate can --output can.mcap
     handsight track can.mcap
     handsight simulate can --images --output seen.mcap && handsight track seen.mcap
-    handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output results
+    handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output-folder results
     ```
 
     Whatever ends it early, what was tracked by then is written. The exit code is 0 only if nothing did, and there is a
@@ -62,7 +64,9 @@ def track(
     """
     announce_compiling()
     found, model = rig_and_object(recording, rig, object)
-    folder = output or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
+    if renamed(False, old_output is not None, ("--output-folder", "--output")):
+        output_folder = output_folder or old_output
+    folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
         ended = run(recording, found, model, settings, watch)
     wrote = list[str]()
@@ -70,7 +74,7 @@ def track(
         # Before anything is said: Ctrl-C while a terminal is being written to must not cost the results.
         wrote.extend(write(ended, found, model, folder))
     finally:
-        for sentence in (*ended.said, *ended.sentences(), *wrote):
+        for sentence in (*ended.messages, *ended.sentences(), *wrote):
             say(sentence)
     if code := ended.exit_code:
         raise typer.Exit(code)
@@ -88,7 +92,7 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
         ("σ", f"{1e3 * step.sigma:.1f} mm"),
         ("touching", ", ".join(step.fingers) or "nothing"),
         ("grip", grip(step.slip)),
-        ("weight", weight_said(tracker.weight, tracker.unweighed)),
+        ("weight", weight_text(tracker.weight, tracker.unweighed)),
     ]
 
 
@@ -124,7 +128,7 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
         ended.tally.answered = len(ended.steps)
         if isinstance(end.error, HandsightError) and not ended.steps:
             raise end.error
-        ended.said = [*recording.report.sentences(), *recording.lacks()]
+        ended.messages = [*recording.report.sentences(), *recording.lacks()]
         ended.truths = Truths(recording.truth)
     ended.images = tracker.images
     ended.corrections, ended.margins = tracker.corrections, tracker.link_margins

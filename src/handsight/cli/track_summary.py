@@ -31,7 +31,7 @@ class Run:
     tally: "Tally"
     truths: "Truths"
     steps: "list[Step]" = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     """What the recording has to say of itself."""
     corrections: int = 0
     reason: str = ""
@@ -102,7 +102,7 @@ class Run:
             "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "depth_images": self.images,
             "weight": None if self.weight is None else weight_numbers(self.weight),
-            "recording_says": self.said,
+            "recording_says": self.messages,
             "friction": self.friction,
             "poses_with_skin": sum(step.skin.pressed for step in self.steps),
             "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
@@ -133,12 +133,12 @@ class Run:
         lines += refusals(tally)
         lines += self._touch()
         if self.images:
-            lines.append(images_said(self.images))
+            lines.append(images_text(self.images))
         if self.margins:
             lines.append(larger_shapes(self.margins))
         if self.weight is not None:
-            lines.append(f"weight: {weight_said(self.weight)}")
-        lines += [end.said for end in self.ends if end.said]
+            lines.append(f"weight: {weight_text(self.weight)}")
+        lines += [end.message for end in self.ends if end.message]
         for name, errors in self.errors.items():
             n = errors.summary()
             lines.append(
@@ -168,15 +168,15 @@ class Run:
             )
 
 
-def weight_said(weight: "ObjectWeight | None", why: str = "") -> str:
+def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     """What an object weighs, and where its centre of mass is in it, in a line, or `why` it was not weighed."""
     if weight is None:
         return f"not weighed: {why or 'not in the air'}"
     place = ", ".join(f"{1e3 * x:.0f}" for x in weight.center_object)
     sigma = 1e3 * math.sqrt(weight.covariance.trace() / 3)
-    said = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
-    said += f"; too much read by {', '.join(weight.biased)} in the air is taken off" if weight.biased else ""
-    return f"not believed: {weight.reason} ({said})" if weight.reason else said
+    text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
+    text += f"; too much read by {', '.join(weight.biased)} in the air is taken off" if weight.biased else ""
+    return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
 def weight_numbers(weight: "ObjectWeight") -> dict[str, Any]:
@@ -198,14 +198,16 @@ def larger_shapes(margins: dict[str, float]) -> str:
     return f"shapes of the hand's file larger than the hand, inside the object though contacts fit: {by}; taken off"
 
 
-def images_said(images: dict[str, int]) -> str:
+def images_text(images: dict[str, int]) -> str:
     """A sentence of what depth images have shown."""
-    looked, seen, sought, hands = images.values()
-    return f"{looked} depth images: the object was seen in {seen}, the hand in {hands} of {sought} looked at for it"
+    searched_images, detected, sought, hands = images.values()
+    hand = f"the hand in {hands} of {sought} looked at for it"
+    return f"{searched_images} depth images: the object was seen in {detected}, {hand}"
 
 
 def refusals(tally: "Tally") -> list[str]:
     """A sentence for each of the most frequent kinds of observations that were left out."""
     return [
-        f"{count} observations left out: {said}" for said, count in tally.refused.most_common(MOST_REFUSED)
+        f"{count} observations left out: {messages}"
+        for messages, count in tally.refused.most_common(MOST_REFUSED)
     ]

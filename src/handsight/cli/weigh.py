@@ -51,8 +51,8 @@ def weigh(
         )
     center, sigma = center_of(found, model)
     place = ", ".join(f"{1e3 * x:.1f}" for x in center)
-    said = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
-    say(f"{model.name}: {said}, by {found.directions} directions of gravity")
+    text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
+    say(f"{model.name}: {text}, by {found.directions} directions of gravity")
     if sigma > WORST:
         raise InvalidInput(
             f"{recording.name}: expected a centre of mass known to {1e3 * WORST:g} mm, got {1e3 * sigma:.1f} mm: not "

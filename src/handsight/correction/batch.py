@@ -5,7 +5,7 @@ from typing import Any
 
 from handsight.contact import Contacts
 from handsight.correction.correct import correct_pose
-from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.estimate import PoseEstimate, checked_prior
 from handsight.correction.mean import with_means
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import MOST_CONTACTS, Problem, check_number
@@ -15,15 +15,15 @@ from handsight.objects import ObjectModel
 
 AT_ONCE = 4096
 """Problems solved in one call of the kernels."""
-KEYS = ("contacts", "vision", "outside", "answer", "samples", "budget", "method")
+KEYS = ("contacts", "vision", "outside", "answer", "samples", "budget", "weight", "method")
 
 
 def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstimate]:
     """The estimates of many problems of one object, in their order: `correct_pose` of each, on all cores.
 
     A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `answer`, `samples`,
-    `budget`, `method`), a pair `(contacts, vision)`, or contacts alone, which is blind. Raises InvalidInput naming the
-    problem, `problems[3].vision: ...`, before any is solved.
+    `budget`, `weight`, `method`), a pair `(contacts, vision)`, or contacts alone, which is blind. Raises InvalidInput
+    naming the problem, `problems[3].vision: ...`, before any is solved.
     """
     if not isinstance(model, ObjectModel):
         raise InvalidInput(f"model: expected an ObjectModel, got {type(model).__name__}")
@@ -65,10 +65,9 @@ def _arguments(problem: Any, name: str) -> dict[str, Any]:
     for key in given:
         if key not in KEYS:
             raise InvalidInput(f"{name}: expected {', '.join(KEYS)}, got {key!r}")
-    contacts, vision = given.get("contacts"), given.get("vision")
+    contacts = given.get("contacts")
     if not isinstance(contacts, Contacts):
         raise InvalidInput(f"{name}.contacts: expected Contacts, got {type(contacts).__name__}")
     check_number(len(contacts), MOST_CONTACTS, f"{name}.contacts", "contacts")
-    if vision is not None and not isinstance(vision, PosePrior):
-        raise InvalidInput(f"{name}.vision: expected a PosePrior or None, got {type(vision).__name__}")
+    given["vision"] = checked_prior(given.get("vision"), f"{name}.vision")
     return {key: value for key, value in given.items() if value is not None}

@@ -12,7 +12,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import outliers, paper
 from handsight.correction.budget import Budget
-from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
 from handsight.correction.footprint import less_certain, likely_starts
 from handsight.correction.mean import checked_answer, with_means
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
@@ -40,7 +40,7 @@ def correct_pose(
     model: ObjectModel,
     contacts: Contacts,
     *,
-    vision: PosePrior | None = None,
+    vision: Vision | None = None,
     outside: ArrayLike | Outside | None = None,
     answer: str = "best",
     samples: int = 0,
@@ -50,7 +50,8 @@ def correct_pose(
 ) -> PoseEstimate:
     """The object's pose in the palm that best explains the contacts and vision, with its uncertainty.
 
-    contacts: fingertip contacts in the palm frame. vision: where the object is thought to be; None: blind.
+    contacts: fingertip contacts in the palm frame. vision: the object's pose in the palm with its covariance, as a
+    `PosePrior`, a `PoseMeasurement` in the palm or a `GaussianPose`; None: without vision.
     outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
     `Outside` of such points and of planes that the object cannot cross.
     answer: "best" is the mean of a mode that is no Gaussian, such as a slide that contacts bound and do not fix, and
@@ -67,18 +68,17 @@ def correct_pose(
             "correct_pose: expected an ObjectModel and Contacts, "
             f"got {type(model).__name__} and {type(contacts).__name__}"
         )
-    if vision is not None and not isinstance(vision, PosePrior):
-        raise InvalidInput(f"vision: expected a PosePrior or None, got {type(vision).__name__}")
+    prior = checked_prior(vision)
     samples, answer = checks.integer(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     limit = Budget.of(budget)
     problem = Problem(
-        model, contacts, vision, outside_records(model, contacts, outside), _weight(weight, model)
+        model, contacts, prior, outside_records(model, contacts, outside), _weight(weight, model)
     )
     if isinstance(options, PaperMethod):
         return _by_paper(problem, options)
     solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
-    if vision is not None and isinstance(outside, Outside) and outside.skin is not None:
-        problem = replace(problem, starts=_begun(problem, options, limit))
+    if prior is not None and isinstance(outside, Outside) and outside.skin is not None:
+        problem = replace(problem, starts=_array_starts(problem, options, limit))
     estimate = solved(problem)
     estimate = estimate if problem.weight is None else _weighed(problem, estimate, solved)
     return less_certain(estimate, outside)
@@ -124,7 +124,7 @@ def refine_pose(
     return estimate if weight is None else replace(estimate, weight_fits=True)
 
 
-def _begun(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
+def _array_starts(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
     """(K, 4, 4) poses to begin from where an array of taxels says how far faces reach."""
     alone = replace(problem, outside=NO_OUTSIDE, weight=None)
     by_contacts = _solved(alone, options=options, limit=limit, answer="maximum", samples=0)

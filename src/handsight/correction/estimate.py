@@ -12,8 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.posterior.propagation import inflate
-from handsight._kernels.records import ANSWER, PRIOR
+from handsight._kernels.records import ANSWER, CONSTRAINTS
 from handsight.checks import Array
+from handsight.errors import InvalidInput
+from handsight.gaussian_pose import GaussianPose
+from handsight.observation import PoseMeasurement
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
 """(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
@@ -29,7 +32,7 @@ class PosePrior:
     covariance: Array
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) along the palm's axes."""
     record: NDArray[np.void] = field(init=False, repr=False, compare=False)
-    """(1,) the same as kernels take it."""
+    """(1,) CONSTRAINTS: the same as kernels take it, without the object's weight."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "vision.T_palm_object"))
@@ -60,11 +63,35 @@ class PosePrior:
         return cls(T, np.diag([position**2] * 3 + [rotation**2] * 3))
 
 
+Vision = PosePrior | PoseMeasurement | GaussianPose
+"""A pose from vision as corrections take it: of the object in the palm, with its covariance."""
+
+
+def checked_prior(vision: Vision | None, name: str = "vision") -> PosePrior | None:
+    """Returns the prior of a pose from vision, whatever its type; raises InvalidInput, which begins with `name`."""
+    if vision is None or isinstance(vision, PosePrior):
+        return vision
+    if isinstance(vision, GaussianPose):
+        return PosePrior(vision.T_a_b, vision.covariance)
+    if not isinstance(vision, PoseMeasurement):
+        expected = "expected a PosePrior, a PoseMeasurement or None"
+        raise InvalidInput(f"{name}: {expected}, got {type(vision).__name__}")
+    if vision.frame != "palm":
+        raise InvalidInput(
+            f"{name}.frame: expected palm, got {vision.frame}; a Tracker, whose rig has the camera, takes such poses"
+        )
+    if vision.covariance is None:
+        raise InvalidInput(f"{name}.covariance: expected (6, 6) numbers, got None")
+    return PosePrior(vision.T_frame_object, vision.covariance)
+
+
 def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
-    # Numbers of PRIOR, one after another: by their names they take three times as long. Of the weight it says nothing.
-    numbers = np.zeros(PRIOR.itemsize // 8)
+    # Numbers of CONSTRAINTS, one after another: by their names they take three times as long.
+    numbers = np.zeros(CONSTRAINTS.itemsize // 8)
     numbers[:9], numbers[9:12], numbers[12:48] = T[:3, :3].ravel(), T[:3, 3], covariance.ravel()
-    return numbers.view(PRIOR)
+    record = numbers.view(CONSTRAINTS)
+    record["has_prior"] = 1
+    return record
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight import checks
 from handsight._kernels.posterior import mean
-from handsight._kernels.solve.settings import DEPARTS, MOST_MEANS
+from handsight._kernels.posterior.options import INTEGRATION
 from handsight.correction import modes, solve
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, descents_at
@@ -25,9 +25,9 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def _departs(problem: Problem, row: np.void) -> bool:
+def _is_gaussian(problem: Problem, row: np.void) -> bool:
     """Whether a mode is answered by its mean."""
-    return bool(row["departure"] > DEPARTS and (row["complete"] or not problem.blind))
+    return bool(row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind))
 
 
 def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
@@ -37,21 +37,21 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     are not apart. Blind, a mode with a direction that is not known stays its maximum: such a slide ends nowhere, and
     several maxima along it say more than one mean.
     """
-    departs = [_departs(problem, row) for row in estimate.modes[:MOST_MEANS]]
-    if answer == "maximum" or not (answer == "mean" or any(departs)):
+    integrated = [_is_gaussian(problem, row) for row in estimate.modes[: INTEGRATION.max_modes]]
+    if answer == "maximum" or not (answer == "mean" or any(integrated)):
         return estimate
     rows = np.array(estimate.modes)
-    rows["departure"][: len(departs)][~np.array(departs)] = 0.0
+    rows["departure"][: len(integrated)][~np.array(integrated)] = 0.0
     if answer == "mean":
         rows["departure"][0] = np.inf
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(estimate.outliers)] = False
-    mean.integrate(*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside, rows)
+    mean.integrate(*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside, rows)
     if len(rows) > 1:
         rows = rows[rows["weight"] >= 0]
         order = np.argsort(-rows["log_weight"], kind="stable")
         means = descents_at(rows["T_palm_object"])
-        rows = rows[solve.distinct(problem.model, means, order, modes.MOST_MODES, modes.APART)]
+        rows = rows[solve.distinct(problem.model, means, order, modes.MOST_MODES, modes.SAME_MODE)]
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))

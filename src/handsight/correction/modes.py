@@ -9,7 +9,7 @@ from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
-APART = (0.015, float(np.deg2rad(20.0)))
+SAME_MODE = (0.015, float(np.deg2rad(20.0)))
 """Two modes are distinct when further apart than this [m] or turned by more than this [rad]."""
 MOST_MODES = 8
 ALARM = 1e-3
@@ -30,7 +30,7 @@ def in_metres(information: Array, radius: float) -> Array:
     return np.asarray(information * scale[:, None] * scale)
 
 
-def apart(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
+def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
     """Shift of the object's center [m] and turn [rad] from `T` to each of `Ts`, modulo symmetry."""
     equivalent = nearest(model.symmetries, Ts, T, model.radius)
     center = model.center_object[None]
@@ -40,7 +40,7 @@ def apart(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
 
 
 def distinct(
-    model: ObjectModel, Ts: Array, order: Indices, most: int, limits: tuple[float, float] = APART
+    model: ObjectModel, Ts: Array, order: Indices, most: int, limits: tuple[float, float] = SAME_MODE
 ) -> list[int]:
     """Indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`.
 
@@ -50,7 +50,7 @@ def distinct(
     rest = order
     while len(rest) and len(chosen) < most:
         chosen.append(int(rest[0]))
-        shift, turn = apart(model, Ts[rest], Ts[rest[0]])
+        shift, turn = pose_distances(model, Ts[rest], Ts[rest[0]])
         new = (shift > limits[0]) | (turn > limits[1])
         new[0] = False
         rest = rest[new]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks
-from handsight._kernels.records import CONTACT, DESCENT, PRIOR
+from handsight._kernels.records import CONSTRAINTS, CONTACT, DESCENT
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction.estimate import PosePrior
@@ -20,7 +20,7 @@ Records = NDArray[np.void]
 MOST_CONTACTS = 256
 """Contacts of one correction. A hand has a few dozen at most; up to here time and memory grow as their number does."""
 MOST_STARTS = 1_000_000
-NO_PRIOR = np.empty(0, dtype=PRIOR)
+NO_CONSTRAINTS = np.zeros(1, dtype=CONSTRAINTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +34,8 @@ class TwoPhase:
 
     def __post_init__(self) -> None:
         given = self.starts
-        whole = isinstance(given, int) and not isinstance(given, bool)
-        if given is not None and not (whole and 1 <= given <= MOST_STARTS):
+        is_integer = isinstance(given, int) and not isinstance(given, bool)
+        if given is not None and not (is_integer and 1 <= given <= MOST_STARTS):
             raise InvalidInput(
                 f"starts: expected a whole number from 1 to {MOST_STARTS}, got {checks.brief(given)}"
             )
@@ -63,10 +63,10 @@ class Problem:
         return self.vision is None
 
     @cached_property
-    def prior(self) -> Records:
-        """(1,) PRIOR of vision and weight, or none where there is neither."""
-        record = NO_PRIOR if self.vision is None else self.vision.record
-        return record if self.weight is None else self.weight.beside(record)
+    def constraints(self) -> Records:
+        """(1,) CONSTRAINTS: the prior and the object's weight, each if it is given."""
+        record = NO_CONSTRAINTS if self.vision is None else self.vision.record
+        return record if self.weight is None else self.weight.added_to(record)
 
     def sets(self, used: Mask) -> Records:
         """(K, n) CONTACT: the contacts once for each row of `used` (K, n)."""

@@ -34,7 +34,7 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
     T_mode, radius = estimate.T_palm_object, problem.model.radius
     axes = tangents(problem.model.symmetries, T_mode)
     directions = _directions(estimate.information, axes, radius)
-    draws = _walk(lambda poses: -solve.cost(problem, poses, used) / 2, T_mode, directions, samples)
+    draws = _metropolis(lambda poses: -solve.cost(problem, poses, used) / 2, T_mode, directions, samples)
     T = se3.moved(T_mode, draws.mean(axis=0))
     spread = np.cov(draws.T)
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
@@ -66,7 +66,9 @@ def _across(axes: Array, radius: float) -> Array:
     return np.asarray(rows[np.linalg.matrix_rank(scaled) :])
 
 
-def _walk(log_density: Callable[[Array], Array], T_mode: Array, directions: Array, samples: int) -> Array:
+def _metropolis(
+    log_density: Callable[[Array], Array], T_mode: Array, directions: Array, samples: int
+) -> Array:
     """(samples, 6) perturbations of the mode, drawn from the posterior, whose logarithm is given up to a constant."""
     rng = np.random.default_rng(0)
     chains = min(CHAINS, samples)

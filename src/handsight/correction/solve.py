@@ -9,7 +9,7 @@ import numpy as np
 from handsight._kernels import records
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
-from handsight._kernels.solve.settings import CANDIDATE_APART, WIDEST_OF_ONE
+from handsight._kernels.solve.options import SEARCH
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
@@ -41,7 +41,7 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
     # Zeros, in a fifth of the time that np.zeros takes.
     rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
     residuals, row = np.empty((len(contacts), 2)), rows[0]
-    row["prior"], row["last"] = problem.prior[0], len(contacts)
+    row["constraints"], row["last"] = problem.constraints[0], len(contacts)
     if T_start is not None:
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
@@ -58,7 +58,7 @@ def solve_batch(
     counts = np.array([len(contacts) for contacts, _ in problems])
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    rows["prior"] = np.concatenate([vision.record for _, vision in problems])
+    rows["constraints"] = np.concatenate([vision.record for _, vision in problems])
     rows["last"] = np.cumsum(counts)
     rows["first"] = rows["last"] - counts
     given = (*model.record[:2], contacts, NO_OUTSIDE)
@@ -77,12 +77,12 @@ def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstim
     """
     # One by one takes twice as long.
     width, converged, cost, coarse_cost, chi2, gain, freedom = answer[ENDED].item()
-    if not width < WIDEST_OF_ONE or not converged:
+    if not width < SEARCH.single_start_width or not converged:
         return None
     if searched:
         stands = modes.fits(cost, freedom)
     else:
-        stands = modes.beyond_doubt(cost, coarse_cost, freedom, width / WIDEST_OF_ONE)
+        stands = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
         stands = stands and modes.unsuspicious(cost, freedom, gain)
     if not stands:
         return None
@@ -135,7 +135,7 @@ def _descended(
 ) -> tuple[Records, Indices]:
     """Descents (K,), and the places among them of those that ended at a minimum of their own."""
     blocks = _blocks(starts, 2 if problem.blind else 1)
-    given = (*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside)
+    given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
     blocks = _searched(partial(search.search, *given), blocks, budget)
     descents, ends = blocks.reshape(-1), blocks.shape[2]
     return descents, ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
@@ -187,7 +187,7 @@ def _survivors(problem: Problem, descents: Records, ended: Indices) -> Indices:
     """Those of some descents that are no repeats of cheaper ones, cheapest first."""
     order = ended[np.argsort(descents["cost"][ended], kind="stable")]
     most = KEPT_BLIND if problem.blind else KEPT
-    return distinct(problem.model, descents, order, most, CANDIDATE_APART)
+    return distinct(problem.model, descents, order, most, SEARCH.same_after_coarse)
 
 
 def _weigh(problem: Problem, minima: Records, used: Mask) -> None:
@@ -198,7 +198,7 @@ def _weigh(problem: Problem, minima: Records, used: Mask) -> None:
         T_vision = problem.vision.T_palm_object
         Ts = nearest(model.symmetries, poses_of(minima), T_vision, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
-    batch.weigh(*model.record[:2], problem.sets(used), problem.prior, problem.outside, minima)
+    batch.weigh(*model.record[:2], problem.sets(used), problem.constraints, problem.outside, minima)
 
 
 def distinct(
@@ -216,7 +216,7 @@ def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
     """(n,) how much χ² falls, to first order, when each contact is left out at a minimum (1,); `used` (1, n)."""
     contacts, answers = problem.sets(used), np.zeros(1, dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = minimum["pose"], True
-    batch.summarize_all(*problem.model.record[:2], contacts, problem.prior, problem.outside, answers)
+    batch.summarize_all(*problem.model.record[:2], contacts, problem.constraints, problem.outside, answers)
     return np.where(used[0], contacts[0]["gain"], 0.0)
 
 
@@ -225,7 +225,7 @@ def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: 
     answers = np.zeros(len(descents), dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = descents["pose"], first_order
     answers["iterations"], answers["converged"] = descents["iterations"], descents["converged"]
-    given = (*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside)
+    given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
     batch.summarize_all(*given, answers)
     return answers
 
@@ -235,7 +235,7 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
-        chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.APART))
+        chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.SAME_MODE))
     answers = _summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]
@@ -264,7 +264,7 @@ def residuals(problem: Problem, minimum: Records) -> Array:
 def cost(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
     """Minus two log of the posterior density (K,) at poses (K, 4, 4), up to a constant; `used` (1, n)."""
     descents = descents_at(Ts_palm_object)
-    given = (*problem.model.record[:2], problem.sets(used), problem.prior, problem.outside)
+    given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
     batch.cost_all(*given, descents)
     return np.asarray(descents["posterior_cost"])
 
@@ -272,5 +272,5 @@ def cost(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
 def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
     """A call without arguments that runs the two phases of one problem, and nothing else, for measuring."""
     rows = np.zeros(1, dtype=records.PROBLEM)
-    rows["prior"], rows["last"] = vision.record, len(contacts)
+    rows["constraints"], rows["last"] = vision.record, len(contacts)
     return partial(batch.two_phases, *model.record[:2], contacts.record, NO_OUTSIDE, rows)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from handsight import checks, se3
-from handsight._kernels.records import PRIOR
 from handsight.checks import Array
 from handsight.correction.estimate import PoseEstimate
 from handsight.errors import InvalidInput
@@ -46,12 +45,10 @@ class WeightEvidence:
             raise InvalidInput("weight.covariance: expected a positive definite one, got a singular one")
         object.__setattr__(self, "covariance", covariance)
 
-    def beside(self, prior: "Records") -> "Records":
-        """(1,) PRIOR: this beside vision's (1,), or beside none (0,)."""
-        record = prior.copy() if len(prior) else np.zeros(1, dtype=PRIOR)
-        row = record[0]
-        row["unseen"] = not len(prior)
-        weight = row["weight"]
+    def added_to(self, constraints: "Records") -> "Records":
+        """Returns a copy of CONSTRAINTS (1,) with this evidence in it."""
+        record = constraints.copy()
+        weight = record[0]["weight"]
         weight["known"], weight["center_object"] = True, self.center_object
         weight["center_palm"], weight["information"] = self.center_palm, np.linalg.inv(self.covariance)
         return record
@@ -75,7 +72,7 @@ class WeightEvidence:
         J = np.hstack([np.eye(3), -se3.skew(arm)])
         root = np.linalg.cholesky(self.covariance)
         off = np.linalg.solve(root, T[:3, 3] + arm - self.center_palm)
-        told = np.linalg.solve(root, J)
-        values, vectors = np.linalg.eigh(np.eye(3) - told @ C @ told.T)
+        whitened = np.linalg.solve(root, J)
+        values, vectors = np.linalg.eigh(np.eye(3) - whitened @ C @ whitened.T)
         along = (vectors.T @ off) ** 2
         return bool((along / np.maximum(values, PAID)).sum() > CONTRADICTS)

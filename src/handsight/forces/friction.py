@@ -45,11 +45,11 @@ class Friction:
 
     def update(self, vectors: Mapping[str, Vector]) -> None:
         """Takes note of the ratio vectors by finger; a finger that is not among them begins elsewhere next time."""
-        felt = {name: math.hypot(*vector) for name, vector in vectors.items()}
-        if any(ratio > self._highest.get(name, 0.0) for name, ratio in felt.items()):
+        load = {name: math.hypot(*vector) for name, vector in vectors.items()}
+        if any(ratio > self._highest.get(name, 0.0) for name, ratio in load.items()):
             self._highest = {
                 **self._highest,
-                **{n: r for n, r in felt.items() if r > self._highest.get(n, 0.0)},
+                **{n: r for n, r in load.items() if r > self._highest.get(n, 0.0)},
             }
         before = self._anchors
         moved = {name: v for name, v in vectors.items() if name not in before or _has_moved(before[name], v)}
@@ -59,9 +59,9 @@ class Friction:
             if name in before:
                 self._turned(before[name], vector)
         if self._heap is not None:
-            felt_by_two = NOISE * sorted((0.0, 0.0, *self._highest.values()))[-2] / self._heap
-            agree = self._certain and felt_by_two < NEAR_HEAP
-            self.coefficient = self._heap * (1.0 if agree else min(max(felt_by_two, 1.0), ABOVE))
+            load_of_two = NOISE * sorted((0.0, 0.0, *self._highest.values()))[-2] / self._heap
+            agree = self._certain and load_of_two < NEAR_HEAP
+            self.coefficient = self._heap * (1.0 if agree else min(max(load_of_two, 1.0), ABOVE))
 
     def _turned(self, before: Vector, now: Vector) -> None:
         """Counts a move that was a turn."""

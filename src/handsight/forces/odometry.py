@@ -23,14 +23,14 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
 
     The latter as a small motion (v, ω): p creeps by v + ω × p. None where too few tips touch at both.
     """
-    held = [tip for tip in then.touched if tip in now.touched]
-    if len(held) < FEWEST:
+    gripping = [tip for tip in then.touched if tip in now.touched]
+    if len(gripping) < FEWEST:
         return None
-    points = np.array([then.touched[tip][0] for tip in held])
-    steps = now.Ts_palm_tip[held] @ se3.inverse(then.Ts_palm_tip[held])
+    points = np.array([then.touched[tip][0] for tip in gripping])
+    steps = now.Ts_palm_tip[gripping] @ se3.inverse(then.Ts_palm_tip[gripping])
     moved = (steps[:, :3, :3] @ points[:, :, None])[..., 0] + steps[:, :3, 3]
     v, w = small_motion(points, moved - points)
-    tangential = np.array([then.tangential(tip) for tip in held])
+    tangential = np.array([then.tangential(tip) for tip in gripping])
     creep = small_motion(points, tangential * (now.stamp - then.stamp))
     return se3.compose(se3.rotation_exp(w), v), np.concatenate(creep)
 

@@ -29,10 +29,10 @@ def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
     usable = (sizes > 0) & np.isfinite(sizes)
     if not usable.any():
         return None
-    said = towards[usable] / sizes[usable, None]
+    directions = towards[usable] / sizes[usable, None]
     rows = _rows(contacts.points_palm[usable] - origin, contacts.normals_palm[usable])
     scale = np.repeat([1.0, 1.0 / LENGTH], 3)
-    twist = scale * np.linalg.lstsq(rows.reshape(-1, 6) * scale, said.ravel(), rcond=1e-3)[0]
+    twist = scale * np.linalg.lstsq(rows.reshape(-1, 6) * scale, directions.ravel(), rcond=1e-3)[0]
     speed = float(np.sqrt(np.mean(np.sum((rows @ twist) ** 2, axis=1))))
     return twist / np.hypot(speed, LENGTH * np.linalg.norm(twist[3:])) if speed > STILL else None
 

@@ -22,7 +22,7 @@ FEWEST = 3
 """Observations of a mean."""
 LIGHTEST = 0.25
 """Less than this is no weight [N]."""
-APART, SAME = np.deg2rad(3.0), np.deg2rad(1.5)
+NEW_ORIENTATION, SAME = np.deg2rad(3.0), np.deg2rad(1.5)
 """Gravity must have turned in the palm by so much for another instant to be kept; one that is kept is renewed where
 gravity is as it was when that was begun."""
 STILL = 0.3, 0.5
@@ -30,7 +30,7 @@ STILL = 0.3, 0.5
 MOST_KEPT = 8
 CREEP = 5e-4
 """How fast contacts creep: sigma [m/(N s)]."""
-WALK, LOOSE = 1.5e-4, 2e-3
+CREEP_RATE, LOOSE_CREEP_RATE = 1.5e-4, 2e-3
 """What neither tips' motion nor creep tells of an object's in the palm, per axis after a second [m], it grows with the
 root of time: where at least two tips hold it, and where not."""
 SIGMA_GRAVITY = float(np.deg2rad(1.0))
@@ -154,16 +154,18 @@ class Weigher:
             return
         found, passed = moved_with_tips(last, load), max(load.stamp - last.stamp, 0.0)
         T, creep = (np.eye(4), np.zeros(6)) if found is None else found
-        walked = (LOOSE if found is None else WALK) * np.sqrt(passed)
+        creep_sigma = (LOOSE_CREEP_RATE if found is None else CREEP_RATE) * np.sqrt(passed)
         self._kept = tuple(
-            replace(kept, carried=_moved(kept.carried, T, creep, float(walked))) for kept in self._kept
+            replace(kept, carried=_moved(kept.carried, T, creep, float(creep_sigma))) for kept in self._kept
         )
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
         """Weighs by what is kept and what is new, and judges it."""
         direction = load.gravity / np.linalg.norm(load.gravity)
         now = Carried(load, np.eye(4), np.zeros(6), 0.0)
-        others = [k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > APART]
+        others = [
+            k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > NEW_ORIENTATION
+        ]
         instants = [*others, now]
         unknowns = Unknowns(root, self._biases, CREEP, self.rig.gravity, SIGMA_GRAVITY)
         found = weigh(instants, unknowns, self.weighing)
@@ -196,7 +198,7 @@ class Weigher:
         carried = Carried(load, np.eye(4), np.zeros(6), 0.0)
         angles = [_angle(kept.direction, direction) for kept in self._kept]
         near = int(np.argmin(angles)) if angles else -1
-        if near < 0 or angles[near] > APART:
+        if near < 0 or angles[near] > NEW_ORIENTATION:
             kept = self._kept if len(self._kept) < MOST_KEPT else self._kept[1:]
             self._kept = (*kept, Kept(carried, direction))
         elif angles[near] < SAME:
@@ -204,10 +206,13 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _moved(carried: Carried, T: Array, creep: Array, walked: float) -> Carried:
+def _moved(carried: Carried, T: Array, creep: Array, creep_sigma: float) -> Carried:
     """An instant after another step: T (4, 4) as the tips tell, the creep (6,), and the sigma of what they do not."""
     return Carried(
-        carried.load, T @ carried.T_now_then, carried.creep + creep, float(np.hypot(carried.sigma, walked))
+        carried.load,
+        T @ carried.T_now_then,
+        carried.creep + creep,
+        float(np.hypot(carried.sigma, creep_sigma)),
     )
 
 

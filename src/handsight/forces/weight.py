@@ -37,7 +37,7 @@ UNLIKELY, UNLIKELY_FIXED = 0.003, 0.02
 """A fit that is so unlikely is none: something else bears part of the load, or adds to it; the second of what is fixed
 in the palm, as what a link of the hand bears nearly is."""
 
-NOT_TOLD = 1e-6
+UNOBSERVABLE = 1e-6
 """In parts of what is known best: what the loads know so much less of may be anything."""
 FIXED = np.diag([1.0, 1.0, 1.0, REACH, REACH, REACH])
 """A wrench that is fixed in the palm: force [N], and torque that such a force has at `REACH`."""
@@ -166,10 +166,10 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
 
 def _chance(columns: Array, left: Array, H: Array, covariance: Array) -> float:
     """That, for nothing, (n, k) more `columns` would explain as much of what is `left` (n,) (Rao's score)."""
-    score, seen = columns.T @ left, columns.T @ H
-    values, vectors = np.linalg.eigh(columns.T @ columns - seen @ covariance @ seen.T)
-    told = values > NOT_TOLD * values[-1]
-    return float(chdtrc(told.sum(), ((vectors.T @ score)[told] ** 2 / values[told]).sum()))
+    score, normal_matrix = columns.T @ left, columns.T @ H
+    values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
+    observable = values > UNOBSERVABLE * values[-1]
+    return float(chdtrc(observable.sum(), ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()))
 
 
 def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, Array]:

@@ -37,23 +37,23 @@ class Status(NamedTuple):
 
     name: str
     level: int
-    said: str
+    text: str
     values: Mapping[str, object]
 
 
 class Template:
     """A message that is written hundreds of times a second, of which only a stamp and the numbers at its end change."""
 
-    def __init__(self, made: Answer, stamp_at: int, count: int) -> None:
+    def __init__(self, example: Answer, stamp_at: int, count: int) -> None:
         """`stamp_at`: where its stamp is, as bytes from the beginning; `count` of the numbers."""
-        self._made, self._stamp_at, self._numbers = made, stamp_at, struct.Struct(f"<{count}d")
+        self._example, self._stamp_at, self._numbers = example, stamp_at, struct.Struct(f"<{count}d")
 
     def answer(self, stamp: float, numbers: Sequence[float]) -> Answer:
         """The message of that time [s] and of those numbers; raises InvalidInput for a stamp that it cannot hold."""
-        data = bytearray(self._made.data)
+        data = bytearray(self._example.data)
         struct.pack_into("<iI", data, self._stamp_at, *split_stamp(stamp))
         self._numbers.pack_into(data, len(data) - self._numbers.size, *numbers)
-        return self._made._replace(data=bytes(data))
+        return self._example._replace(data=bytes(data))
 
 
 def pose_numbers(T: Array) -> tuple[float, ...]:
@@ -88,8 +88,8 @@ class Writer:
 
     def _pose_template(self) -> "Template":
         body = Message(pose=pose(np.eye(4)), covariance=np.zeros(36))
-        made = self.answer(POSE_TOPIC, POSE_COVARIANCE, header=self.header(0.0, self._palm), pose=body)
-        return Template(made, 4, 7 + 36)
+        example = self.answer(POSE_TOPIC, POSE_COVARIANCE, header=self.header(0.0, self._palm), pose=body)
+        return Template(example, 4, 7 + 36)
 
     def _transform_template(self) -> "Template":
         at = pose(np.eye(4))
@@ -106,7 +106,7 @@ class Writer:
             Message(
                 level=each.level,
                 name=f"handsight: {each.name}",
-                message=each.said,
+                message=each.text,
                 hardware_id="",
                 values=[Message(key=key, value=str(value)) for key, value in each.values.items()],
             )

@@ -13,7 +13,7 @@ EVERY = 1.0
 """Between two, while nothing changes [s]."""
 SOONEST = 0.1
 """Between two, if the state flickers [s]."""
-MOST_TOLD = 20
+MAX_NOTES = 20
 NOTED_FOR = 10.0
 """What was asked for is told so long [s]."""
 
@@ -26,17 +26,17 @@ class Health:
         self._stream, self._dropped = stream, dropped
         self._refusals = Counter[str]()
         self._latencies = deque[float](maxlen=500)
-        self._said: tuple[str, str] = ("", "")
-        self._told, self._notes = -EVERY, deque[tuple[float, str]](maxlen=5)
+        self._last_state: tuple[str, str] = ("", "")
+        self._published_at, self._notes = -EVERY, deque[tuple[float, str]](maxlen=5)
 
-    def noted(self, said: str) -> None:
+    def noted(self, text: str) -> None:
         """Takes note of what came of something that was asked for."""
-        self._notes.append((time.monotonic(), printable(said)))
-        self._said = ("", "")
+        self._notes.append((time.monotonic(), printable(text)))
+        self._last_state = ("", "")
 
-    def refused(self, said: str) -> None:
+    def refused(self, text: str) -> None:
         """Counts an observation that was wrong in itself."""
-        self._refusals[said if said in self._refusals or len(self._refusals) < MOST_TOLD else "others"] += 1
+        self._refusals[text if text in self._refusals or len(self._refusals) < MAX_NOTES else "others"] += 1
 
     def answered(self, seconds: float) -> None:
         """Takes note of how long a message took to be answered."""
@@ -44,11 +44,11 @@ class Health:
 
     def due(self, tracker: Tracker) -> bool:
         """Whether it is time to tell, or there is something new."""
-        now, passed = time.monotonic(), time.monotonic() - self._told
+        now, passed = time.monotonic(), time.monotonic() - self._published_at
         state = tracker.state, tracker.reason if tracker.state == "lost" else ""
-        if passed < (SOONEST if state[0] != self._said[0] else EVERY):
+        if passed < (SOONEST if state[0] != self._last_state[0] else EVERY):
             return False
-        self._told, self._said = now, state
+        self._published_at, self._last_state = now, state
         return True
 
     def statuses(self, tracker: Tracker, stream: ObservationStream) -> list[Status]:
@@ -70,7 +70,7 @@ class Health:
 
     def _of_input(self, tracker: Tracker, stream: ObservationStream) -> Status:
         now = time.monotonic()
-        said = [note for when, note in self._notes if now - when < NOTED_FOR]
+        text = [note for when, note in self._notes if now - when < NOTED_FOR]
         wrong = [
             f"{count} messages on {topic} dropped: too many came" for topic, count in self._dropped.items()
         ]
@@ -88,6 +88,6 @@ class Health:
         if latencies:
             values["answered after [ms], median"] = f"{1e3 * median(latencies):.2f}"
             values["answered after [ms], 99 %"] = f"{1e3 * latencies[int(0.99 * (len(latencies) - 1))]:.2f}"
-        values |= {f"said {k}": sentence for k, sentence in enumerate([*said, *wrong][:MOST_TOLD], start=1)}
-        first = next(iter(said + wrong), "all is heard")
+        values |= {f"said {k}": sentence for k, sentence in enumerate([*text, *wrong][:MAX_NOTES], start=1)}
+        first = next(iter(text + wrong), "all is heard")
         return Status("input", WARN if wrong else OK, first, values)

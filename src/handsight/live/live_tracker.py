@@ -131,12 +131,12 @@ class LiveTracker:
 
     def step(self, timeout: float = 0.1) -> list[Answer]:
         """What is to be published now; waits at most `timeout` [s] for something to do. From one thread."""
-        begun = self._inbox.take(max(0.0, min(timeout, self._waits_until - time.monotonic())))
+        arrived = self._inbox.take(max(0.0, min(timeout, self._waits_until - time.monotonic())))
         while self._tasks:
             self._tasks.popleft()()
         observations = list[Observation]()
         order = self._stream.order
-        for came, message in begun:
+        for came, message in arrived:
             if isinstance(order, PromptBuffer):
                 order.now = came
             observations += self._stream.put(message)
@@ -145,13 +145,13 @@ class LiveTracker:
             order.now = time.monotonic()
             if order.waits_until <= order.now:
                 observations += self._stream.ready()
-        observations += self._flush(bool(begun))
+        observations += self._flush(bool(arrived))
         self._waits_until = order.waits_until if isinstance(order, PromptBuffer) else math.inf
         answers = list[Answer]()
         for observation in self._newest(observations):
             answers += self._followed(observation)
-        if begun:
-            self._came = begun[-1][0]
+        if arrived:
+            self._came = arrived[-1][0]
         if answers:
             self.health.answered(time.monotonic() - self._came)
         if self.health.due(self.tracker):
@@ -163,7 +163,7 @@ class LiveTracker:
     def _listening(self) -> ObservationStream:
         return ObservationStream(self.rig, order=self._order)
 
-    def _begin(self, model: ObjectModel | None, start: PosePrior | None, said: str) -> "Future[str]":
+    def _begin(self, model: ObjectModel | None, start: PosePrior | None, reason: str) -> "Future[str]":
         done = Future[str]()
 
         def begin() -> None:
@@ -173,8 +173,8 @@ class LiveTracker:
             except HandsightError as error:
                 done.set_exception(error)
             else:
-                self.health.noted(said)
-                done.set_result(said)
+                self.health.noted(reason)
+                done.set_result(reason)
 
         self._tasks.append(begin)
         self._inbox.wake()
@@ -210,10 +210,10 @@ class LiveTracker:
         self.rig = replace(self.rig, camera=known)
         self._follow(self.tracker.model, None)
 
-    def _flush(self, begun: bool) -> list[Observation]:
+    def _flush(self, arrived: bool) -> list[Observation]:
         """What waits although nothing comes any more."""
         now = time.monotonic()
-        if begun:
+        if arrived:
             self._heard, self._flushed = now, False
         if self._flushed or now - self._heard < QUIET:
             return []
@@ -225,9 +225,10 @@ class LiveTracker:
         if self.equal or len(observations) < 2:
             return observations
         kept = [
-            seen
-            for seen in observations[:-1]
-            if seen.vision is not None or (seen.depth is not None and self.rig.topics.depth is not None)
+            skipped_one
+            for skipped_one in observations[:-1]
+            if skipped_one.vision is not None
+            or (skipped_one.depth is not None and self.rig.topics.depth is not None)
         ]
         self.health.skipped += len(observations) - 1 - len(kept)
         return [*kept, observations[-1]]

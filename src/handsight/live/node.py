@@ -57,14 +57,14 @@ def work(
     live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
 ) -> None:
     """Publishes what is answered until it is the end, and says each change of state; the end is told if it fails."""
-    said = ""
+    state = ""
     try:
         while not ended.is_set():
             for answer in live.step(0.05):
                 publish(answer)
-            if live.tracker.state != said:
-                said = live.tracker.state
-                say(f"{said} {live.tracker.reason}".rstrip())
+            if live.tracker.state != state:
+                state = live.tracker.state
+                say(f"{state} {live.tracker.reason}".rstrip())
     finally:
         ended.set()
 
@@ -81,12 +81,12 @@ class PublishedTypes:
     """Has types named that are published but not expected, where a transport keeps their messages to itself."""
 
     def __init__(self, live: LiveTracker) -> None:
-        self._live, self._told = live, set[tuple[str, str]]()
+        self._live, self._reported = live, set[tuple[str, str]]()
 
-    def seen(self, topic: str, kind: str) -> None:
+    def on_topic(self, topic: str, kind: str) -> None:
         """Takes note that messages of that type, `package/msg/Name`, are published on the topic."""
         expected = self._live.subscriptions.get(topic)
-        if expected is None or topic in ASKED or kind in expected or (topic, kind) in self._told:
+        if expected is None or topic in ASKED or kind in expected or (topic, kind) in self._reported:
             return
-        self._told.add((topic, kind))
+        self._reported.add((topic, kind))
         self._live.put(RawMessage(topic, kind, "cdr", time.time(), b""))

@@ -48,10 +48,10 @@ def asked_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> Po
     found = decode(message, topic, rig.frames, FastReaders())
     if not found:
         raise InvalidInput(next(iter(topic.reasons), "expected a pose"))
-    seen: PoseMeasurement = found[0].value
-    T, on = seen.T_frame_object, seen.frame
+    pose: PoseMeasurement = found[0].value
+    T, on = pose.T_frame_object, pose.frame
     T_mount_frame = np.eye(4)
-    if seen.frame == "camera":
+    if pose.frame == "camera":
         if rig.camera is None:
             raise InvalidInput("expected a pose in the palm or the world (the rig has no camera)")
         T_mount_frame, on = rig.camera.T_mount_camera, rig.camera.on
@@ -60,9 +60,9 @@ def asked_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> Po
             raise InvalidInput("expected a pose in the palm, as the palm's pose in the world is not known")
         T_mount_frame = se3.inverse(T_world_palm) @ T_mount_frame
     T = T_mount_frame @ T
-    if seen.covariance is None:
+    if pose.covariance is None:
         return PosePrior.from_sigmas(T, *SIGMAS)
-    return PosePrior(T, se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance))
+    return PosePrior(T, se3.rotate_covariance(T_mount_frame[:3, :3], pose.covariance))
 
 
 def model_named(name: str, rig: Rig) -> ObjectModel:

@@ -131,9 +131,9 @@ class ObservationAssembler:
     def _contacts_at(self, stamp: float) -> dict[str, ContactMeasurement | None]:
         found = {}
         for finger in self._rig.topics.contacts:
-            said = self._contacts.get(finger)
-            if said is not None and stamp - said.stamp <= MAX_AGE_WRENCH:
-                found[finger] = said.value
+            latest = self._contacts.get(finger)
+            if latest is not None and stamp - latest.stamp <= MAX_AGE_WRENCH:
+                found[finger] = latest.value
             else:
                 self._report.without[finger] += 1
         return found
@@ -141,9 +141,9 @@ class ObservationAssembler:
     def _skin_at(self, stamp: float) -> dict[str, Array]:
         found = {}
         for array in self._rig.topics.skin:
-            said = self._skin.get(array)
-            if said is not None and stamp - said.stamp <= MAX_AGE_WRENCH:
-                found[array] = said.value
+            latest = self._skin.get(array)
+            if latest is not None and stamp - latest.stamp <= MAX_AGE_WRENCH:
+                found[array] = latest.value
             else:
                 self._report.without_skin[array] += 1
         return found

@@ -36,8 +36,8 @@ class Clocks:
         self._joint_offsets: deque[float] = deque(maxlen=15)
         self._joints_at = -float("inf")
         """When the last joint states came [s]."""
-        self._begun: deque[Measurement] | None = deque()
-        self._begun_bytes = 0
+        self._waiting: deque[Measurement] | None = deque()
+        self._waiting_bytes = 0
         self._first_joints: Measurement | None = None
         self.least = self.most = 0.0
         """Of the differences of offset that were left as they are [s]."""
@@ -47,19 +47,19 @@ class Clocks:
 
         None before the first second of joint states is over, as far as memory reaches; then each at once.
         """
-        if self._begun is None:
+        if self._waiting is None:
             return (self._aligned(measurement),)
-        self._begun.append(measurement)
-        self._begun_bytes += measurement.size
-        full = self._begun_bytes > MAX_WAITING_BYTES or len(self._begun) > MAX_WAITING
+        self._waiting.append(measurement)
+        self._waiting_bytes += measurement.size
+        full = self._waiting_bytes > MAX_WAITING_BYTES or len(self._waiting) > MAX_WAITING
         is_joints = measurement.topic.role == "joints"
         if self._first_joints is None and is_joints:
             self._first_joints = measurement
         first = self._first_joints
         if first is None:
             if full:
-                oldest = self._begun.popleft()
-                self._begun_bytes -= oldest.size
+                oldest = self._waiting.popleft()
+                self._waiting_bytes -= oldest.size
                 oldest.topic.stale += 1
             return ()
         over = measurement.log_time > first.log_time + COMPARED
@@ -72,11 +72,11 @@ class Clocks:
 
     def finish(self) -> list[Measurement]:
         """Those that wait, as `put`: nothing more comes in the first second."""
-        begun, self._begun = self._begun or (), None
-        topics = {each.topic.name: each.topic for each in begun}
+        waiting, self._waiting = self._waiting or (), None
+        topics = {each.topic.name: each.topic for each in waiting}
         for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
-            self._learn([each for each in begun if each.topic is topic])
-        return [self._aligned(measurement) for measurement in begun]
+            self._learn([each for each in waiting if each.topic is topic])
+        return [self._aligned(measurement) for measurement in waiting]
 
     def _aligned(self, measurement: Measurement) -> Measurement:
         topic = measurement.topic

@@ -128,8 +128,8 @@ def _deserialized(raw: RawMessage) -> Any:
     try:
         return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
-        said = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
-        raise MessageRejected(said) from None
+        message = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
+        raise MessageRejected(message) from None
 
 
 @lru_cache

@@ -10,7 +10,7 @@ from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
 from handsight.messages.units import Units
 from handsight.rig import Rig
 
-MAX_TOLD = 12
+MAX_SENTENCES = 12
 """Sentences of one kind."""
 
 
@@ -44,38 +44,40 @@ class Report:
 
     def sentences(self) -> list[str]:
         """All that is worth telling a user, worst first; empty: nothing is wrong."""
-        said = []
+        messages = []
         if self.backwards:
             count, far, stamp = self.backwards
-            said.append(
+            messages.append(
                 f"{self.joint_states}: stamps went back {count} times, by up to {far:.3f} s, first from {stamp:.3f} s "
                 "(played in a loop, or a clock that was set back?): a new track each time"
             )
-        said += few([f"finger {finger}: {what}" for finger, what in self.fingers.items()])
-        said += [] if self.units is None else self.units.sentences()
+        messages += few([f"finger {finger}: {what}" for finger, what in self.fingers.items()])
+        messages += [] if self.units is None else self.units.sentences()
         for topic in self.topics.values():
-            said += topic.sentences()
+            messages += topic.sentences()
         joints = self.topics.get(self.joint_states)
         if joints is not None and joints.gaps:
-            said.append(
+            messages.append(
                 f"{joints.name}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
             )
         of = f"of {self.observations} observations"
-        said += few([f"finger {finger}: no wrench in {count} {of}" for finger, count in self.without.items()])
-        said += few(
+        messages += few(
+            [f"finger {finger}: no wrench in {count} {of}" for finger, count in self.without.items()]
+        )
+        messages += few(
             [f"skin {array}: no reading in {count} {of}" for array, count in self.without_skin.items()]
         )
         others = sorted(name for name, kind in self.others.items() if kind == WRENCH)
-        return [printable(each) for each in said] + few(
+        return [printable(each) for each in messages] + few(
             [f"{name}: wrenches of no finger of the rig; not used" for name in others]
         )
 
 
 def few(sentences: list[str]) -> list[str]:
     """The first of many sentences of one kind, each in a line, and how many more there are."""
-    more = len(sentences) - MAX_TOLD
-    said = [printable(each) for each in sentences[:MAX_TOLD]]
-    return [*said, f"and {more} more like that"] if more > 0 else said
+    more = len(sentences) - MAX_SENTENCES
+    messages = [printable(each) for each in sentences[:MAX_SENTENCES]]
+    return [*messages, f"and {more} more like that"] if more > 0 else messages
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
@@ -127,8 +129,8 @@ def _missing_frames(rig: Rig, report: Report, topic: str, frames: set[str]) -> l
     if not report.placed:
         return [f"no transforms that lead from {world!r} to {palm!r} on {topic}"]
     absent = report.observations - report.placed
-    said = f"no transform from {world!r} to {palm!r} in {absent} of {report.observations} observations"
-    return [said] if absent else []
+    messages = f"no transform from {world!r} to {palm!r} in {absent} of {report.observations} observations"
+    return [messages] if absent else []
 
 
 def _nearest(name: str, there: Iterable[str]) -> str:

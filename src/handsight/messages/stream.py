@@ -112,17 +112,27 @@ class ObservationStream:
         return lacking + self._of_other_sizes()
 
     def _of_other_sizes(self) -> list[str]:
-        topics, camera, told = self._rig.topics, self._rig.camera, self.intrinsics
+        topics, camera, intrinsics = self._rig.topics, self._rig.camera, self.intrinsics
         of_rig = None if camera is None else camera.size
         pairs = (
-            (f"depth images on {topics.depth}", self._depth_size, told and told.size, "CameraInfo says"),
             (
                 f"depth images on {topics.depth}",
                 self._depth_size,
-                None if told else of_rig,
+                intrinsics and intrinsics.size,
+                "CameraInfo says",
+            ),
+            (
+                f"depth images on {topics.depth}",
+                self._depth_size,
+                None if intrinsics else of_rig,
                 "the rig's camera has",
             ),
-            (f"camera info on {topics.camera_info}", told and told.size, of_rig, "the rig's camera has"),
+            (
+                f"camera info on {topics.camera_info}",
+                intrinsics and intrinsics.size,
+                of_rig,
+                "the rig's camera has",
+            ),
         )
         return [
             f"{what}: expected {expected[0]} x {expected[1]} pixels as {who}, got {came[0]} x {came[1]}"

@@ -110,14 +110,14 @@ class TopicReport:
 
     def sentences(self) -> Iterator[str]:
         """What of this topic is worth telling."""
-        for count, said in (
+        for count, sentence in (
             (self.duplicated, "came twice with one stamp and were used once"),
             (self.late, "came too late to be put in order of stamp and were left out"),
             (self.stale, "were too old when the next joint states came and were left out"),
             *((count, f"left out: {reason}") for reason, count in self.reasons.items()),
         ):
             if count:
-                yield f"{self.name}: {count} of {self.messages} messages {said}"
+                yield f"{self.name}: {count} of {self.messages} messages {sentence}"
         if self.unstamped:
             yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
         if abs(self.difference) > MAX_QUIET_DIFFERENCE:

@@ -39,25 +39,25 @@ class Units:
             force = hypot(*wrench[:3].tolist())
             if force > STRONG:
                 self._note(f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)")
-        seen = observation.vision
-        if seen is not None and seen.frame != "world":
-            distance = float(np.linalg.norm(seen.T_frame_object[:3, 3]))
+        vision = observation.vision
+        if vision is not None and vision.frame != "world":
+            distance = float(np.linalg.norm(vision.T_frame_object[:3, 3]))
             if distance > FAR:
-                said = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
-                self._note(f"{self._rig.topics.vision}: poses", distance, said)
+                text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
+                self._note(f"{self._rig.topics.vision}: poses", distance, text)
 
     def _joint(self, name: str, value: float) -> None:
         limit, degrees = self._limits[name], np.deg2rad(value)
         meant = (
             f"degrees? {degrees:.3g} rad" if degrees <= 2 * limit else f"{1e-3 * value:.3g} in thousandths?"
         )
-        said = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
-        self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, said)
+        text = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
+        self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, text)
 
-    def _note(self, what: str, value: float, said: str) -> None:
+    def _note(self, what: str, value: float, text: str) -> None:
         self._beyond[what] += 1
         if value > self._largest.get(what, (0.0, ""))[0]:
-            self._largest[what] = value, said
+            self._largest[what] = value, text
 
     def sentences(self) -> list[str]:
         """What was beyond often; empty: nothing."""

@@ -28,7 +28,7 @@ KEPT = 200
 """Files; the oldest go first."""
 MOST = 10 * LARGEST**2
 """No number of an object is as large, in metres, square metres or radians."""
-LOOKS = "what objects look like"
+APPEARANCES = "what objects look like"
 _warned: set[str] = set()
 T = TypeVar("T")
 
@@ -64,7 +64,7 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
         "field",
         "distance fields",
         _loaded,
-        lambda made: msgspec.msgpack.encode(made, enc_hook=_packed),
+        lambda built: msgspec.msgpack.encode(built, enc_hook=_packed),
         ".msgpack",
     )
     return _remembered(kind, name, compute)
@@ -81,7 +81,7 @@ def remembered_bits(
             raise ValueError("not as many bits")
         return np.unpackbits(packed, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
 
-    kind = _Kind("bits", LOOKS, load, lambda bits: np.packbits(bits).tobytes())
+    kind = _Kind("bits", APPEARANCES, load, lambda bits: np.packbits(bits).tobytes())
     return _remembered(kind, name, compute)
 
 
@@ -97,20 +97,20 @@ def remembered_numbers(
             raise ValueError("not such numbers")
         return numbers.copy()
 
-    return _remembered(_Kind("numbers", LOOKS, load, lambda numbers: numbers.tobytes()), name, compute)
+    return _remembered(_Kind("numbers", APPEARANCES, load, lambda numbers: numbers.tobytes()), name, compute)
 
 
 def _remembered(kind: "_Kind[T]", name: str, compute: Callable[[], T]) -> T:
     path = cache_folder() / f"{kind.prefix}-{name}{kind.suffix}"
     with contextlib.suppress(Exception):  # whatever is wrong with a file, it can be made again
         return kind.load(read_entry(path, name))
-    made = compute()
+    built = compute()
     try:
-        write_entry(path, name, kind.content(made))
+        write_entry(path, name, kind.content(built))
         _forget_oldest(path.parent, f"{kind.prefix}-*")
     except OSError as error:
         _tell(path.parent, f"{kind.what} cannot be cached there ({error.strerror or error})")
-    return made
+    return built
 
 
 def _tell(folder: Path, why: str) -> None:

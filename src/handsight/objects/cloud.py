@@ -38,7 +38,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     points, normals, remarks = _distinct(points, normals)
     scan = scanned(points, normals, diameter(points))
     if scan is not None:
-        points, normals = scan.surface.settled()
+        points, normals = scan.surface.converged()
     tree = cKDTree(points)
     if normals is None:
         normals = estimated_normals(points, tree)

@@ -81,8 +81,8 @@ class OpenDistances:
         middles, to_rim, spacing = self._middles
         away, normals = nodes - middles[nearest], self.cloud.normals[nearest]
         height = np.einsum("ni,ni->n", away, normals)
-        aside = np.linalg.norm(away - height[:, None] * normals, axis=1)
-        return _faded((aside - to_rim[nearest]) / spacing[nearest], OVER, BESIDE)
+        lateral = np.linalg.norm(away - height[:, None] * normals, axis=1)
+        return _faded((lateral - to_rim[nearest]) / spacing[nearest], OVER, BESIDE)
 
     @cached_property
     def _middles(self) -> tuple[Array, Array, Array]:

@@ -238,7 +238,7 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
     return cloud_geometry(points, normals)
 
 
-def _with_told(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
+def _with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
     from handsight.objects.scans.declared_noise import with_declared_noise
 
     return with_declared_noise(geometry, points, sigmas)
@@ -252,7 +252,7 @@ def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
         if shape.faces is None:
             geometry = _of_points(*_checked_points(points, shape.normals))
             if shape.sigmas is not None:
-                geometry = _with_told(geometry, points, scale * shape.sigmas)
+                geometry = _with_declared_noise(geometry, points, scale * shape.sigmas)
         else:
             geometry = _of_mesh(_checked_mesh(points, shape.faces))
     except (InvalidObject, InvalidInput) as error:

@@ -11,7 +11,7 @@ from handsight.errors import InvalidObject
 
 SMALLEST, LARGEST = 1e-6, 1e6
 """Sizes outside these [m] are refused."""
-MOST_COMPARED = 2000
+MOST_COMPARED, FEW_COMPARED = 2000, 512
 """Points whose distances are all taken."""
 LARGEST_HOLE = 0.25
 """A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
@@ -151,7 +151,10 @@ def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
 
 def diameter(points: Array) -> float:
     """The largest distance between two of the points (n, 3) [m]."""
-    from scipy.spatial import ConvexHull, QhullError  # an object from the cache needs no scipy
+    if len(points) <= FEW_COMPARED:  # SciPy takes half a second to load, which a box should not wait for
+        x, y, z = points.T[:, :, None] - points.T[:, None, :]
+        return float(np.sqrt((x * x + y * y + z * z).max()))
+    from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist
 
     if len(points) > MOST_COMPARED:

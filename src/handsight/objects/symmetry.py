@@ -107,12 +107,12 @@ def _spun(T: Array, T_reference: Array, line: tuple[Array, Array], radius: float
     # Spin quaternion times q has real part hypot(w, along) cos(angle / 2 + atan2(along, w)).
     share = np.hypot(w, along)
     by_rotation = np.where(share > 1e-12, -2 * np.arctan2(along, w), 0.0)
-    foot = point - (point @ axis) * axis
-    if np.linalg.norm(foot) > 1e-12 * radius:
+    nearest_to_origin = point - (point @ axis) * axis
+    if np.linalg.norm(nearest_to_origin) > 1e-12 * radius:
         # The origin circles the axis: pᵤ = p + R (point - exp(angle axis) point).
-        middle = T[..., :3, 3] + R @ foot - T_reference[..., :3, 3]
+        middle = T[..., :3, 3] + R @ nearest_to_origin - T_reference[..., :3, 3]
         target = (middle[..., None, :] @ R)[..., 0, :]
-        cosine, sine = target @ foot, target @ np.cross(axis, foot)
+        cosine, sine = target @ nearest_to_origin, target @ np.cross(axis, nearest_to_origin)
         pull = np.hypot(cosine, sine) / radius**2
         by_place = np.arctan2(sine, cosine)
         by_rotation = _best_angle(by_rotation, share, by_place, pull)

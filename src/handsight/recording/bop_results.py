@@ -57,7 +57,7 @@ def _result(row: list[str]) -> BopResult:
     """Of one row; raises ValueError or InvalidInput."""
     if len(row) != len(COLUMNS):
         raise ValueError(f"expected {len(COLUMNS)} columns, {','.join(COLUMNS)}, got {len(row)}")
-    scene, image, thing = (_whole(cell, name) for cell, name in zip(row, COLUMNS[:3], strict=False))
+    scene, image, thing = (_integer(cell, name) for cell, name in zip(row, COLUMNS[:3], strict=False))
     score, seconds = (float(_numbers(row[k], COLUMNS[k], 1)[0]) for k in (3, 6))
     R, t = (_numbers(row[k], COLUMNS[k], count) for k, count in ((4, 9), (5, 3)))
     if np.abs(R).max() > 2:
@@ -81,7 +81,7 @@ def _numbers(cell: str, name: str, count: int) -> Array:
     return values
 
 
-def _whole(cell: str, name: str) -> int:
+def _integer(cell: str, name: str) -> int:
     try:
         return int(cell)
     except ValueError:

@@ -99,8 +99,8 @@ def _frame(file: Path, number: tuple[int, int], of: ImageCamera, beside: Beside)
     try:
         camera = _camera(of.cam_K, (width, height))
     except InvalidInput as error:
-        said = str(error).removeprefix("matrix: ")
-        raise InvalidFile(f"{scene / CAMERAS}: {number[1]}.cam_K: {said}") from None
+        message = str(error).removeprefix("matrix: ")
+        raise InvalidFile(f"{scene / CAMERAS}: {number[1]}.cam_K: {message}") from None
     color = color_beside(scene, file.stem, COLORS)
     return Frame(
         name=f"{scene.name}/{file.stem}",

@@ -135,22 +135,22 @@ class ChunkedSource(Source):
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.stored`, as far as MAX_WAITING_BYTES reaches."""
         self._budget = Budget(len(self.data))
-        runs, held, order = list[Run](), 0, count()
+        runs, buffered, order = list[Run](), 0, count()
         for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
-            stop = math.inf if chunk is None or held > MAX_WAITING_BYTES else seconds(chunk.start)
+            stop = math.inf if chunk is None or buffered > MAX_WAITING_BYTES else seconds(chunk.start)
             while runs and runs[0].head < stop:
                 run = heappop(runs)
                 yield from _released(run.waiting, min(stop, runs[0].head if runs else math.inf))
                 if run.waiting:
                     heappush(runs, run._replace(head=run.waiting[-1].log_time))
                 else:
-                    held -= run.size
+                    buffered -= run.size
             if chunk is not None and (found := self._read(wanted, chunk)):
                 found.reverse()  # what is first can be taken off the end, and of equal times stays first
                 found.sort(key=lambda raw: raw.log_time, reverse=True)
                 size = sum(len(raw.data) + OVERHEAD for raw in found)
                 heappush(runs, Run(found[-1].log_time, next(order), found, size))
-                held += size
+                buffered += size
 
     def _read(self, wanted: Collection[str], chunk: Chunk) -> list[RawMessage]:
         if (spent := self._budget.spent(chunk)) is not None:

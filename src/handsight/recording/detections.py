@@ -35,11 +35,11 @@ class Located:
     @property
     def reason(self) -> str | None:
         """Why it is not there, with the median depth, which tells a wrong unit; None: it is there."""
-        said = (self.recognition or self.found).reason
+        fields = (self.recognition or self.found).reason
         depth = self.frame.depth
-        if said is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
-            return said
-        return f"{said} (median depth {np.median(known):.2f} m)"
+        if fields is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
+            return fields
+        return f"{fields} (median depth {np.median(known):.2f} m)"
 
     @property
     def name(self) -> str | None:
@@ -49,22 +49,22 @@ class Located:
     @property
     def explained(self) -> float:
         """Of the pixels that should be the object's those that are, 0 to 1."""
-        look = self.found.looks[0]
-        return float(np.clip(look["explained"] / max(look["expected"], 1.0), 0, 1))
+        candidate = self.found.candidates[0]
+        return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
 def answer(located: Located) -> dict[str, Any]:
     """The answer as JSON has it; poses are T_camera_object, in the camera's optical frame."""
     frame, found = located.frame, located.found
-    said: dict[str, Any] = {"frame": frame.name}
+    fields: dict[str, Any] = {"frame": frame.name}
     if frame.number is not None:
-        said |= dict(zip(("scene_id", "im_id"), frame.number, strict=True))
+        fields |= dict(zip(("scene_id", "im_id"), frame.number, strict=True))
     reason = located.reason
-    said |= {"object": located.name, "found": reason is None}
+    fields |= {"object": located.name, "found": reason is None}
     if located.recognition is not None:
-        said |= {"scores": located.recognition.scores, "none": located.recognition.none}
+        fields |= {"scores": located.recognition.scores, "none": located.recognition.none}
     if reason is not None:
-        return said | {"reason": reason, "seconds": located.seconds}
+        return fields | {"reason": reason, "seconds": located.seconds}
     poses = [
         {**_pose(T), "covariance": covariance.tolist(), "weight": float(weight)}
         for T, covariance, weight in zip(
@@ -73,13 +73,13 @@ def answer(located: Located) -> dict[str, Any]:
     ]
     best = {key: value for key, value in poses[0].items() if key != "weight"}
     of_best = {"probability": found.probability, "explained": located.explained}
-    return said | best | of_best | {"hypotheses": poses, "seconds": located.seconds}
+    return fields | best | of_best | {"hypotheses": poses, "seconds": located.seconds}
 
 
 def json_line(row: Located | Unread) -> str:
     """A line of JSON, without its end; `{"frame": ..., "error": ...}` of a picture that cannot be read."""
-    said = {"frame": row.name, "error": row.said} if isinstance(row, Unread) else answer(row)
-    return json.dumps(said, allow_nan=False)
+    fields = {"frame": row.name, "error": row.reason} if isinstance(row, Unread) else answer(row)
+    return json.dumps(fields, allow_nan=False)
 
 
 def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:

@@ -40,7 +40,7 @@ class Unread(NamedTuple):
     """A picture that cannot be read."""
 
     name: str
-    said: str
+    reason: str
     """Which file, what was expected, what came."""
 
 

@@ -17,7 +17,7 @@ from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
 from handsight.vision import PinholeCamera
 from handsight.vision.reconstruction.reconstruct import View, within
-from handsight.vision.reconstruction.segmentation import HELD_BOUNDS, LEAST_PIXELS, Held
+from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, LEAST_PIXELS, InHandView
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
@@ -27,13 +27,13 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamer
     if the camera's place against the object follows from it, are passed over.
     """
     pixels = HandPixels(rig)
-    for seen in observations:
-        if seen.depth is None:
+    for observation in observations:
+        if observation.depth is None:
             continue
-        depth = camera.check_depth(seen.depth)
+        depth = camera.check_depth(observation.depth)
         depth = np.where(depth > 0, depth, 0).astype(np.float32)
-        hand = pixels.mask(camera, depth, seen)
-        T = _world(rig, seen)
+        hand = pixels.mask(camera, depth, observation)
+        T = _world(rig, observation)
         if T is None and rig.camera is not None and rig.world_from is not None:
             continue
         if hand is not None:
@@ -50,35 +50,37 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Pinhole
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, to tell where the hand is, got none")
-    pixels, held = HandPixels(rig), Held(rig.hand, rig.sigma_joint_offset)
+    pixels, in_hand = HandPixels(rig), InHandView(rig.hand, rig.sigma_joint_offset)
     T_palm_object: Array | None = None
-    for seen in observations:
-        joints = seen.joint_positions
-        if seen.depth is None or joints is None or not held.tells(joints):
+    for observation in observations:
+        joints = observation.joint_positions
+        if observation.depth is None or joints is None or not in_hand.tells(joints):
             continue
-        depth = camera.check_depth(seen.depth)
+        depth = camera.check_depth(observation.depth)
         depth = np.where(depth > 0, depth, 0).astype(np.float32)
-        T = pixels.palm(camera, depth, seen)
+        T = pixels.palm(camera, depth, observation)
         if T is None:
             continue
         T_camera_object = T @ (
-            se3.compose(np.eye(3), held.middle(joints)) if T_palm_object is None else T_palm_object
+            se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
         )
-        view = View(held.without_hand(camera, depth, joints, T), T_camera_object)
-        if within(camera, view, HELD_BOUNDS).sum() < LEAST_PIXELS:
+        view = View(in_hand.without_hand(camera, depth, joints, T), T_camera_object)
+        if within(camera, view, IN_HAND_BOUNDS).sum() < LEAST_PIXELS:
             continue
         T_palm_object = se3.inverse(T) @ T_camera_object
         yield view
 
 
-def _world(rig: Rig, seen: Observation) -> Array | None:
+def _world(rig: Rig, observation: Observation) -> Array | None:
     """T_camera_world (4, 4) by the camera's calibration; None where it does not tell."""
     if rig.camera is None:
         return None
     T_camera_mount = se3.inverse(rig.camera.T_mount_camera)
     if rig.camera.on == "world":
         return T_camera_mount
-    return None if seen.T_world_palm is None else T_camera_mount @ se3.inverse(seen.T_world_palm)
+    return (
+        None if observation.T_world_palm is None else T_camera_mount @ se3.inverse(observation.T_world_palm)
+    )
 
 
 def camera_of(rig: Rig, intrinsics: tuple[Array, tuple[int, int], Array] | None) -> PinholeCamera:

@@ -24,7 +24,7 @@ MAX_METADATA = 1 << 20
 EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
 MAX_NAMED = 12
 """Topics in a message."""
-MAX_DAMAGE_TOLD = 5
+MAX_DAMAGE_SENTENCES = 5
 
 
 def open_recording(path: str | Path, rig: Rig) -> "Recording":
@@ -50,15 +50,17 @@ class RecordingReport(Report):
 
     def sentences(self) -> list[str]:
         """All that is worth telling a user, worst first; empty: nothing is wrong."""
-        said, damage = list[str](), list[str]()
+        messages, damage = list[str](), list[str]()
         for file in self.files:
             if file.truncated:
-                said.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
+                messages.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
             damage += [f"{file.path}: damaged: {what}" for _, what in sorted(file.damage.items())]
-        said = [printable(each) for each in said + damage[:MAX_DAMAGE_TOLD]]
-        if len(damage) > MAX_DAMAGE_TOLD:
-            said.append(f"{self.files[0].path}: damaged in {len(damage) - MAX_DAMAGE_TOLD} more places")
-        return said + Report.sentences(self)  # a dataclass with slots knows no bare super()
+        messages = [printable(each) for each in messages + damage[:MAX_DAMAGE_SENTENCES]]
+        if len(damage) > MAX_DAMAGE_SENTENCES:
+            messages.append(
+                f"{self.files[0].path}: damaged in {len(damage) - MAX_DAMAGE_SENTENCES} more places"
+            )
+        return messages + Report.sentences(self)  # a dataclass with slots knows no bare super()
 
 
 class Recording:

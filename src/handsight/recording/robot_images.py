@@ -39,49 +39,49 @@ class HandPixels:
         """A camera that is calibrated as well as the rig says."""
         self._rig, self._hand = rig, HandInImage(rig)
         # Of the palm in the camera, as constant as the calibration's error.
-        self._T_seen_believed: Array | None = None
+        self._T_measured_believed: Array | None = None
 
-    def mask(self, camera: PinholeCamera, depth: Depth, seen: Observation) -> Mask | None:
+    def mask(self, camera: PinholeCamera, depth: Depth, detected: Observation) -> Mask | None:
         """(h, w); None where nobody knows of a hand."""
-        T_camera_palm = self.palm(camera, depth, seen)
+        T_camera_palm = self.palm(camera, depth, detected)
         if T_camera_palm is None:
             return None
-        return self._hand.mask(camera, depth, seen.joint_positions, T_camera_palm)
+        return self._hand.mask(camera, depth, detected.joint_positions, T_camera_palm)
 
-    def palm(self, camera: PinholeCamera, depth: Depth, seen: Observation) -> Array | None:
+    def palm(self, camera: PinholeCamera, depth: Depth, detected: Observation) -> Array | None:
         """T_camera_palm (4, 4) as the hand is seen; else as believed, by what it was off when it was last seen."""
-        believed, joints, of = believed_palm(self._rig, seen), seen.joint_positions, self._rig.camera
+        believed, joints, of = believed_palm(self._rig, detected), detected.joint_positions, self._rig.camera
         if believed is None or of is None:
             return None
-        last = self._T_seen_believed
+        last = self._T_measured_believed
         off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
         near = believed if last is None else last @ believed
-        look = self._hand.seen if last is None else self._hand.followed
-        found = look(camera, depth, joints, near, off) if min(off) > 0 else None
+        detect = self._hand.detected if last is None else self._hand.followed
+        found = detect(camera, depth, joints, near, off) if min(off) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
-            self._T_seen_believed = near @ se3.inverse(believed)
+            self._T_measured_believed = near @ se3.inverse(believed)
         return near
 
 
 def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
     pixels, camera = HandPixels(rig), None
     with open_recording(path, rig) as recording:
-        for seen in recording.observations():
-            if seen.depth is None:
+        for detected in recording.observations():
+            if detected.depth is None:
                 continue
             camera = camera or _camera(recording, rig)
-            if seen.depth.shape != camera.size[::-1]:
-                (width, height), (h, w) = camera.size, seen.depth.shape
-                said = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
-                raise InvalidFile(f"{path}: {said}")
-            alike = seen.color is not None and seen.color.shape[:2] == seen.depth.shape
+            if detected.depth.shape != camera.size[::-1]:
+                (width, height), (h, w) = camera.size, detected.depth.shape
+                message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
+                raise InvalidFile(f"{path}: {message}")
+            alike = detected.color is not None and detected.color.shape[:2] == detected.depth.shape
             yield Frame(
-                name=f"{seen.stamp:.3f} s",
+                name=f"{detected.stamp:.3f} s",
                 camera=camera,
-                depth=seen.depth,
-                color=seen.color if alike else None,
-                hand=pixels.mask(camera, np.nan_to_num(seen.depth), seen),
+                depth=detected.depth,
+                color=detected.color if alike else None,
+                hand=pixels.mask(camera, np.nan_to_num(detected.depth), detected),
             )
     if camera is None:
         raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
@@ -94,11 +94,11 @@ def _camera(recording: Recording, rig: Rig) -> PinholeCamera:
     return PinholeCamera.of(rig.camera)
 
 
-def believed_palm(rig: Rig, seen: Observation) -> Array | None:
+def believed_palm(rig: Rig, detected: Observation) -> Array | None:
     """T_camera_palm (4, 4) by the camera's calibration; None where it does not tell."""
     if rig.camera is None:
         return None
     T_camera_mount = se3.inverse(rig.camera.T_mount_camera)
     if rig.camera.on == "palm":
         return T_camera_mount
-    return None if seen.T_world_palm is None else T_camera_mount @ seen.T_world_palm
+    return None if detected.T_world_palm is None else T_camera_mount @ detected.T_world_palm

@@ -150,10 +150,10 @@ class RecordingWriter(McapFile):
         # Who does not say how hard it is touched is touched.
         force = 0.0 if contact is None else 1.0 if contact.force is None else contact.force
         point, normal = (none, none) if contact is None else (contact.point, contact.normal)
-        said = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
+        fields = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
         unsaid = {"tangential_force": parts("xyz", none), "l_torque": 0.0}
         self.append(
-            topics[finger], CONTACT, stamp, header=header(stamp, frame), f_normal=force, **said, **unsaid
+            topics[finger], CONTACT, stamp, header=header(stamp, frame), f_normal=force, **fields, **unsaid
         )
 
     def _write_image(

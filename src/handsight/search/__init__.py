@@ -1,8 +1,8 @@
-"""Blind: where an object stands on a table, found by touch alone; the next touch is the one that tells most."""
+"""Search by touch: where an object stands on a table, found without a camera, each touch chosen to tell most."""
 
 from handsight.search.area import Area, resting
 from handsight.search.belief import Belief
-from handsight.search.information import best_sweep, candidates, expected_information
+from handsight.search.sweep_choice import best_sweep, candidates, expected_information
 from handsight.search.touch import Sweep, Touch, cast
 
 __all__ = [

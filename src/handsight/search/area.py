@@ -1,4 +1,4 @@
-"""Where on a table an object may be before anything has touched it."""
+"""The prior of a search by touch: where on a table an object may stand before anything has touched it."""
 
 from dataclasses import dataclass
 
@@ -11,33 +11,37 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.rig import Table
 
-MOST_RESTS = 24
-SAME_REST = float(np.deg2rad(20.0))
-"""Two ways to stand that differ by less are one [rad]."""
+MAX_STABLE_POSES = 24
+SAME_STABLE_POSE = float(np.deg2rad(20.0))
+"""Two stable poses whose tilts differ by less count as one [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
-    """A prior over poses of an object that stands on a table: somewhere in a rectangle, turned somehow."""
+    """A uniform prior over the poses of an object that stands on a table, within a rectangle and at any yaw.
+
+    A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): where the middle of the object's bounds is
+    in the world, how far the object is turned about the vertical, and on which of its sides it stands.
+    """
 
     low: Array
-    """(2,) least x and y in the world of the middle of the object's bounds [m]."""
+    """(2,) smallest x and y of the middle of the object's bounds, in the world [m]."""
     high: Array
-    """(2,) the largest."""
+    """(2,) largest x and y [m]."""
     table: Table
-    """What it stands on."""
+    """The table that the object stands on."""
     Rs_world_object: Array
-    """(k, 3, 3) how it may stand, each as likely, up to a turn about the vertical."""
+    """(k, 3, 3) orientations of the stable poses at yaw 0, each as likely as the others."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput."""
+        """Checks the fields; raises InvalidInput."""
         low, high = (checks.position(getattr(self, name), f"area.{name}", (2,)) for name in ("low", "high"))
         if not (low < high).all():
             raise InvalidInput(f"area: expected low below high, got {low.tolist()} and {high.tolist()}")
         if not isinstance(self.table, Table):
             raise InvalidInput(f"area.table: expected a Table, got {type(self.table).__name__}")
         Rs = checks.finite(self.Rs_world_object, "area.Rs_world_object", (None, 3, 3))
-        checks.integer(len(Rs), "area.Rs_world_object: rotations", MOST_RESTS)
+        checks.integer(len(Rs), "area.Rs_world_object: rotations", MAX_STABLE_POSES)
         for i, R in enumerate(Rs):
             se3.check(se3.compose(R, np.zeros(3)), f"area.Rs_world_object[{i}]")
         if not len(Rs):
@@ -46,40 +50,40 @@ class Area:
             object.__setattr__(self, name, value)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """(n, 4) places: x, y [m], turn about the vertical [rad], and which way to stand."""
+        """Returns `n` random placements (n, 4)."""
         xy = rng.uniform(self.low, self.high, (n, 2))
-        rests = rng.integers(len(self.Rs_world_object), size=n)
-        return np.column_stack([xy, rng.uniform(-np.pi, np.pi, n), rests])
+        stable = rng.integers(len(self.Rs_world_object), size=n)
+        return np.column_stack([xy, rng.uniform(-np.pi, np.pi, n), stable])
 
-    def holds(self, places: Array) -> Mask:
-        """(n,) whether places (n, 4) are in the area."""
-        return np.asarray(((places[:, :2] >= self.low) & (places[:, :2] <= self.high)).all(axis=1))
+    def contains(self, placements: Array) -> Mask:
+        """Returns (n,) whether each of the placements (n, 4) is within the rectangle."""
+        return np.asarray(((placements[:, :2] >= self.low) & (placements[:, :2] <= self.high)).all(axis=1))
 
-    def poses(self, model: ObjectModel, places: Array) -> Array:
-        """Ts_world_object (n, 4, 4) of the object at places (n, 4)."""
-        vertical = np.zeros((len(places), 3))
-        vertical[:, 2] = places[:, 2]
-        rests = places[:, 3].astype(int)
-        R = se3.rotation_exp(vertical) @ self.Rs_world_object[rests]
-        middle = np.column_stack([places[:, :2], self.middles(model)[rests]])
+    def poses(self, model: ObjectModel, placements: Array) -> Array:
+        """Returns Ts_world_object (n, 4, 4) of the object at placements (n, 4)."""
+        vertical = np.zeros((len(placements), 3))
+        vertical[:, 2] = placements[:, 2]
+        stable = placements[:, 3].astype(int)
+        R = se3.rotation_exp(vertical) @ self.Rs_world_object[stable]
+        middle = np.column_stack([placements[:, :2], self.center_heights(model)[stable]])
         return se3.compose(R, middle - R @ model.center_object)
 
-    def middles(self, model: ObjectModel) -> Array:
-        """(k,) height of the middle of the object's bounds for each way to stand [m]."""
+    def center_heights(self, model: ObjectModel) -> Array:
+        """Returns (k,) the height of the middle of the object's bounds in each stable pose, in the world [m]."""
         up = self.Rs_world_object[:, 2]
         return np.asarray(self.table.height + up @ model.center_object - (up @ model.vertices.T).min(axis=1))
 
-    def tops(self, model: ObjectModel) -> Array:
-        """(k,) height of the object's highest point for each way to stand [m]."""
+    def top_heights(self, model: ObjectModel) -> Array:
+        """Returns (k,) the height of the object's highest point in each stable pose, in the world [m]."""
         up = self.Rs_world_object[:, 2] @ model.vertices.T
         return np.asarray(self.table.height + up.max(axis=1) - up.min(axis=1))
 
 
 def resting(model: ObjectModel) -> Array:
-    """Rs_world_object (k, 3, 3) of the ways in which the object can stand on a plane, the likeliest first.
+    """Returns Rs_world_object (k, 3, 3) of the object's stable poses on a plane, the likeliest first.
 
-    The faces of its convex hull that carry what has the same weight all through (trimesh's stable poses), modulo the
-    object's symmetries and turns about the vertical. Raises InvalidInput for a cloud or an open surface.
+    They are those of a body of constant density (`trimesh.poses`), modulo the object's symmetries and turns about the
+    vertical. Raises InvalidInput for a cloud or an open surface.
     """
     import trimesh
 
@@ -89,17 +93,14 @@ def resting(model: ObjectModel) -> Array:
         )
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
     Ts, _ = trimesh.poses.compute_stable_poses(mesh, n_samples=1, threshold=1e-3)
-    found: list[Array] = []
-    for R in (T[:3, :3] for T in Ts):
-        if all(_tilt_between(model, R, other) > SAME_REST for other in found):
-            found.append(R)
-    return np.array(found[:MOST_RESTS])
-
-
-def _tilt_between(model: ObjectModel, R: Array, other: Array) -> float:
-    """Between the ups of two ways to stand, modulo symmetry [rad]."""
     turns = se3.rotation_exp(np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None] * [0.0, 0, 1])
-    Ts = se3.compose(turns @ R, np.zeros(3))
-    T = se3.compose(other, np.zeros(3))
-    ups = nearest(model.symmetries, Ts, T, model.radius)[:, 2, :3]
-    return float(np.arccos(np.clip(ups @ other[2], -1, 1)).min())
+    distinct: list[Array] = []
+    for R in (T[:3, :3] for T in Ts):
+        turned, tilts = se3.compose(turns @ R, np.zeros(3)), []
+        for other in distinct:
+            T_other = se3.compose(other, np.zeros(3))
+            up = nearest(model.symmetries, turned, T_other, model.radius)[:, 2, :3]
+            tilts.append(np.arccos(np.clip(up @ other[2], -1, 1)).min())
+        if all(tilt > SAME_STABLE_POSE for tilt in tilts):
+            distinct.append(R)
+    return np.array(distinct[:MAX_STABLE_POSES])

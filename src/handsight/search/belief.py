@@ -1,194 +1,318 @@
-"""What touches have told so far: particles, drawn anew from every contact and scored on the whole history."""
+"""The posterior of a search by touch: particles, drawn anew about every contact and weighed by all touches so far."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight import checks, se3
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.contact import Contacts
-from handsight.correction import PosePrior
-from handsight.correction.modes import apart, distinct
+from handsight.correction.modes import distinct, pose_distances
 from handsight.errors import InvalidInput
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
+from handsight.rig import Table
 from handsight.search.area import Area
-from handsight.search.proposals import places_about
-from handsight.search.scores import contact_scores, free_score
-from handsight.search.touch import Touch
+from handsight.search.touch import Touch, tip_center
 
-DRAWN, KEPT = 8192, 1024
-"""Poses that are looked at after a touch, and those of them that are kept."""
-HOPELESS = 30.0
-"""A pose that is less likely by so much than the best, as a logarithm, is not looked at further."""
-MOVES = 8
-"""Metropolis steps of every particle: each its own size, up to `STEP` of places [m, m, rad]."""
-STEP = np.array([0.004, 0.004, np.deg2rad(4.0)])
-MOST_MODES = 8
-TRIED, FEWEST = 2048, 8
-"""Places about a contact that are tried, and how many must be in the area, for it to be of the object."""
-SURE, SURE_POSITION, SURE_ROTATION = 0.95, 0.006, float(np.deg2rad(4.0))
-"""Share of all poses, and standard deviations of a mode [m], [rad], from which on it is grasped."""
-ROUNDING = float(np.deg2rad(0.1))
-"""A turn is never known better [rad]."""
-SEEDS = 2**32
+
+class ParticleOptions(NamedTuple):
+    """How the posterior is sampled."""
+
+    drawn: int = 8192
+    """Placements that are drawn after a touch."""
+    kept: int = 1024
+    """Particles that are resampled from them."""
+    max_log_ratio: float = 30.0
+    """A placement whose log likelihood is this much below the best is dropped at once."""
+    metropolis_steps: int = 8
+    step: tuple[float, float, float] = (0.004, 0.004, float(np.deg2rad(4.0)))
+    """Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
+    max_modes: int = 8
+    contact_draws: int = 2048
+    """Placements that are drawn about a contact to decide whether it can be the object's."""
+    min_inside: int = 8
+    """Of them, how many must be within the area."""
+    tip_positions: int = 20_000
+    """Positions of the tip around the object that are tried, for each stable pose, to find those that touch it."""
+    shell: float = 0.003
+    """How far a tip that counts as touching may be off the surface [m]."""
+    widening: float = 1.5
+    """Factor on a contact's standard deviations when placements are drawn about it: proposals need wide tails."""
+
+
+class LikelihoodOptions(NamedTuple):
+    """What a touch is taken to be off by, beside what its covariance says."""
+
+    push: float = 0.001
+    """How far a touch moves the object, per axis: older contacts are off by that for each later touch [m]."""
+    freedom: float = 5.0
+    """Degrees of freedom of Student's t: a contact at an edge is farther off than its covariance says."""
+    min_sigma_yaw: float = float(np.deg2rad(0.1))
+    """A yaw is never known better [rad]."""
+
+
+class CertaintyOptions(NamedTuple):
+    """When a search ends: a mode with this probability and these standard deviations is grasped."""
+
+    probability: float = 0.95
+    sigma_position: float = 0.006
+    """[m]"""
+    sigma_yaw: float = float(np.deg2rad(4.0))
+    """[rad]"""
+
+
+PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), CertaintyOptions()
+MAX_SEED = 2**32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
-    """Poses within 15 mm and 20° of each other, modulo symmetry."""
+    """Particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
 
-    prior: PosePrior
-    """Their mean and covariance in the world, with what is not known of the table."""
-    weight: float
-    """Their share of all."""
-
-    @property
-    def T_world_object(self) -> Array:
-        """(4, 4) their mean."""
-        return self.prior.T_palm_object
+    pose_world_object: GaussianPose
+    """Their mean and covariance, with the errors of the table's height and tilt."""
+    probability: float
+    """Their share of all particles."""
 
     @property
-    def sure(self) -> bool:
-        """Whether the object is in this mode, and that is narrow enough to grasp it."""
-        variances = np.diag(self.prior.covariance)
-        position, rotation = np.sqrt([variances[:2].sum(), variances[5]])
-        return bool(self.weight > SURE and position < SURE_POSITION and rotation < SURE_ROTATION)
+    def is_certain(self) -> bool:
+        """Whether the object is in this mode, and the mode is narrow enough to grasp the object."""
+        variances = np.diag(self.pose_world_object.covariance)
+        position, yaw = np.sqrt([variances[:2].sum(), variances[5]])
+        return bool(
+            self.probability > CERTAINTY.probability
+            and position < CERTAINTY.sigma_position
+            and yaw < CERTAINTY.sigma_yaw
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Where the object may stand, given every touch so far; equally likely poses, and what is to be said of them."""
+    """Where the object may stand given every touch so far, as equally likely particles."""
 
     model: ObjectModel
     area: Area
     seed: int = 0
-    """Of all that is drawn: the same touches make the same belief."""
+    """Seed of all random draws: the same touches give the same belief."""
     touches: tuple[Touch, ...] = ()
-    places: Array = field(init=False)
-    """(n, 4): x, y [m], turn about the vertical [rad], and which way to stand."""
+    placements: Array = field(init=False)
+    """(n, 4) the particles: x, y [m], yaw [rad] and the index of the stable pose, see `Area`."""
 
     def __post_init__(self) -> None:
-        """Before any touch; raises InvalidInput."""
+        """Draws the particles; raises InvalidInput."""
         if not isinstance(self.model, ObjectModel) or not isinstance(self.area, Area):
             came = f"{type(self.model).__name__} and {type(self.area).__name__}"
             raise InvalidInput(f"belief: expected an ObjectModel and an Area, got {came}")
-        checks.integer(self.seed, "belief.seed", SEEDS)
+        checks.integer(self.seed, "belief.seed", MAX_SEED)
         rng = np.random.default_rng((self.seed, len(self.touches)))
-        drawn = self._drawn(rng)
-        kept = rng.choice(len(drawn[0]), KEPT, p=_normalised(drawn[1]))
+        placements, log_weights = self._draw(rng)
+        probabilities = np.exp(log_weights - log_weights.max())
+        chosen = rng.choice(len(placements), PARTICLES.kept, p=probabilities / probabilities.sum())
+        particles = placements[chosen]
         object.__setattr__(
-            self, "places", self._moved(drawn[0][kept], rng) if self.touches else drawn[0][kept]
+            self, "placements", self._diversified(particles, rng) if self.touches else particles
         )
 
     def after(self, touch: Touch) -> "Belief":
-        """What is believed after one more touch; raises InvalidInput.
+        """Returns the belief after one more touch; raises InvalidInput.
 
-        A contact where the object can be nowhere in its area is of something else, and left out.
+        A contact at which the object cannot stand anywhere in its area is of something else, and is left out.
         """
         if not isinstance(touch, Touch):
             raise InvalidInput(f"touch: expected a Touch, got {type(touch).__name__}")
-        contact = touch.contact_world
-        if contact is not None and not self._explains(contact, touch.radius):
-            touch = replace(touch, contact_world=None)
+        contact, rng = touch.contact_world, np.random.default_rng(self.seed)
+        if contact is not None:
+            n = PARTICLES.contact_draws
+            about = placements_about(self.model, self.area, contact, touch.radius, n, rng)
+            if self.area.contains(about).sum() < PARTICLES.min_inside:
+                touch = replace(touch, contact_world=None)
         return replace(self, touches=(*self.touches, touch))
 
     @cached_property
     def Ts_world_object(self) -> Array:
-        """(n, 4, 4) equally likely poses."""
-        return self.area.poses(self.model, self.places)
+        """(n, 4, 4) the poses of the particles."""
+        return self.area.poses(self.model, self.placements)
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
-        """Where the object may be, the likeliest first."""
-        Ts = self.Ts_world_object
-        order = np.argsort(-self._score(self.places), kind="stable")
-        chosen = distinct(self.model, Ts, order, MOST_MODES)
-        away = np.array([np.hypot(*_in_metres(self.model, Ts, Ts[i])) for i in chosen])
-        mine = np.argmin(away, axis=0)
-        found = [self._mode(Ts[i], Ts[mine == k]) for k, i in enumerate(chosen)]
-        return tuple(sorted(found, key=lambda mode: -mode.weight))
+        """The modes of the posterior, the likeliest first."""
+        model, Ts = self.model, self.Ts_world_object
+        order = np.argsort(-self._log_posterior(self.placements), kind="stable")
+        chosen = distinct(model, Ts, order, PARTICLES.max_modes)
+        distances = []
+        for i in chosen:
+            shift, turn = pose_distances(model, Ts, Ts[i])
+            distances.append(np.hypot(shift, model.radius * turn))
+        mode_of = np.argmin(np.array(distances), axis=0)
+        modes = [self._mode(Ts[i], Ts[mode_of == k]) for k, i in enumerate(chosen)]
+        return tuple(sorted(modes, key=lambda mode: -mode.probability))
 
     @property
-    def pose(self) -> PosePrior:
-        """The likeliest mode's mean, with its spread and the table's as covariance; in the world.
+    def pose(self) -> GaussianPose:
+        """The object's pose in the world by the likeliest mode."""
+        return self.modes[0].pose_world_object
 
-        What `Tracker` takes as a pose measurement in the world.
+    def _draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Returns random placements (m, 4) and the logarithms (m,) of their importance weights.
+
+        Before any contact they are drawn from the area, after it about each contact in turn. A placement drawn from any
+        of the proposal densities q_a weighs p / Σ q_a (the balance heuristic, Veach and Guibas 1995).
         """
-        return self.modes[0].prior
+        model, area = self.model, self.area
+        contacts = [(t.contact_world, t.radius) for t in self.touches if t.contact_world is not None]
+        if not contacts:
+            placements = area.draw(PARTICLES.drawn, rng)
+            return placements, free_log_likelihood(model, self.touches, area.poses(model, placements))
+        n = PARTICLES.drawn // len(contacts)
+        placements = np.vstack(
+            [placements_about(model, area, contact, radius, n, rng) for contact, radius in contacts]
+        )
+        Ts = area.poses(model, placements)
+        by_contact = contact_log_likelihoods(model, self.touches, area.table, Ts)
+        log_weight = by_contact.sum(axis=1) - np.logaddexp.reduce(by_contact, axis=1)
+        log_weight[~area.contains(placements)] = -np.inf
+        likely = log_weight > log_weight.max() - PARTICLES.max_log_ratio
+        placements, log_weight = placements[likely], log_weight[likely]
+        return placements, log_weight + free_log_likelihood(model, self.touches, Ts[likely])
 
-    def _explains(self, contact: Contacts, radius: float) -> bool:
-        """Whether the object, somewhere in its area, would be touched there."""
-        rng = np.random.default_rng(self.seed)
-        places = places_about(self.model, self.area, contact, radius, TRIED, rng)
-        return bool(self.area.holds(places).sum() >= FEWEST)
+    def _log_posterior(self, placements: Array) -> Array:
+        """Returns (n,) the log posterior density at placements (n, 4), up to a constant."""
+        Ts = self.area.poses(self.model, placements)
+        log_likelihood = contact_log_likelihoods(self.model, self.touches, self.area.table, Ts).sum(axis=1)
+        log_likelihood += free_log_likelihood(self.model, self.touches, Ts)
+        return np.where(self.area.contains(placements), log_likelihood, -np.inf)
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Places (m, 4), and the logarithm (m,) of how much more often each should have been drawn.
-
-        From the area, or where there is a contact from poses that have the surface there, each contact in turn: with
-        densities q_a, a place drawn from any of them weighs p / Σ q_a (the balance heuristic, Veach and Guibas 1995).
-        """
-        met = [
-            (touch.contact_world, touch.radius) for touch in self.touches if touch.contact_world is not None
-        ]
-        if not met:
-            places = self.area.draw(DRAWN, rng)
-            return places, free_score(self.model, self.touches, self.area.poses(self.model, places))
-        n = DRAWN // len(met)
-        places = np.vstack([places_about(self.model, self.area, *contact, n, rng) for contact in met])
-        Ts = self.area.poses(self.model, places)
-        by_contact = contact_scores(self.model, self.touches, self.area.table, Ts)
-        score = by_contact.sum(axis=1) - np.logaddexp.reduce(by_contact, axis=1)
-        score[~self.area.holds(places)] = -np.inf
-        hopeful = score > score.max() - HOPELESS
-        places, score = places[hopeful], score[hopeful]
-        return places, score + free_score(self.model, self.touches, Ts[hopeful])
-
-    def _score(self, places: Array) -> Array:
-        """(n,) logarithm of how likely the whole history is at places (n, 4)."""
-        Ts = self.area.poses(self.model, places)
-        score = contact_scores(self.model, self.touches, self.area.table, Ts).sum(axis=1)
-        score += free_score(self.model, self.touches, Ts)
-        return np.where(self.area.holds(places), score, -np.inf)
-
-    def _moved(self, places: Array, rng: np.random.Generator) -> Array:
-        """The places after Metropolis steps: what was drawn often spreads out over what is as likely."""
-        score = self._score(places)
-        for _ in range(MOVES):
-            size = STEP * rng.uniform(size=(len(places), 1)) ** 2
-            tried = places.copy()
-            tried[:, :3] += size * rng.normal(size=(len(places), 3))
-            new = self._score(tried)
-            better = np.log(rng.uniform(size=len(places))) < new - score
-            places, score = np.where(better[:, None], tried, places), np.where(better, new, score)
-        return places
+    def _diversified(self, placements: Array, rng: np.random.Generator) -> Array:
+        """Returns the placements after Metropolis steps, which spread those that were resampled many times."""
+        log_posterior = self._log_posterior(placements)
+        for _ in range(PARTICLES.metropolis_steps):
+            size = np.array(PARTICLES.step) * rng.uniform(size=(len(placements), 1)) ** 2
+            proposed = placements.copy()
+            proposed[:, :3] += size * rng.normal(size=(len(placements), 3))
+            proposed_log = self._log_posterior(proposed)
+            accepted = np.log(rng.uniform(size=len(placements))) < proposed_log - log_posterior
+            placements = np.where(accepted[:, None], proposed, placements)
+            log_posterior = np.where(accepted, proposed_log, log_posterior)
+        return placements
 
     def _mode(self, T: Array, Ts: Array) -> Mode:
-        """The mode of poses (n, 4, 4), some of them, about T."""
-        equivalent = nearest(self.model.symmetries, Ts, T, self.model.radius)
-        center, table = self.model.center_object[None], self.area.table
+        """Returns the mode of particles with poses (n, 4, 4), about the pose T (4, 4) of one of them."""
+        model, table = self.model, self.area.table
+        equivalent = nearest(model.symmetries, Ts, T, model.radius)
+        center = model.center_object[None]
         shifts = se3.apply(equivalent, center)[:, 0] - se3.apply(T, center)
-        off = np.hstack([shifts, se3.rotation_log(equivalent[:, :3, :3] @ T[:3, :3].T)])
-        mean = off.mean(axis=0)
+        offsets = np.hstack([shifts, se3.rotation_log(equivalent[:, :3, :3] @ T[:3, :3].T)])
+        mean = offsets.mean(axis=0)
         R, middle = se3.rotation_exp(mean[3:]) @ T[:3, :3], se3.apply(T, center)[0] + mean[:3]
-        unknown = [0.0, 0.0, table.sigma_height, table.sigma_tilt, table.sigma_tilt, ROUNDING]
-        at_middle = (off - mean).T @ (off - mean) / len(off) + np.diag(np.square(unknown))
-        # From the middle of the object's bounds to its origin, which a covariance of a pose is of.
-        arm = np.eye(6)
-        arm[:3, 3:] = se3.skew(R @ self.model.center_object)
-        T_mean = se3.compose(R, middle - R @ self.model.center_object)
-        return Mode(PosePrior(T_mean, arm @ at_middle @ arm.T), len(Ts) / len(self.places))
+        sigmas = [0.0, 0.0, table.sigma_height, table.sigma_tilt, table.sigma_tilt, LIKELIHOOD.min_sigma_yaw]
+        covariance = (offsets - mean).T @ (offsets - mean) / len(offsets) + np.diag(np.square(sigmas))
+        at_center = GaussianPose(se3.compose(R, middle), covariance)
+        return Mode(at_center.at_point(-model.center_object), len(Ts) / len(self.placements))
 
 
-def _normalised(score: Array) -> Array:
-    """(n,) probabilities from logarithms."""
-    p = np.exp(score - score.max())
-    return np.asarray(p / p.sum())
+def placements_about(
+    model: ObjectModel, area: Area, contact_world: Contacts, radius: float, n: int, rng: np.random.Generator
+) -> Array:
+    """Returns `n` random placements (n, 4) at which a contact is on the object's surface, turned as its normal says.
+
+    For one yaw, a placement is the tip's position less its position on the object; so placements are uniform along the
+    object's outline where tip positions are. `radius` is the tip's [m]. There is no placement (0, 4) where the object
+    is at no stable pose as high as the contact.
+    """
+    normal, covariance = contact_world.normals_palm[0], contact_world.covariance[0]
+    middle = tip_center(contact_world, radius)
+    arms, outward, stable = _touching_tips(model, area, float(middle[2]), radius, rng)
+    if not len(arms):
+        return np.empty((0, 4))
+    chosen = rng.integers(len(arms), size=n)
+    arm, out = arms[chosen], outward[chosen]
+    # Of a normal that is nearly vertical the yaw is hardly known.
+    lateral = max(float(np.hypot(*normal[:2])), 1e-3)
+    spread = PARTICLES.widening * np.sqrt(np.trace(covariance[3:, 3:]) / 2) / lateral
+    yaw = np.arctan2(normal[1], normal[0]) - np.arctan2(out[:, 1], out[:, 0]) + spread * rng.normal(size=n)
+    c, s = np.cos(yaw), np.sin(yaw)
+    shift = np.column_stack([c * arm[:, 0] - s * arm[:, 1], s * arm[:, 0] + c * arm[:, 1]])
+    noise = PARTICLES.widening * np.sqrt(np.trace(covariance[:3, :3]) / 3) * rng.normal(size=(n, 2))
+    yaw = np.mod(yaw + np.pi, 2 * np.pi) - np.pi
+    return np.column_stack([middle[:2] + noise - shift, yaw, stable[chosen]])
 
 
-def _in_metres(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
-    """(n,) how far poses are from one, modulo symmetry: shifts and turns, a radian as long as the radius [m]."""
-    shift, turn = apart(model, Ts, T)
-    return shift, model.radius * turn
+def _touching_tips(
+    model: ObjectModel, area: Area, height: float, radius: float, rng: np.random.Generator
+) -> tuple[Array, Array, Indices]:
+    """Returns random positions of a tip at a height [m] in the world that touch the object at yaw 0.
+
+    They are (m, 3) vectors from the object's middle along the world's axes [m], with (m, 3) outward normals of the
+    object there, and (m,) the index of the stable pose.
+    """
+    Rs, reach = area.Rs_world_object, model.radius + radius
+    arms = rng.uniform(-reach, reach, (len(Rs), PARTICLES.tip_positions, 3))
+    arms[:, :, 2] = height - area.center_heights(model)[:, None]
+    arms[:, :, 2] += area.table.sigma_height * rng.normal(size=arms.shape[:2])
+    points = (arms @ Rs).reshape(-1, 3) + model.center_object  # Rᵀ arm
+    values = model.evaluate(points)
+    touching = np.abs(values.distance - radius) < PARTICLES.shell
+    stable = np.repeat(np.arange(len(Rs), dtype=np.int64), PARTICLES.tip_positions)[touching]
+    outward: Array = np.einsum("nij,nj->ni", Rs[stable], values.gradient[touching])
+    return arms.reshape(-1, 3)[touching], outward, stable
+
+
+def contact_log_likelihoods(
+    model: ObjectModel, touches: Sequence[Touch], table: Table, Ts_world_object: Array
+) -> Array:
+    """Returns (n, k) the log likelihoods of the k contacts among the touches at each pose (n, 4, 4).
+
+    Each is of the contact's distance to the surface and of its normal, with Student's tails. The errors of the table's
+    height and tilt are marginalised.
+    """
+    contacts = [
+        (len(touches) - 1 - i, touch.contact_world, touch.radius)
+        for i, touch in enumerate(touches)
+        if touch.contact_world
+    ]
+    R, freedom = Ts_world_object[:, :3, :3], LIKELIHOOD.freedom
+    middle = se3.apply(Ts_world_object, model.center_object[None])[:, 0]
+    log_likelihoods = np.empty((len(Ts_world_object), len(contacts)))
+    for k, (later, contact, radius) in enumerate(contacts):
+        normal, covariance = contact.normals_palm[0], contact.covariance[0]
+        point = tip_center(contact, radius)
+        values = model.evaluate(np.einsum("nji,nj->ni", R, point - Ts_world_object[:, :3, 3]))
+        n = np.einsum("nij,nj->ni", R, values.gradient)
+        n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
+        lever = np.cross(point - middle, n)
+        of_point = np.trace(covariance[:3, :3]) / 3 + later * LIKELIHOOD.push**2 + model.sigma_point**2
+        of_distance = of_point + (table.sigma_height * n[:, 2]) ** 2
+        of_distance += table.sigma_tilt**2 * (lever[:, :2] ** 2).sum(axis=1)
+        curvature2 = (values.hessian**2).sum(axis=(1, 2)) / 2
+        of_normal = np.trace(covariance[3:, 3:]) / 2 + model.sigma_normal**2 + table.sigma_tilt**2
+        of_normal = of_normal + curvature2 * of_point
+        angle = 2 * np.arcsin(np.clip(np.linalg.norm(n - normal, axis=1) / 2, 0, 1))
+        chi2 = (values.distance - radius) ** 2 / of_distance + angle**2 / of_normal
+        log_likelihoods[:, k] = -(freedom + 3) / 2 * np.log1p(chi2 / freedom)
+        log_likelihoods[:, k] -= np.log(of_distance) / 2 + np.log(of_normal)
+    return log_likelihoods
+
+
+def free_log_likelihood(model: ObjectModel, touches: Sequence[Touch], Ts_world_object: Array) -> Array:
+    """Returns (n,) the log likelihood at each pose (n, 4, 4) that the tips met nothing where they met nothing.
+
+    The positions of one sweep share one error, so a sweep counts once, by its deepest penetration.
+    """
+    log_likelihood = np.zeros(len(Ts_world_object))
+    if not model.closed:
+        return log_likelihood
+    Ts_object_world = se3.inverse(Ts_world_object)
+    for i, touch in enumerate(touches):
+        if not len(touch.free_world):
+            continue
+        points = se3.apply(Ts_object_world, touch.free_world)
+        distance = model.evaluate(points.reshape(-1, 3)).distance.reshape(points.shape[:2])
+        depth = np.maximum(touch.radius - distance.min(axis=1), 0.0)
+        variance = touch.sigma**2 + (len(touches) - 1 - i) * LIKELIHOOD.push**2
+        log_likelihood -= depth**2 / (2 * variance)
+    return log_likelihood

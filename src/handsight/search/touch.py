@@ -1,4 +1,4 @@
-"""A fingertip that sweeps along a line: what it would meet, and what it has met."""
+"""A fingertip swept along a line: what it would meet if the object stood somewhere, and what it has met."""
 
 from dataclasses import dataclass
 
@@ -10,52 +10,53 @@ from handsight.contact import Contacts
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
-STEPS, NEAR = 40, 2e-4
-"""Of a cast at most; how near to the surface it has arrived [m]."""
+MAX_CAST_STEPS = 40
+CAST_TOLERANCE = 2e-4
+"""A cast ball has arrived when it is this near to the surface, and no step of a cast is shorter [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """A straight line for the middle of a fingertip, until it meets something."""
+    """A straight path for the middle of a fingertip, which ends where the tip meets something."""
 
     start_world: Array
     """(3,) [m]."""
     direction_world: Array
-    """(3,) of any length."""
+    """(3,) of any length; it is normalised."""
     length: float
     """[m]."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput."""
+        """Checks the fields; raises InvalidInput."""
         object.__setattr__(self, "start_world", checks.position(self.start_world, "sweep.start_world", (3,)))
         direction = checks.unit(self.direction_world, "sweep.direction_world", (3,))
         object.__setattr__(self, "direction_world", direction)
         object.__setattr__(self, "length", float(checks.positive(self.length, "sweep.length")))
 
     def at(self, distance: float) -> Array:
-        """(3,) the point that far along it [m]."""
+        """Returns the point (3,) of the path at a distance from its start [m]."""
         return np.asarray(self.start_world + distance * self.direction_world)
 
-    def part(self, begin: float, end: float) -> "Sweep":
-        """The part of it between two distances from its start [m], which lie on it."""
-        return Sweep(self.at(begin), self.direction_world, end - begin)
+    def part(self, start: float, end: float) -> "Sweep":
+        """Returns the part of the path between two distances from its start [m]."""
+        return Sweep(self.at(start), self.direction_world, end - start)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """What came of a sweep: where the tip met nothing, and what it met in the end."""
+    """The outcome of one sweep: where the tip met nothing, and the contact that ended it, if any."""
 
     free_world: Array
-    """(m, 3) where the middle of the tip was while it met nothing [m]."""
+    """(m, 3) positions of the middle of the tip at which it met nothing [m]."""
     radius: float
-    """Of the ball around that middle which is certainly within the tip [m]."""
+    """Radius of the ball around that middle which is certainly within the tip [m]."""
     sigma: float
-    """Of where the tip is, all along the sweep alike: one standard deviation per axis [m]."""
+    """Standard deviation per axis of the tip's position, one error for all of the sweep [m]."""
     contact_world: Contacts | None
-    """One contact, in the world; None: the tip met nothing."""
+    """One contact with its normal, in the world; None where the tip met nothing."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput."""
+        """Checks the fields; raises InvalidInput."""
         free = self.free_world
         if len(free):
             free = checks.position(free, "touch.free_world", (None, 3))
@@ -68,32 +69,41 @@ class Touch:
             raise InvalidInput(f"touch.contact_world: expected one contact with a normal or None, got {came}")
 
 
+def tip_center(contact_world: Contacts, radius: float) -> Array:
+    """Returns the middle (3,) of a ball of `radius` [m] that touches where one contact is.
+
+    Unlike the contact it does not lie on the surface: about an edge, distance and normal change smoothly there.
+    """
+    return np.asarray(contact_world.points_palm[0] + radius * contact_world.normals_palm[0])
+
+
 def cast(
     model: ObjectModel, Ts_world_object: Array, sweeps: list[Sweep], radius: float
 ) -> tuple[Array, Array]:
-    """How far a ball goes along each sweep until it meets the object at each pose [m], and the normal there.
+    """Returns how far a ball goes along each sweep until it meets the object at each pose [m], and the normal there.
 
-    `Ts_world_object` (n, 4, 4). Distances (s, n), infinite where it passes, and outward normals (s, n, 3) along the
-    world's axes. Steps are as long as the object is away (sphere tracing, Hart 1996).
+    `Ts_world_object` is (n, 4, 4), `radius` the ball's [m]. The distances (s, n) are infinite where the ball passes;
+    the outward normals (s, n, 3) are along the world's axes. Each step is as long as the ball is away from the object
+    (sphere tracing, Hart 1996).
     """
     s, n = len(sweeps), len(Ts_world_object)
     Ts_object_world = np.tile(se3.inverse(Ts_world_object), (s, 1, 1))
     starts = np.repeat([sweep.start_world for sweep in sweeps], n, axis=0)
-    ways = np.repeat([sweep.direction_world for sweep in sweeps], n, axis=0)
+    directions = np.repeat([sweep.direction_world for sweep in sweeps], n, axis=0)
     p = np.einsum("nij,nj->ni", Ts_object_world[:, :3, :3], starts) + Ts_object_world[:, :3, 3]
-    u = np.einsum("nij,nj->ni", Ts_object_world[:, :3, :3], ways)
+    u = np.einsum("nij,nj->ni", Ts_object_world[:, :3, :3], directions)
     lengths = np.repeat([sweep.length for sweep in sweeps], n)
-    gone, met, left = np.zeros(s * n), np.full(s * n, np.inf), np.arange(s * n)
+    travelled, hit, active = np.zeros(s * n), np.full(s * n, np.inf), np.arange(s * n)
     normals_object = np.zeros((s * n, 3))
-    for _ in range(STEPS):
-        values = model.evaluate(p[left] + gone[left, None] * u[left])
-        ahead = values.distance - radius
-        arrived = ahead < NEAR
-        there = left[arrived]
-        met[there], normals_object[there] = gone[there], values.gradient[arrived]
-        gone[left] += np.maximum(ahead, NEAR)
-        left = left[~arrived & (gone[left] < lengths[left])]
-        if not len(left):
+    for _ in range(MAX_CAST_STEPS):
+        values = model.evaluate(p[active] + travelled[active, None] * u[active])
+        gap = values.distance - radius
+        arrived = gap < CAST_TOLERANCE
+        ended = active[arrived]
+        hit[ended], normals_object[ended] = travelled[ended], values.gradient[arrived]
+        travelled[active] += np.maximum(gap, CAST_TOLERANCE)
+        active = active[~arrived & (travelled[active] < lengths[active])]
+        if not len(active):
             break
     normals = np.einsum("nji,nj->ni", Ts_object_world[:, :3, :3], normals_object)
-    return met.reshape(s, n), normals.reshape(s, n, 3)
+    return hit.reshape(s, n), normals.reshape(s, n, 3)

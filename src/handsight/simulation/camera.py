@@ -14,7 +14,7 @@ from handsight.simulation.scene import FOCAL_LENGTH, IMAGE_SIZE
 from handsight.vision import DepthNoise
 from handsight.vision.camera import Depth
 
-EYE, LOOKS_AT = np.array([-0.45, 0.50, 0.60]), np.array([0.0, 0.02, 0.07])
+EYE, TARGET = np.array([-0.45, 0.50, 0.60]), np.array([0.0, 0.02, 0.07])
 """In the world [m]; what it looks at is the scene's middle too."""
 INTRINSICS = np.array(
     [[FOCAL_LENGTH, 0, (IMAGE_SIZE[0] - 1) / 2], [0, FOCAL_LENGTH, (IMAGE_SIZE[1] - 1) / 2], [0, 0, 1.0]]
@@ -25,7 +25,7 @@ EDGE = 0.02
 disparity is."""
 
 
-def looking(eye: ArrayLike, at: ArrayLike) -> Array:
+def camera_facing(eye: ArrayLike, at: ArrayLike) -> Array:
     """T_world_camera (4, 4) of a camera at `eye` (3,) [m], upright, that looks at a point (3,) [m].
 
     Optical frame: x right, y down, z forward.
@@ -36,7 +36,7 @@ def looking(eye: ArrayLike, at: ArrayLike) -> Array:
     return se3.compose(np.column_stack([x, np.cross(z, x), z]), origin)
 
 
-BELIEVED_CAMERA = looking(EYE, LOOKS_AT)
+BELIEVED_CAMERA = camera_facing(EYE, TARGET)
 """T_world_camera (4, 4) as it was calibrated."""
 
 
@@ -50,7 +50,7 @@ def displacement(nuisances: Nuisances, seed: int) -> Array:
     plane = nuisances.camera_position / np.sqrt(np.pi / 2)
     shift = draw[:3] * [plane, plane, nuisances.camera_height]
     R = se3.rotation_exp(nuisances.camera_rotation * draw[3:])
-    return se3.compose(R, LOOKS_AT + shift - R @ LOOKS_AT)
+    return se3.compose(R, TARGET + shift - R @ TARGET)
 
 
 def spoil(depth: Depth, noise: DepthNoise, rng: np.random.Generator, seed: int) -> Depth:

@@ -17,7 +17,7 @@ from handsight.checks import Array
 Fingers = tuple[str, ...]
 ROWS: tuple[Fingers, ...] = (("ff", "mf", "rf", "lf"), ("ff", "mf", "rf"), ("ff", "mf"))
 """Fingers that oppose the thumb; the first is the upper one, or the one further along the world's y."""
-APART = 0.021
+FINGER_SPACING = 0.021
 """From finger to finger [m]."""
 ROLLS = tuple(np.deg2rad([0.0, 45.0, 90.0]))
 """Of the hand about the grip's axis: thumb up beside the object, to palm down above it [rad]."""
@@ -126,7 +126,7 @@ def rests(body: Body) -> list[Array]:
     return found
 
 
-def holds(body: Body) -> list[Hold]:
+def grasp_candidates(body: Body) -> list[Hold]:
     """All that geometry and balanced forces let one hope for, best first."""
     found: list[Hold] = []
     for order, R in enumerate(rests(body)):
@@ -204,9 +204,9 @@ def _across(body: Body, R: Array, order: int) -> Iterator[Hold]:
             continue
         thumb = _met(body, (centre - offset * half)[None], -1.0)
         for fingers in ROWS:
-            steps = APART * (np.arange(len(fingers))[::-1] - (len(fingers) - 1) / 2)
-            aside = zigzag * (-1.0) ** np.arange(len(fingers)) - offset
-            others = _met(body, centre + steps[:, None] * row + aside[:, None] * half, 1.0)
+            steps = FINGER_SPACING * (np.arange(len(fingers))[::-1] - (len(fingers) - 1) / 2)
+            lateral = zigzag * (-1.0) ** np.arange(len(fingers)) - offset
+            others = _met(body, centre + steps[:, None] * row + lateral[:, None] * half, 1.0)
             points, normals = (np.vstack(pair) for pair in zip(thumb, others, strict=True))
             if np.isfinite(points).all() and (np.abs(normals[:, 0]) >= SLANT).all():
                 merit = (

@@ -23,7 +23,7 @@ class _Form(msgspec.Struct, forbid_unknown_fields=True):
     object: str
     """For people, as are the next four."""
     hold: str
-    held: bool
+    succeeded: bool = msgspec.field(name="held")
     trials: int
     failures: str
     position_palm: Three
@@ -52,7 +52,7 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
     form = _Form(
         object=object,
         hold=found.hold,
-        held=found.held,
+        succeeded=found.succeeded,
         trials=found.trials,
         failures=found.failures,
         position_palm=tuple(grasp.T_palm_middle[:3, 3].tolist()),

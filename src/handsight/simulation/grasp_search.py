@@ -9,8 +9,8 @@ from itertools import islice
 import numpy as np
 
 from handsight.errors import InvalidObject
-from handsight.simulation.grasp_candidates import Hold, body_of, holds
-from handsight.simulation.motion import FREE, LEGS, MOVES, OWN, POWER, SETTLED, Grasp
+from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
+from handsight.simulation.motion import AT_REST, FREE, LEGS, MOVES, OWN, POWER, Grasp
 from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import STEPS_PER_SECOND, Scenario
 from handsight.simulation.scene import convex_hull, scene
@@ -24,14 +24,14 @@ CHECKED = 0.05
 """How often a trial looks at what it does [s]."""
 MOVED, TURNED = 0.024, 0.42
 """Of the object in the palm, at most, in a trial: well below what counts as dropped [m], [rad]."""
-FELT, MOSTLY = 0.1, 0.9
+MIN_FORCE, MOSTLY = 0.1, 0.9
 """Force of a tip that is felt [N]; share of the time for which thumb and a finger must feel the object."""
 DEEP, OTHERS = 0.002, 2.0
 """How far the hand may be pressed into the object [m], and how hard its unsensed links may press it [N]."""
 FELL = (
     (MOVES, "slipped when let go"),
-    (SETTLED + float(LEGS[:4, 0].sum()), "slipped on the table"),
-    (SETTLED + float(LEGS[:5, 0].sum()), "slipped when lifted"),
+    (AT_REST + float(LEGS[:4, 0].sum()), "slipped on the table"),
+    (AT_REST + float(LEGS[:5, 0].sum()), "slipped when lifted"),
     (np.inf, "slipped when turned"),
 )
 """Why a trial ended, by when [s]."""
@@ -42,7 +42,7 @@ class GraspSearchResult:
     """How an object is grasped, and how that was found."""
 
     grasp: Grasp
-    held: bool
+    succeeded: bool
     """Whether a trial held it through the whole manipulation; else this is the grasp that held it longest."""
     trials: int
     """How many grasps were simulated."""
@@ -62,7 +62,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     if scenario.object in own:
         return GraspSearchResult(own[scenario.object], True, 0, "its own grasp", "")
     tried = replace(scenario, motion="manipulate", images=False)
-    built, promising = scene(scenario.object), holds(body_of(convex_hull(scenario.object)[0]))
+    built, promising = scene(scenario.object), grasp_candidates(body_of(convex_hull(scenario.object)[0]))
     failures: Counter[str] = Counter()
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
     trials = 0
@@ -108,7 +108,7 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
         world = World(scenario, grasp)
     except InvalidObject:
         return 0.0, "no room to open"
-    every, looked, felt = round(CHECKED * STEPS_PER_SECOND), 0, 0
+    every, checked, in_contact = round(CHECKED * STEPS_PER_SECOND), 0, 0
     while world.time < world.duration:
         world.step()
         if world.steps % every or world.time <= FREE:
@@ -123,9 +123,9 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
             return world.time, "pressed in"
         if sum(force for geom, force, _ in touches if not geom.endswith("_tip")) > OTHERS:
             return world.time, "pressed by what does not feel"
-        feel = {geom for geom, force, _ in touches if force > FELT and geom.endswith("_tip")}
-        looked, felt = looked + 1, felt + ("th_tip" in feel and len(feel) > 1)
-    return world.time, "" if felt >= MOSTLY * looked else "hardly felt"
+        feel = {geom for geom, force, _ in touches if force > MIN_FORCE and geom.endswith("_tip")}
+        checked, in_contact = checked + 1, in_contact + ("th_tip" in feel and len(feel) > 1)
+    return world.time, "" if in_contact >= MOSTLY * checked else "hardly felt"
 
 
 def _named(hold: Hold) -> str:

@@ -13,7 +13,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.simulation.scene import BOX_SIZE, CAN_SIZE
 
-CLOSED, FREE, SETTLED, MOVES = 0.7, 1.0, 1.4, 1.9
+CLOSED, FREE, AT_REST, MOVES = 0.7, 1.0, 1.4, 1.9
 """When the servos' targets are closed, the object is let go, has settled in the hand, and the palm may move [s]."""
 SHIFT, TURN, AIM = 0.003, float(np.deg2rad(3.0)), float(np.deg2rad(1.0))
 """Half widths of the draws: place [m] and turn [rad] of the object per axis, targets of the joints [rad]."""

@@ -14,7 +14,7 @@ OUTERMOST = 1 / 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loaded:
+class Payload:
     """A scene whose object weighs what a scenario says."""
 
     scene: Scene
@@ -28,7 +28,7 @@ class Loaded:
     """(3,) where [m]."""
 
     @classmethod
-    def of(cls, scenario: Scenario) -> "Loaded":
+    def of(cls, scenario: Scenario) -> "Payload":
         """Draws by the scenario's seed; raises as `scene` does."""
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         friction = float(n.friction)

@@ -56,7 +56,7 @@ ABOVE = 0.5
 """Of the palm at first over the object's middle [m]."""
 
 
-def nobody(_: Sample) -> None:
+def ignore(_: Sample) -> None:
     """Looks at no sample."""
 
 
@@ -112,7 +112,7 @@ class Probe(World):
         lowest = max(LOWEST, self.top - REACH)
         return lowest, max(lowest, self.top - HIGHEST)
 
-    def feel_table(self, places: ArrayLike, see: Callable[[Sample], None] = nobody) -> float:
+    def feel_table(self, places: ArrayLike, on_sample: Callable[[Sample], None] = ignore) -> float:
         """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m].
 
         Places beside it count for nothing. Raises InvalidInput where all are.
@@ -121,12 +121,12 @@ class Probe(World):
         for x, y in places:
             R = self._turned(np.array([1.0, 0.0, 0.0]))
             begin = self._palm(R, np.array([x, y, TABLE_FROM]))
-            self._travel(begin, see)
+            self._travel(begin, on_sample)
             ways = _ways(2 * TABLE_FROM)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, ways)):
-                see(sample)
-                felt = self._tips.contacts(sample.observation)
-                if FINGER in felt.fingers or felt.reasons[FINGER] == "on the table":
+                on_sample(sample)
+                sensed = self._tips.contacts(sample.observation)
+                if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
                     found.append(self._lowest_point(sample.observation))
                     break
         if not found:
@@ -139,64 +139,66 @@ class Probe(World):
         T = self._tip(observation)
         return float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
 
-    def touch(self, sweep: Sweep, see: Callable[[Sample], None] = nobody) -> Touch:
+    def touch(self, sweep: Sweep, on_sample: Callable[[Sample], None] = ignore) -> Touch:
         """What comes of a sweep: the hand goes to its start over the table, along it until it feels something, and up.
 
-        `see` is given every sample of it.
+        `on_sample` is given every sample of it.
         """
         R = self._turned(sweep.direction_world)
-        self._travel(self._palm(R, sweep.start_world), see)
+        self._travel(self._palm(R, sweep.start_world), on_sample)
         free: list[Array] = []
         contact = None
         ways = _ways(sweep.length)
         for sample in self._along(self._palms(R, sweep, ways)):
-            see(sample)
-            felt = self._felt(sample.observation)
-            if felt is not None:
-                contact = self._at_rest(see) or felt
+            on_sample(sample)
+            sensed = self._sensed_contact(sample.observation)
+            if sensed is not None:
+                contact = self._at_rest(on_sample) or sensed
                 break
             tip = self._tip(sample.observation)[:3, 3]
             if not free or np.linalg.norm(tip - free[-1]) >= EVERY:
                 free.append(tip)
         back = BACK if contact is not None else 0.0
-        self._straight(self._T_world_palm, _shifted(self._T_world_palm, -back * sweep.direction_world), see)
+        self._straight(
+            self._T_world_palm, _shifted(self._T_world_palm, -back * sweep.direction_world), on_sample
+        )
         return Touch(np.array(free).reshape(-1, 3), RADIUS, SIGMA, contact)
 
-    def _felt(self, observation: Observation) -> Contacts | None:
+    def _sensed_contact(self, observation: Observation) -> Contacts | None:
         """The contact of the stretched finger in the world, where it is pressed hard enough."""
-        felt = self._tips.contacts(observation)
-        if FINGER not in felt.fingers or felt.contacts is None or felt.loads is None:
+        sensed = self._tips.contacts(observation)
+        if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
-        k = felt.fingers.index(FINGER)
-        if np.linalg.norm(felt.loads[k, :4]) < PRESSED:
+        k = sensed.fingers.index(FINGER)
+        if np.linalg.norm(sensed.loads[k, :4]) < PRESSED:
             return None
-        return felt.contacts.select([k]).moved(_placed(observation)[0])
+        return sensed.contacts.select([k]).moved(_placed(observation)[0])
 
-    def _at_rest(self, see: Callable[[Sample], None]) -> Contacts | None:
+    def _at_rest(self, on_sample: Callable[[Sample], None]) -> Contacts | None:
         """The contact by the mean wrench of a hand that stays; None where it is lost."""
         stays = np.tile(self._T_world_palm, (round(STILL * STEPS_PER_SECOND), 1, 1))
         samples = list(self._along(stays))
         for sample in samples:
-            see(sample)
+            on_sample(sample)
         last = [sample.observation for sample in samples[-READ:]]
         mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
-        return self._felt(replace(last[-1], wrenches={FINGER: mean}))
+        return self._sensed_contact(replace(last[-1], wrenches={FINGER: mean}))
 
-    def _along(self, Ts_world_palm: Array, *, looked: bool = True) -> Iterator[Sample]:
+    def _along(self, Ts_world_palm: Array, *, sampled: bool = True) -> Iterator[Sample]:
         """Samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.
 
-        None where they are not `looked` at: they take longer than all the rest.
+        None where they are not `sampled`: they take longer than all the rest.
         """
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
             self._arm, self._T_world_palm = arm[i : i + 1], T
             self.step()
-            if looked and self.steps % self._every == 0:
+            if sampled and self.steps % self._every == 0:
                 self.refresh()
                 sample = self._sensors.sample()
                 yield replace(sample, observation=replace(sample.observation, vision=None))
 
-    def _travel(self, T_goal: Array, see: Callable[[Sample], None]) -> None:
+    def _travel(self, T_goal: Array, on_sample: Callable[[Sample], None]) -> None:
         """Up, over the table and down to a palm pose (4, 4)."""
         safe = self.top + CLEAR - (T_goal @ self._T_palm_finger)[2, 3]
         up = self._T_world_palm.copy()
@@ -204,15 +206,15 @@ class Probe(World):
         over = T_goal.copy()
         over[2, 3] = up[2, 3]
         for goal in (up, over, T_goal):
-            self._straight(self._T_world_palm, goal, see)
+            self._straight(self._T_world_palm, goal, on_sample)
 
-    def _straight(self, T_begin: Array, T_end: Array, see: Callable[[Sample], None]) -> None:
+    def _straight(self, T_begin: Array, T_end: Array, on_sample: Callable[[Sample], None]) -> None:
         """From one palm pose to another, at rest at both ends."""
         way = se3.difference(T_end, T_begin)
         seconds = np.linalg.norm(way[:3]) / TRAVEL + np.linalg.norm(way[3:]) / TURNING
         s = np.linspace(0, 1, max(round(seconds * STEPS_PER_SECOND), 1) + 1)[1:, None]
-        for sample in self._along(se3.moved(T_begin, least_jerk(s) * way), looked=see is not nobody):
-            see(sample)
+        for sample in self._along(se3.moved(T_begin, least_jerk(s) * way), sampled=on_sample is not ignore):
+            on_sample(sample)
 
     def _turned(self, direction_world: Array) -> Array:
         """R_world_palm (3, 3) that has the finger down, its tip and the palm's front ahead."""

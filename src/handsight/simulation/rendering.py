@@ -148,15 +148,16 @@ def _context() -> Any:
     """An OpenGL context without a screen: the one $MUJOCO_GL names, else EGL, else OSMesa."""
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")
-    platform, said = os.environ.get("PYOPENGL_PLATFORM"), []
+    platform, reasons = os.environ.get("PYOPENGL_PLATFORM"), []
     for kind in kinds:
         try:
             return import_module(f"mujoco.{kind}").GLContext(*IMAGE_SIZE)
         except NO_LIBRARY as error:
-            said.append(f"{kind}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
+            reasons.append(f"{kind}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
             os.environ.pop("PYOPENGL_PLATFORM", None)  # which importing it has set
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     raise MissingExtra(
-        f"images need software rendering, expected EGL or OSMesa (Debian: libegl1 or libosmesa6), got {'; '.join(said)}"
+        f"images need software rendering, "
+        f"expected EGL or OSMesa (Debian: libegl1 or libosmesa6), got {'; '.join(reasons)}"
     )

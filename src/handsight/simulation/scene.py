@@ -216,23 +216,23 @@ def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
     """Adds it; its bounds (2, 3) [m]."""
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
-    looks: dict[str, Any] = {"rgba": [0.75, 0.12, 0.12, 1]}
+    geometry: dict[str, Any] = {"rgba": [0.75, 0.12, 0.12, 1]}
     if name == "can":
         radius, height = CAN_SIZE
         bounds = np.array([radius, radius, height / 2]) * np.array([[-1.0], [1.0]])
-        looks |= {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, height / 2, 0]}
+        geometry |= {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, height / 2, 0]}
     elif name == "box":
         bounds = np.array(BOX_SIZE) / 2 * np.array([[-1.0], [1.0]])
-        looks |= {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
-        looks |= {"rgba": [0.15, 0.45, 0.2, 1]}
+        geometry |= {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
+        geometry |= {"rgba": [0.15, 0.45, 0.2, 1]}
     else:
         vertices, faces = convex_hull(name)
         bounds = np.asarray([vertices.min(axis=0), vertices.max(axis=0)])
         spec.add_mesh(name="object", uservert=vertices.ravel(), userface=faces.ravel())
-        looks |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
+        geometry |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
     body.add_geom(
         name="object", mass=OBJECT_MASS, condim=4, friction=[1.0, 0.005, 0.0001], contype=1 | ON_TABLE,
-        conaffinity=1, **looks, **STIFF,
+        conaffinity=1, **geometry, **STIFF,
     )  # fmt: skip
     return np.asarray(bounds)
 

@@ -102,7 +102,7 @@ def sunk(gaps: Array, force: float, stiffness: float) -> Array:
     return np.asarray(stiffness * np.maximum(depth[k] - gaps, 0.0))
 
 
-def felt(
+def taxel_forces(
     array: TaxelArray,
     solid: Solid,
     T_grid_object: Array,
@@ -141,7 +141,7 @@ class PalmSkin:
     def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
         """(rows, columns) of the array, by its name [N]; `force`: how hard the object presses on the palm [N]."""
         T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
-        true = felt(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
+        true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
         share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
         read = true * (1 + self._share * share) + (FLOOR * floor if self._share else 0.0) + self._offset
         return {"palm": np.minimum(read, PALM_SKIN.full_scale or np.inf)}

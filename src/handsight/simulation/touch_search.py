@@ -14,7 +14,7 @@ from handsight.rig import Camera, Rig, Table
 from handsight.search import Area, Belief, best_sweep
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
-from handsight.simulation.probe import RADIUS, Probe, nobody
+from handsight.simulation.probe import RADIUS, Probe, ignore
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.simulate import Sensors, samples
@@ -22,16 +22,16 @@ from handsight.simulation.world import World
 
 TABLE_SIDE = 0.3
 """Of the square that the object stands within [m]."""
-FELT_AT = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+TABLE_PROBES = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 """Where the table is felt, outside of it (x, y) [m]."""
-FELT_SIGMA = 0.0025
+SIGMA_TABLE_HEIGHT = 0.0025
 """Of the table's height under the object, which is between these places [m]."""
 MOST_TOUCHES = 12
 BETWEEN = 0.5
 """From the search to the open hand beside the object, which is not simulated [s]."""
 
 
-def blind_rig(scenario: Scenario) -> Rig:
+def touch_search_rig(scenario: Scenario) -> Rig:
     """The rig as the robot knows it; raises as `rig_of`.
 
     Its camera stands for the search, whose pose comes in the world and has no constant error of its own.
@@ -40,16 +40,16 @@ def blind_rig(scenario: Scenario) -> Rig:
     return replace(rig_of(scenario), camera=search)
 
 
-def begun(
+def start_search(
     scenario: Scenario,
     model: ObjectModel,
     R_scene_object: Array | None = None,
-    see: Callable[[Sample], None] = nobody,
+    on_sample: Callable[[Sample], None] = ignore,
 ) -> tuple[Probe, Belief]:
     """The hand above the table, which it has felt, and what is believed before the first touch.
 
-    The object stands as `R_scene_object` (3, 3) has it (None: as in its file), where the scenario's seed says. `see` is
-    given every sample. Raises as `simulate`.
+    The object stands as `R_scene_object` (3, 3) has it (None: as in its file), where the scenario's seed says.
+    `on_sample` is called with every sample. Raises as `simulate`.
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
     seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
@@ -60,11 +60,11 @@ def begun(
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     at = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, at)
-    table = Table(height=probe.feel_table(FELT_AT, see), sigma_height=FELT_SIGMA)
+    table = Table(height=probe.feel_table(TABLE_PROBES, on_sample), sigma_height=SIGMA_TABLE_HEIGHT)
     return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
 
 
-def simulate_blind(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
+def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
     """Samples of a search by touch, until the object is found, and then of the scenario's own motion.
 
     No sample has anything of a camera. The first one after the search has what that has found, as a pose in the world
@@ -74,13 +74,13 @@ def simulate_blind(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[S
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
-    seen: list[Sample] = []
-    probe, belief = begun(scenario, model_of(scenario), R_scene_object, seen.append)
+    pending: list[Sample] = []
+    probe, belief = start_search(scenario, model_of(scenario), R_scene_object, pending.append)
     for _ in range(MOST_TOUCHES):
-        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, RADIUS), seen.append))
-        yield from seen
-        seen.clear()
-        if belief.modes[0].sure:
+        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, RADIUS), pending.append))
+        yield from pending
+        pending.clear()
+        if belief.modes[0].is_certain:
             break
     else:
         raise InvalidInput(
@@ -93,7 +93,7 @@ def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> 
     """Samples of the hand that closes where the object is believed to be, the object where it is."""
     found, begins = belief.pose, probe.time + BETWEEN
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
-    off = se3.inverse(found.T_palm_object @ T_object_middle) @ probe.T_world_object @ T_object_middle
+    off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off
     # The scene has the object upright at its origin, and the hand from the side on which its table ends.
     R_scene_palm = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3] @ T_palm_middle[:3, :3].T
@@ -103,7 +103,7 @@ def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> 
     world = World(scenario, replace(grasp, T_palm_middle=T_palm_middle, R_world_palm=R_scene_palm))
     sensors = Sensors(scenario, world)
     sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
-    vision: PoseMeasurement | None = PoseMeasurement(found.T_palm_object, "world", found.covariance)
+    vision: PoseMeasurement | None = PoseMeasurement(found.T_a_b, "world", found.covariance)
     for sample in samples(scenario, world, sensors):
         stamp = begins + sample.observation.stamp
         yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))

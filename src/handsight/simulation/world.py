@@ -8,23 +8,23 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
 from handsight.simulation.motion import (
+    AT_REST,
     CLOSED,
     FREE,
     LEGS,
     MOVES,
     PULLED,
-    SETTLED,
     WEIGH_LEGS,
     Grasp,
     palm_poses,
     perturbed,
 )
-from handsight.simulation.payload import Loaded
+from handsight.simulation.payload import Payload
 from handsight.simulation.pull import BEGINS, LASTS, Pull, pulls
 from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module
 
-SETTLE = 0.15
+SERVO_TIME = 0.15
 """For the servos to hold the open hand [s]."""
 AWAY = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the object waits meanwhile: position [m], quaternion, w first."""
@@ -45,7 +45,7 @@ class World:
         Raises InvalidObject where hand and object overlap.
         """
         self._mujoco = mujoco_module()
-        self._load = Loaded.of(scenario)
+        self._load = Payload.of(scenario)
         self.scene = self._load.scene
         self.data: Any = self._mujoco.MjData(self.scene.model)
         low, high = self.scene.bounds_object
@@ -60,9 +60,9 @@ class World:
         self._pull: Pull | None = None
         moves = {"grasp": LEGS[:1], "manipulate": LEGS, "weigh": WEIGH_LEGS}
         legs = moves.get(scenario.motion, PULLED)
-        self.duration = SETTLED + float(legs[:, 0].sum())
+        self.duration = AT_REST + float(legs[:, 0].sum())
         times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
-        Ts_world_palm = palm_poses(legs, times - SETTLED, T_world_palm, middle)
+        Ts_world_palm = palm_poses(legs, times - AT_REST, T_world_palm, middle)
         self._arm = rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         self._begin = rows((T_world_middle @ T_middle_object)[None])[0]
         self.steps = 0
@@ -213,13 +213,13 @@ class World:
             self._servo(joint).ctrl[:] = angle
         self._move_arm()
         self.data.joint("mount").qpos[:] = self._arm[0]
-        for _ in range(round(SETTLE * STEPS_PER_SECOND)):
+        for _ in range(round(SERVO_TIME * STEPS_PER_SECOND)):
             self._hold_object(AWAY)
             self._mujoco.mj_step(self.scene.model, self.data)
         self.refresh()
         contacts = self.data.contact[: self.data.ncon]
-        body_of, held = self.scene.model.geom_bodyid, self.scene.model.body("object").id
-        between = [c.dist for c in contacts if held in body_of[c.geom] and 0 not in body_of[c.geom]]
+        body_of, object_body = self.scene.model.geom_bodyid, self.scene.model.body("object").id
+        between = [c.dist for c in contacts if object_body in body_of[c.geom] and 0 not in body_of[c.geom]]
         if min(between, default=0.0) < -MAX_OVERLAP:
             size = " x ".join(f"{1000 * side:.0f}" for side in self._size)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")

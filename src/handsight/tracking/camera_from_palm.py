@@ -69,7 +69,7 @@ class CameraFromPalm:
     recent: tuple[HandView, ...] = field(default=())
     """The last ones, each agreeing with the one before."""
 
-    def seen(self, view: HandView) -> "CameraFromPalm":
+    def updated(self, view: HandView) -> "CameraFromPalm":
         """After another view: it is believed once it has agreed with those just before, unless it is of a side that is
         known; and alone, if what was believed before contradicts it."""
         recent = (

@@ -88,23 +88,25 @@ class FingertipSensors:
         by_error = by_joint @ offsets.root
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
-        felt = np.empty(len(self.names), dtype=PALM_CONTACT)
-        contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, felt)
+        records = np.empty(len(self.names), dtype=PALM_CONTACT)
+        contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
-            put_ready(self.rig, observation.contacts, Ts_palm_tip, by_error, felt)
+            put_ready(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
         if T is not None and self._table is not None:
-            mark_on_table(np.array(T), self._table, ON_TABLE, felt)
+            mark_on_table(np.array(T), self._table, ON_TABLE, records)
 
-        reasons = {name: REASONS[k] for name, k in zip(self.names, felt["reason"].tolist(), strict=True) if k}
+        reasons = {
+            name: REASONS[k] for name, k in zip(self.names, records["reason"].tolist(), strict=True) if k
+        }
         fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
-        touching = felt[felt["reason"] == 0] if reasons else felt
+        touching = records[records["reason"] == 0] if reasons else records
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
-        return FingertipContacts(fingers, contacts, reasons, by_error[felt["reason"] == 0], near, loads)
+        return FingertipContacts(fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads)
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """(n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.tracking.propagation import walked
+from handsight.tracking.propagation import process_variance
 
 GraspChange = Literal["grasped", "regrasped", "released"]
 
@@ -82,7 +82,7 @@ class ContactMemory:
         parts = [contacts, *(then.select([row]) for then, row, _ in others.values())]
         covariance = np.concatenate([part.covariance for part in parts])
         ages = [max(stamp - then, 0.0) for _, _, then in others.values()]
-        covariance[len(contacts) :] += [np.diag(walked(self._process_noise, age)) for age in ages]
+        covariance[len(contacts) :] += [np.diag(process_variance(self._process_noise, age)) for age in ages]
         points = np.concatenate([part.points_palm for part in parts])
         normals = np.concatenate([part.normals_palm for part in parts])
         flags = np.concatenate([part.of_residual for part in parts])

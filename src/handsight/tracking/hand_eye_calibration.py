@@ -38,7 +38,7 @@ class HandCalibration:
     """(6,) of the views about their mean, root mean square [m, rad]."""
     views: int
     """That agree."""
-    looked_at: int
+    images: int
     """Pictures."""
 
 
@@ -48,7 +48,7 @@ class HandViews:
     def __init__(self, rig: Rig) -> None:
         """The rig as it is believed; without intrinsics, or shapes of the hand, nothing is gathered."""
         self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
-        self._last, self.looked_at, self.refusals = -np.inf, 0, dict[str, int]()
+        self._last, self.images, self.refusals = -np.inf, 0, dict[str, int]()
         self._camera: PinholeCamera | None = None
         self._hand = HandInImage(rig)
         camera = rig.camera
@@ -68,13 +68,13 @@ class HandViews:
         T_mount_palm = np.eye(4) if camera.on == "palm" else observation.T_world_palm
         if T_mount_palm is None:
             return
-        if self.looked_at >= MOST_VIEWS or observation.stamp < self._last + EVERY:
+        if self.images >= MOST_VIEWS or observation.stamp < self._last + EVERY:
             return
         hand = self._hand.placed(observation.joint_positions)
         if hand is None:  # joints that are missing are told of elsewhere
             return
-        self._last, self.looked_at = observation.stamp, self.looked_at + 1
-        seen = detect_palm(
+        self._last, self.images = observation.stamp, self.images + 1
+        detection = detect_palm(
             self._camera,
             depth,
             hand,
@@ -83,12 +83,12 @@ class HandViews:
             sigma_rotation=camera.sigma_rotation_constant,
             noise=PRESETS[camera.depth_camera],
         )
-        if isinstance(seen, PalmNotFound):
-            self.refusals[seen.reason] = self.refusals.get(seen.reason, 0) + 1
+        if isinstance(detection, PalmNotFound):
+            self.refusals[detection.reason] = self.refusals.get(detection.reason, 0) + 1
             return
-        T_mount_camera = T_mount_palm @ se3.inverse(seen.T_camera_palm)
+        T_mount_camera = T_mount_palm @ se3.inverse(detection.T_camera_palm)
         pivot = se3.apply(T_mount_palm, hand.middle[None])[0]
-        covariance = _at(seen, seen.T_camera_palm[:3, :3] @ hand.middle, T_mount_camera[:3, :3])
+        covariance = _at(detection, detection.T_camera_palm[:3, :3] @ hand.middle, T_mount_camera[:3, :3])
         self._views.append((T_mount_camera, pivot, covariance))
 
     def calibration(self) -> HandCalibration | None:
@@ -112,12 +112,12 @@ class HandViews:
             pivot=pivot,
             spread=np.sqrt((spread**2).mean(axis=0)),
             views=int(agree.sum()),
-            looked_at=self.looked_at,
+            images=self.images,
         )
 
 
-def _at(seen: PalmDetection, arm: Array, R_mount_camera: Array) -> Array:
+def _at(detection: PalmDetection, arm: Array, R_mount_camera: Array) -> Array:
     """(6, 6) a seen hand's covariance at its middle, `arm` from the palm's origin, along the mount's axes."""
     to_middle = np.eye(6)
     to_middle[:3, 3:] = -se3.skew(arm)
-    return se3.rotate_covariance(R_mount_camera, to_middle @ seen.covariance @ to_middle.T)
+    return se3.rotate_covariance(R_mount_camera, to_middle @ detection.covariance @ to_middle.T)

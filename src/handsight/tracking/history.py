@@ -1,15 +1,15 @@
-"""Where the joints and the palm were a moment ago: what vision says arrives later than it was seen."""
+"""Joints and palm during the last second: what a camera measured arrives later than the image was taken."""
 
-from collections import deque
+from bisect import bisect_left
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from handsight.checks import Array
 
-KEPT = 1.0
-"""[s]"""
-MOST = 2000
-"""Instants kept at most."""
+DURATION = 1.0
+"""How long an instant is kept [s]."""
+MAX_INSTANTS = 2000
 
 
 class Instant(NamedTuple):
@@ -20,24 +20,28 @@ class Instant(NamedTuple):
     T_world_palm: Array | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """The last second."""
+    """The instants of the last second, in order of their stamps."""
 
-    def __init__(self) -> None:
-        self._instants = deque[Instant](maxlen=MOST)
+    instants: tuple[Instant, ...] = ()
 
-    def put(self, instant: Instant) -> None:
-        """Takes note of now; what was noted of later instants was taken back."""
-        while self._instants and self._instants[-1].stamp >= instant.stamp:
-            self._instants.pop()
-        self._instants.append(instant)
-        while self._instants[0].stamp < instant.stamp - KEPT:
-            self._instants.popleft()
+    def after(self, instant: Instant) -> "History":
+        """Returns the history with one more instant; later ones, whose stamps were taken back, are dropped."""
+        kept = self.instants
+        if kept and kept[-1].stamp >= instant.stamp:
+            kept = kept[: bisect_left(kept, instant.stamp, key=_stamp)]
+        first = bisect_left(kept, instant.stamp - DURATION, key=_stamp)
+        return History((*kept[max(first, len(kept) + 1 - MAX_INSTANTS) :], instant))
 
     def at(self, stamp: float | None) -> Instant | None:
-        """The instant nearest to a stamp, the last one for None; None where the stamp is older than all of them."""
-        if stamp is None or not self._instants:
-            return self._instants[-1] if self._instants else None
-        if stamp < self._instants[0].stamp - KEPT / 10:
+        """Returns the instant nearest to a stamp, the last one for None; None where the stamp is older than all."""
+        if stamp is None or not self.instants:
+            return self.instants[-1] if self.instants else None
+        if stamp < self.instants[0].stamp - DURATION / 10:
             return None
-        return min(self._instants, key=lambda instant: abs(instant.stamp - stamp))
+        return min(self.instants, key=lambda instant: abs(instant.stamp - stamp))
+
+
+def _stamp(instant: Instant) -> float:
+    return instant.stamp

@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array, Mask
+from handsight.copies import shallow_copy
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Camera, Rig
@@ -19,14 +20,14 @@ from handsight.vision.palm.hand_in_image import HandInImage
 
 ERR_TOGETHER = 1.0
 """Images so far apart err each by itself; nearer ones share what smoothing, bias and the side they show do [s]."""
-LOOK_AGAIN = 0.5
+SEARCH_AGAIN = 0.5
 """Between looks for a hand that was seen [s]: its joints go on telling where it is."""
 FOUND_SIGMAS = 0.01, float(np.deg2rad(3.0))
 """How far the palm may be off in the next image, once it was seen [m, rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looked:
+class ImageResult:
     """What an observation says once its depth image was looked at."""
 
     observation: Observation
@@ -42,10 +43,16 @@ class ImageVision:
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
         """Whether it is `on`: else, and without the camera's intrinsics, observations stay as they are."""
-        self._rig, self._model, self._past = rig, model, History()
+        self._rig, self._model, self._history = rig, model, History()
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
         self.eye: Eye | None = None
         """What looks, from the first depth image on."""
+
+    def copied(self) -> "ImageVision":
+        """Returns a copy that evolves apart from this one."""
+        copy = shallow_copy(self)
+        copy.eye = None if self.eye is None else self.eye.copied()
+        return copy
 
     @property
     def counts(self) -> dict[str, int]:
@@ -60,25 +67,29 @@ class ImageVision:
             "palm_detected": eye.hands,
         }
 
-    def look(self, observation: Observation, seen: CameraFromPalm, T_palm_object: Array | None) -> Looked:
-        """What an observation says; `seen`: what earlier images have said of the camera.
+    def observe(
+        self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
+    ) -> ImageResult:
+        """What an observation says; `from_palm`: what earlier images have said of the camera.
 
         T_palm_object: (4, 4) of an object that rides in the hand; None where nothing holds it. Raises InvalidInput for
         images that are none of the camera's.
         """
-        self._past.put(Instant(observation.stamp, observation.joint_positions, observation.T_world_palm))
+        self._history = self._history.after(
+            Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
+        )
         camera, hand = self._rig.camera, None
         if self._on and camera is not None and observation.depth is not None:
             self.eye = self.eye or Eye(self._rig, camera, self._model)
             stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
-            then = self._past.at(stamp)
+            then = self._history.at(stamp)
             if then is not None:
-                vision, hand = self.eye.look(stamp, observation.depth, then, seen, T_palm_object)
+                vision, hand = self.eye.observe(stamp, observation.depth, then, from_palm, T_palm_object)
                 observation = replace(observation, vision=vision)
         elif self.eye is not None and observation.vision is not None and observation.vision.frame == "camera":
             observation = replace(observation, vision=None)  # the same camera says more in its images
         vision = observation.vision
-        return Looked(observation, hand, None if vision is None else self._past.at(vision.stamp))
+        return ImageResult(observation, hand, None if vision is None else self._history.at(vision.stamp))
 
 
 class Eye:
@@ -92,20 +103,31 @@ class Eye:
         self._hand = HandInImage(rig)
         sizes = camera.sigma_position_constant, camera.sigma_rotation_constant
         self._sigmas = max(sizes[0], FOUND_SIGMAS[0]), max(sizes[1], FOUND_SIGMAS[1])
-        self._posed = self._looked = -np.inf
+        self._posed = self._searched = -np.inf
         self.sighting: Sighting | None = None
         """The last one."""
         self.images = self.poses = self.searches = self.hands = 0
         """How many images were looked at and in how many the object was seen; how often the hand was looked for, and
         seen."""
 
-    def look(
-        self, stamp: float, depth: Depth, then: Instant, seen: CameraFromPalm, T_palm_object: Array | None
+    def copied(self) -> "Eye":
+        """Returns a copy that evolves apart from this one; both share the room that an image is worked on in."""
+        copy = shallow_copy(self)
+        copy.tracker = shallow_copy(self.tracker)
+        return copy
+
+    def observe(
+        self,
+        stamp: float,
+        depth: Depth,
+        then: Instant,
+        from_palm: CameraFromPalm,
+        T_palm_object: Array | None,
     ) -> tuple[PoseMeasurement | None, HandView | None]:
         """Where the object is in the camera, and the hand, each if it is seen."""
         image = self._camera.check_depth(depth, "observation.depth")
         self.images += 1
-        view, mask, T_camera_palm = self._see_hand(stamp, image, then, seen)
+        view, mask, T_camera_palm = self._see_hand(stamp, image, then, from_palm)
         # What touch says is where to look for what was lost, and no more: a look that began there each time would say
         # again what touch has said, as if the camera had seen it.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
@@ -128,7 +150,7 @@ class Eye:
         return PoseMeasurement(sighting.T_camera_object, "camera", alike * sighting.covariance, stamp), view
 
     def _see_hand(
-        self, stamp: float, depth: Depth, then: Instant, seen: CameraFromPalm
+        self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm
     ) -> tuple[HandView | None, Mask | None, Array | None]:
         """The palm's view, the hand's pixels and T_camera_palm, each as far as it can be told."""
         joints, camera = then.joint_positions, self._mounted
@@ -136,14 +158,14 @@ class Eye:
         if T_mount_palm is None:
             return None, None, None
         T_camera_mount = se3.inverse(camera.T_mount_camera)
-        believed, sigmas, known = T_camera_mount @ T_mount_palm, self._sigmas, len(seen.believed) > 0
+        believed, sigmas, known = T_camera_mount @ T_mount_palm, self._sigmas, len(from_palm.believed) > 0
         if known:
-            believed, sigmas = T_camera_mount @ seen.believed[-1].expected(T_mount_palm), FOUND_SIGMAS
+            believed, sigmas = T_camera_mount @ from_palm.believed[-1].expected(T_mount_palm), FOUND_SIGMAS
         found = None
-        if not known or abs(stamp - self._looked) >= LOOK_AGAIN:
-            self._looked, self.searches = stamp, self.searches + 1
-            look = self._hand.followed if known else self._hand.seen
-            found = look(self._camera, depth, joints, believed, sigmas)
+        if not known or abs(stamp - self._searched) >= SEARCH_AGAIN:
+            self._searched, self.searches = stamp, self.searches + 1
+            observe = self._hand.followed if known else self._hand.detected
+            found = observe(self._camera, depth, joints, believed, sigmas)
         if isinstance(found, PalmDetection):
             self.hands += 1
             covariance = se3.rotate_covariance(camera.T_mount_camera[:3, :3], found.covariance)

@@ -56,17 +56,17 @@ class VisionUpdate:
 
         Raises InvalidInput where the pose is in the frame of a camera that the rig has not, or far from any hand.
         """
-        seen = observation.vision
-        if seen is None:
+        measured = observation.vision
+        if measured is None:
             return smoother
-        mount = self._mount_of(seen)
+        mount = self._mount_of(measured)
         if self.mount is None:
             self.mount = mount
         T_mount_palm = EYE if mount == "palm" else T_world_palm
         if mount != self.mount or T_mount_palm is None:
             self.unplaced += 1
             return smoother
-        T_mount_object, covariance = self._in_mount(seen)
+        T_mount_object, covariance = self._in_mount(measured)
         T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
         place = T_palm_object[:3, 3]
         if not np.abs(place).max() <= checks.MAX_DISTANCE:
@@ -78,7 +78,7 @@ class VisionUpdate:
 
     def palm_detected(self, view: HandView, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
         """The smoother after the hand was seen; the same one where that says nothing new."""
-        before, self.camera_from_palm = self.camera_from_palm, self.camera_from_palm.seen(view)
+        before, self.camera_from_palm = self.camera_from_palm, self.camera_from_palm.updated(view)
         new = self.camera_from_palm.believed[len(before.believed) :]
         if self.camera_from_palm.believed == before.believed or smoother is None:
             return smoother
@@ -92,16 +92,16 @@ class VisionUpdate:
             return None
         T_mount_object, _, T_mount_palm = self._last
         T_palm_object = se3.inverse(T_mount_palm) @ T_mount_object
-        begun = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
-        return self._gated(begun, *self._last)
+        started = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), T_mount_object[:3, 3])
+        return self._gated(started, *self._last)
 
     def in_palm(self, observation: Observation | None, T_world_palm: Array | None) -> Array | None:
         """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""
-        seen = None if observation is None else observation.vision
-        if seen is None:
+        measured = None if observation is None else observation.vision
+        if measured is None:
             return None
-        T_mount_palm = np.eye(4) if self._mount_of(seen) == "palm" else T_world_palm
-        return None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._in_mount(seen)[0]
+        T_mount_palm = np.eye(4) if self._mount_of(measured) == "palm" else T_world_palm
+        return None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._in_mount(measured)[0]
 
     def smoother_from(self, T_palm_object: Array, covariance: Array, pivot: Array) -> PoseBiasSmoother:
         """Begun at a pose with its covariance (6, 6), and vision's bias as uncertain as the camera says."""
@@ -114,22 +114,22 @@ class VisionUpdate:
             smoother = smoother.informed(*measured)
         return smoother
 
-    def _mount_of(self, seen: PoseMeasurement) -> Mount:
-        if seen.frame == "camera":
+    def _mount_of(self, measured: PoseMeasurement) -> Mount:
+        if measured.frame == "camera":
             if self._rig.camera is None:
                 raise InvalidInput(
                     "vision.frame: expected world or palm (the rig has no camera), got 'camera'"
                 )
             return self._rig.camera.on
-        return seen.frame
+        return measured.frame
 
-    def _in_mount(self, seen: PoseMeasurement) -> tuple[Array, Array]:
+    def _in_mount(self, measured: PoseMeasurement) -> tuple[Array, Array]:
         """The measured pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
-        T_mount_frame = self.camera.T_mount_camera if seen.frame == "camera" else EYE
-        if seen.covariance is None:
-            return T_mount_frame @ seen.T_frame_object, self._usual_covariance
-        covariance = se3.rotate_covariance(T_mount_frame[:3, :3], seen.covariance)
-        return T_mount_frame @ seen.T_frame_object, invertible(covariance)
+        T_mount_frame = self.camera.T_mount_camera if measured.frame == "camera" else EYE
+        if measured.covariance is None:
+            return T_mount_frame @ measured.T_frame_object, self._usual_covariance
+        covariance = se3.rotate_covariance(T_mount_frame[:3, :3], measured.covariance)
+        return T_mount_frame @ measured.T_frame_object, invertible(covariance)
 
     def _gated(
         self, smoother: PoseBiasSmoother, T_mount_object: Array, covariance: Array, T_mount_palm: Array

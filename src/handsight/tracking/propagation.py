@@ -12,7 +12,7 @@ from handsight.correction import PoseEstimate, PosePrior
 from handsight.objects import ObjectModel
 from handsight.tracking.skin import NOTHING, SkinContacts
 
-MOST_WALKED = 100.0
+MAX_PROPAGATION = 100.0
 """Variance [m², rad²] beyond which a walk says no more: nothing is known of where the object is."""
 
 
@@ -34,9 +34,9 @@ class Correction:
     skin: SkinContacts = NOTHING
 
 
-def walked(process_noise: Array, seconds: float) -> Array:
+def process_variance(process_noise: Array, seconds: float) -> Array:
     """(6,) variance of a random walk of `process_noise` (6,) a second, after so long [s]."""
-    return np.minimum(process_noise * seconds, MOST_WALKED)
+    return np.minimum(process_noise * seconds, MAX_PROPAGATION)
 
 
 def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:

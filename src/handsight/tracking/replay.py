@@ -12,9 +12,10 @@ from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.forces import Slip
 from handsight.observation import Observation
+from handsight.tracking.clock import MAX_JUMP
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.skin import NOTHING, SkinContacts
-from handsight.tracking.tracker import MAX_JUMP, State, Tracker
+from handsight.tracking.tracker import State, Tracker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +59,7 @@ class Tally:
     observations: int = 0
     answered: int = 0
     refused: Counter[str] = field(default_factory=Counter)
-    """Observations that were wrong in themselves, by what was said of them; at most `MOST_SAID` are told apart."""
+    """Observations that were wrong in themselves, by what was said of them; at most `MAX_MESSAGES` are told apart."""
     states: dict[str, float] = field(default_factory=dict)
     """Seconds in each state."""
     recorded: float = 0.0
@@ -71,7 +72,7 @@ class Tally:
     """By finger: observations before its first contact, if it has one, by why there was none."""
 
 
-MOST_SAID = 100
+MAX_MESSAGES = 100
 
 
 class Taken(NamedTuple):
@@ -91,29 +92,31 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
     An observation that is wrong in itself is counted with what is wrong, and the next is taken. One that comes late has
     no answer, nor has one that jumps ahead and is taken back: after a jump an answer waits for the next observation.
     """
-    began, settled, held = time.perf_counter(), math.nan, list[Taken]()
+    began, started_at, gripped = time.perf_counter(), math.nan, list[Taken]()
     for observation in observations:
         tally.observations += 1
         late, undone = tracker.late, tracker.undone
         try:
             estimate = tracker.update(observation)
         except InvalidInput as error:
-            said = str(error)
-            tally.refused[said if said in tally.refused or len(tally.refused) < MOST_SAID else "others"] += 1
-            if not held:
-                settled = _passed_over(observation, settled, tally)
+            message = str(error)
+            tally.refused[
+                message if message in tally.refused or len(tally.refused) < MAX_MESSAGES else "others"
+            ] += 1
+            if not gripped:
+                started_at = _passed_over(observation, started_at, tally)
             continue
         finally:
             tally.wall = time.perf_counter() - began
-        del held[len(held) - (tracker.undone - undone) :]
+        del gripped[len(gripped) - (tracker.undone - undone) :]
         if tracker.late == late:
-            passed = max(0.0, tracker.stamp - (held[-1].stamp if held else settled))
+            passed = max(0.0, tracker.stamp - (gripped[-1].stamp if gripped else started_at))
             step = None if estimate is None else _step(tracker, estimate)
-            held.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
-        while len(held) > tracker.unconfirmed:
-            settled = held[0].stamp
-            yield from _counted(held.pop(0), tally)
-    for taken in held:
+            gripped.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
+        while len(gripped) > tracker.unconfirmed:
+            started_at = gripped[0].stamp
+            yield from _counted(gripped.pop(0), tally)
+    for taken in gripped:
         yield from _counted(taken, tally)
 
 
@@ -132,7 +135,7 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         estimate=estimate,
         state=tracker.state,
         reason=tracker.reason,
-        T_palm_object_vision=tracker.vision.in_palm(tracker.looked, tracker.T_world_palm),
+        T_palm_object_vision=tracker.vision.in_palm(tracker.processed, tracker.T_world_palm),
         T_world_palm=tracker.T_world_palm,
         fingertips=tracker.fingertips,
         sigma=tracker.sigma,

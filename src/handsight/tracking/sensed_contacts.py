@@ -20,9 +20,9 @@ def put_ready(
     contacts: Mapping[str, ContactMeasurement | None],
     Ts_palm_tip: Array,
     by_error: Array,
-    felt: NDArray[np.void],
+    records: NDArray[np.void],
 ) -> None:
-    """Writes the contacts into the rows of `felt` (n) PALM_CONTACT, and into `by_error`, of their fingers.
+    """Writes the contacts into the rows of `records` (n) PALM_CONTACT, and into `by_error`, of their fingers.
 
     `Ts_palm_tip` (n, 4, 4), `by_error` (n, 6, j): as `contacts_to_palm` takes them, in the order of the rig's fingers.
     Fingers that the rig has not are passed over. Raises InvalidInput.
@@ -34,26 +34,26 @@ def put_ready(
     for i, (name, finger) in enumerate(rig.fingers.items()):
         if name not in contacts:
             continue
-        contact, said = contacts[name], f"observation.contacts[{name!r}]"
+        contact, name_of = contacts[name], f"observation.contacts[{name!r}]"
         if not isinstance(contact, ContactMeasurement | None):
             came = type(contact).__name__
-            raise InvalidInput(f"{said}: expected a ContactMeasurement or None, got {came}")
+            raise InvalidInput(f"{name_of}: expected a ContactMeasurement or None, got {came}")
         if contact is None or (contact.force is not None and contact.force < finger.tip.min_force):
-            felt[i]["reason"] = FREE
+            records[i]["reason"] = FREE
             continue
-        felt[i]["reason"] = 0
+        records[i]["reason"] = 0
         _put(
             contact,
             finger,
-            _T_palm_frame(contact, rig, finger, Ts_palm_tip[i], said),
+            _T_palm_frame(contact, rig, finger, Ts_palm_tip[i], name_of),
             Ts_palm_tip[i],
             by_error[i],
-            felt[i],
+            records[i],
         )
 
 
 def _T_palm_frame(
-    contact: ContactMeasurement, rig: Rig, finger: Finger, T_palm_tip: Array, said: str
+    contact: ContactMeasurement, rig: Rig, finger: Finger, T_palm_tip: Array, name_of: str
 ) -> Array:
     """(4, 4) of the frame that a contact is given in; raises InvalidInput."""
     frames = {
@@ -64,7 +64,9 @@ def _T_palm_frame(
     }
     if contact.frame not in frames:
         known = ", ".join(dict.fromkeys(frames))
-        raise InvalidInput(f"{said}.frame: expected one of {known}, got {checks.brief(repr(contact.frame))}")
+        raise InvalidInput(
+            f"{name_of}.frame: expected one of {known}, got {checks.brief(repr(contact.frame))}"
+        )
     return frames[contact.frame]
 
 

@@ -105,7 +105,7 @@ class SkinSensors:
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
         self._untouched: Mapping[str, Untouched] = {}
 
-    def felt(self, observation: Observation, *, touched: bool) -> SkinContacts:
+    def observed(self, observation: Observation, *, touched: bool) -> SkinContacts:
         """What is felt now; `touched`: a fingertip feels something, so that the arrays may, too.
 
         An array on a link whose joints were not heard says nothing. Raises InvalidInput.

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from handsight.copies import shallow_copy
 from handsight.forces import Slip, SlipDetector, slip_twist
 from handsight.forces.slip_motion import LENGTH
 from handsight.rig import Rig
@@ -28,24 +29,33 @@ class SlipUpdate:
         self.detector = SlipDetector(rig)
         self._spread = 0.0
 
+    def copied(self) -> "SlipUpdate":
+        """Returns a copy that evolves apart from this one."""
+        copy = shallow_copy(self)
+        copy.detector = shallow_copy(self.detector)
+        copy.detector.friction = shallow_copy(self.detector.friction)
+        return copy
+
     @property
     def now(self) -> Slip:
         """After the last observation."""
         return self.detector.now
 
-    def update(self, stamp: float, felt: FingertipContacts, smoother: PoseBiasSmoother) -> PoseBiasSmoother:
+    def update(
+        self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
+    ) -> PoseBiasSmoother:
         """The smoother after loads were felt, the same one where the object holds.
 
         A slip goes on in one direction, so its sigma, not its variance, grows with time.
         """
-        now = self.detector.update(stamp, felt.fingers, felt.loads)
-        if not now.slipping or felt.contacts is None or felt.loads is None:
+        now = self.detector.update(stamp, fingertips.fingers, fingertips.loads)
+        if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
             self._spread = 0.0
             return smoother
         before, self._spread = self._spread, min(SPEED * (stamp - now.began + BEFORE), FARTHEST)
         more = max(self._spread**2 - before**2, 0.0)
         state = smoother.now
-        twist = slip_twist(felt.contacts, felt.loads, state.T_palm_object[:3, 3])
+        twist = slip_twist(fingertips.contacts, fingertips.loads, state.T_palm_object[:3, 3])
         along = EVERY_WAY if twist is None else np.outer(twist, twist) + SIDEWAYS**2 * EVERY_WAY
         return smoother.restarted(state.spread(more * along))
 

@@ -25,7 +25,7 @@ from handsight._kernels.posterior import pose_bias
 from handsight._kernels.records import MEASUREMENT
 from handsight.checks import MAX_DISTANCE, Array
 from handsight.correction import PosePrior
-from handsight.tracking.propagation import MOST_WALKED
+from handsight.tracking.propagation import MAX_PROPAGATION
 
 MOST_MEASUREMENTS = 48
 SAME_PALM = np.array([0.01, np.deg2rad(2.0)])
@@ -96,7 +96,7 @@ class PoseAndBias:
         """With `variance` (6,) added to the pose's, as far as it says something."""
         covariance = self.covariance.copy()
         variances = np.einsum("ii->i", covariance)[:6]  # where they are, to be written to
-        variances += np.minimum(variance, np.maximum(MOST_WALKED - variances, 0.0))
+        variances += np.minimum(variance, np.maximum(MAX_PROPAGATION - variances, 0.0))
         return PoseAndBias(self.Ts, covariance)
 
     def spread(self, covariance: Array) -> "PoseAndBias":
@@ -157,7 +157,7 @@ class PoseBiasSmoother:
 
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
         """After a step of the random walk of the pose, of `variance` (6,)."""
-        noise = np.minimum(self.process_noise + variance, MOST_WALKED)
+        noise = np.minimum(self.process_noise + variance, MAX_PROPAGATION)
         return PoseBiasSmoother(
             self.prior, self.pivot, self.solved, self.solved_noise, noise, self.measurements
         )

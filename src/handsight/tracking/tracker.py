@@ -1,7 +1,7 @@
-"""The door of tracking: observations are checked, their clock is watched, and the pose is followed."""
+"""The door of tracking: observations are checked, their clock is watched, and the state of the track is kept."""
 
 import math
-from typing import Any
+from dataclasses import replace
 
 from handsight import checks
 from handsight._kernels.runtime.warm import warm_tracker
@@ -12,37 +12,37 @@ from handsight.forces import Slip
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, check_observation
 from handsight.rig import Rig
+from handsight.tracking.clock import MAX_JUMP, TrackClock
+from handsight.tracking.fingertips import FingertipContacts
+from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
+from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
-from handsight.tracking.track import Track
-from handsight.tracking.trust import State
+from handsight.tracking.skin import SkinContacts
+from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.status import State
+from handsight.tracking.track_state import TrackState
 from handsight.tracking.weight_update import ObjectWeight
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
 
-MAX_JUMP = 1.0
-"""A stamp farther from the last one, ahead or back, is a jump of the clock, which the next one must confirm [s]."""
-MOST_UNCONFIRMED = 3
-"""So many jumps ahead in a row can be taken back."""
-MOST_LEFT_OUT = 100
+MAX_LEFT_OUT = 100
 """So many observations in a row, late or wrong, may be left out before the object counts as lost."""
 
-Snapshot = tuple[tuple[object, dict[str, Any]], ...]
-"""What a tracker knew: its attributes, and those of its parts that change."""
 
-
-class Tracker(Track):
+class Tracker:
     """One object in one hand. Give it every observation; it answers with the pose at each.
 
     The object is fixed in the palm between corrections (the paper's assumption), its uncertainty growing; while it is
     not grasped, it is fixed in the world. It is corrected when a finger touches or lets go, when a contact has moved,
     when the object slips, when vision arrives, or at a set rate.
 
-    Stamps are to go on; what is older than the last one is late, and left out. Clocks jump all the same. A stamp more
-    than a second ahead of the last is wrong, or the sensors have paused: it is believed, and taken back if the next one
-    is nearer to those before. A stamp more than a second back is wrong, or the clock was set back, or a recording
-    begins again: it is left out, but if the next one is nearer to it than to those before, a new track begins, from
-    `start` or from vision, as `reason` says for a second.
+    Stamps are to go on; what is older than the last one is late, and left out. Clocks jump all the same, and how that
+    is told from a pause says `handsight.tracking.clock`: a jump ahead is taken back if the next stamp contradicts it,
+    and where the clock was set back a new track starts, from `start` or from vision, as `reason` says for a second.
+
+    All that it knows of the object is one value, `track_state`, which `Follower.step` takes from one observation to the
+    next. A tracker can be copied and pickled, and goes on from any such value by `resume`.
     """
 
     def __init__(
@@ -74,130 +74,194 @@ class Tracker(Track):
             came = checks.brief(", ".join(offsets.joints))
             raise InvalidInput(f"joint_offsets: expected those of this hand's joints, got those of {came}")
         warm_tracker()
-        super().__init__(rig, model, start, settings or TrackerSettings(), offsets)
+        self.follower = Follower(rig, model, settings or TrackerSettings())
+        """What takes one state to the next."""
+        self.track_state = self.follower.initial(start, offsets)
+        """All that is known of the object: a value."""
+        self._clock = TrackClock()
         self.late = self.undone = self.refused = 0
         """How many observations were left out: late ones, those taken back when the next told that their stamps were
         wrong, and those that were wrong in themselves."""
+        self.state: State = "lost"
+        """How far to trust the answer."""
+        self.reason = self.track_state.reason
+        """Why no further; empty while tracking."""
         self._left_out_in_a_row = 0
-        self._why, self._began = "", -math.inf
-        """Why the track is not the first, and when it began [s]."""
-        self._earlier: tuple[Snapshot, ...] = ()
-        """Before each of the last jumps ahead, as long as nothing has confirmed them."""
-        self._back = math.inf
-        """The last stamp, if it was back by more than `MAX_JUMP` [s]."""
 
     def update(self, observation: Observation) -> PoseEstimate | None:
-        """The pose in the palm now; None as long as there has been neither a start nor a pose from vision.
+        """Returns the pose in the palm now; None as long as there has been neither a start nor a pose from vision.
 
-        `state` and `reason` say how far to trust it; lost it is, too, once `MOST_LEFT_OUT` observations in a row, or
+        `state` and `reason` say how far to trust it; lost it is, too, once `MAX_LEFT_OUT` observations in a row, or
         all of `lost_after`, were left out. An observation older than the last one is counted in `late` and changes
         nothing else; of jumps of the clock see the class. Raises InvalidInput for what is wrong with the observation
         itself, which is counted in `refused` and changes nothing else.
         """
-        before = self._snapshot()
+        before = self.track_state, self._clock, self.late, self.undone, self.state, self.reason
         try:
             clean = check_observation(observation)
             if not self._is_next(clean.stamp):
                 self.late += 1
-                self._left_out(clean.stamp, "older than the last one")
+                self._leave_out(clean.stamp, "older than the last one")
                 return self.estimate
-            estimate, self._left_out_in_a_row = self._follow(clean), 0
+            self.track_state, estimate = self.follower.step(self.track_state, clean)
         except BaseException as error:
-            self._restore(before)
+            self.track_state, self._clock, self.late, self.undone, self.state, self.reason = before
             if isinstance(error, Exception):
                 self.refused += 1
-                self._left_out(getattr(observation, "stamp", None), str(error))
+                self._leave_out(getattr(observation, "stamp", None), str(error))
             raise
-        if self._why and (estimate is None or clean.stamp - self._began <= MAX_JUMP):
+        self._left_out_in_a_row = 0
+        self.state, self.reason = self.track_state.label, self.track_state.reason
+        if self._clock.message and (estimate is None or clean.stamp - self._clock.restarted_at <= MAX_JUMP):
             self.state = "lost" if self.state == "lost" else "uncertain"
-            self.reason = "; ".join(filter(None, (self._why, self.reason)))
+            self.reason = "; ".join(filter(None, (self._clock.message, self.reason)))
         return estimate
 
+    def resume(self, track_state: TrackState) -> None:
+        """Goes on from a state, of this tracker or of another one with the same rig, object and settings."""
+        if not isinstance(track_state, TrackState):
+            raise InvalidInput(f"track_state: expected a TrackState, got {type(track_state).__name__}")
+        self.track_state, self._clock, self._left_out_in_a_row = track_state, TrackClock(), 0
+        self.state, self.reason = track_state.label, track_state.reason
+
     def vision_bias(self) -> tuple[Array, Array] | None:
-        """Vision's constant bias (6,) and its covariance (6, 6), by vision and contacts together.
+        """Returns vision's constant bias (6,) and its covariance (6, 6), by vision and contacts together.
 
         See `PoseAndBias.vision_bias`. None before there were both.
         """
-        if self.smoother is None or self._correction is None or self.vision.mount is None:
+        known = self.track_state
+        if known.smoother is None or known.correction is None or known.vision.mount is None:
             return None
-        estimate = self._correction.estimate
-        state = self.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
+        estimate = known.correction.estimate
+        state = known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
         return state.vision_bias, state.covariance[6:, 6:]
+
+    @property
+    def rig(self) -> Rig:
+        """The robot."""
+        return self.follower.rig
+
+    @property
+    def model(self) -> ObjectModel:
+        """The object."""
+        return self.follower.model
+
+    @property
+    def settings(self) -> TrackerSettings:
+        """When it corrects, and what it expects."""
+        return self.follower.settings
+
+    @property
+    def stamp(self) -> float:
+        """Of the last observation [s]."""
+        return self.track_state.stamp
+
+    @property
+    def estimate(self) -> PoseEstimate | None:
+        """The object's pose in the palm; None before there was one."""
+        return self.track_state.estimate
+
+    @property
+    def corrections(self) -> int:
+        """How often the pose was corrected."""
+        return self.track_state.corrections
+
+    @property
+    def T_world_palm(self) -> Array | None:
+        """(4, 4) where the palm was last."""
+        return self.track_state.T_world_palm
+
+    @property
+    def fingertips(self) -> FingertipContacts:
+        """What the fingertips measure."""
+        return self.track_state.fingertips
+
+    @property
+    def skin(self) -> SkinContacts:
+        """What the tactile arrays measure."""
+        return self.track_state.skin
+
+    @property
+    def processed(self) -> Observation | None:
+        """The last observation, with what its image says as its vision."""
+        return self.track_state.processed
+
+    @property
+    def vision(self) -> VisionUpdate:
+        """What has become of vision's measurements."""
+        return self.track_state.vision
+
+    @property
+    def smoother(self) -> PoseBiasSmoother | None:
+        """The pose and vision's bias by vision alone; None before there was either."""
+        return self.track_state.smoother
+
+    @property
+    def joint_offsets(self) -> JointOffsets:
+        """The joints' constant errors, by all grips so far: for the tracker of the next object in this hand."""
+        return self.follower.joint_offsets(self.track_state)
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
+        return self.follower.sigma(self.track_state)
 
     @property
     def slip(self) -> Slip:
         """Whether the object slips, and how near to that each finger is."""
-        return self._slipping.now
+        return self.track_state.slip.now
 
     @property
     def weight(self) -> ObjectWeight | None:
         """What the object weighs, and where its centre of mass is; None where it was not weighed since the grasp."""
-        return self._weight.of(self.estimate)
+        return self.track_state.weight.of(self.estimate)
 
     @property
     def unweighed(self) -> str:
         """Why the object is not weighed now, or what it weighs not believed; empty where it is."""
-        return self._weight.weigher.reason
+        return self.track_state.weight.weigher.reason
 
     @property
     def images(self) -> dict[str, int]:
         """What has become of depth images: how many were `looked_at`, and so on; empty where there were none."""
-        return self._images.counts
+        return self.track_state.images.counts
 
     @property
     def links(self) -> tuple[str, ...]:
         """Links of the hand whose shapes keep the object out."""
-        return self._hand.links
+        return self.follower.hand.links
 
     @property
     def link_margins(self) -> dict[str, float]:
         """By link that would be inside the object though contacts fit: how much smaller it is than its shape [m]."""
-        return self._margins.known
+        return self.track_state.margins.known
 
     @property
     def unconfirmed(self) -> int:
         """How many of the last observations were jumps ahead that the next may yet take back."""
-        return len(self._earlier)
+        return len(self._clock.unconfirmed)
 
     def _is_next(self, stamp: float) -> bool:
-        """Whether an observation of that stamp goes on from the last one, wherever the clock has jumped."""
-        while (
-            self._earlier
-            and stamp < self.stamp - MAX_JUMP
-            and abs(stamp - self._earlier[-1][0][1]["stamp"]) < self.stamp - stamp
-        ):
-            counts = self.late, self.undone + 1, self.refused
-            self._restore(self._earlier[-1])
-            self.late, self.undone, self.refused = counts
-        ahead, back = stamp - self.stamp, self._back
-        self._back = stamp if ahead < -MAX_JUMP else math.inf
-        if -ahead > max(MAX_JUMP, abs(stamp - back)):
-            self._begin()
-            self._why, self._began = f"the clock went back by {-ahead:.1f} s: a new track", stamp
-            self._back, self._earlier = math.inf, ()
-        elif ahead > MAX_JUMP and self.stamp > -math.inf:
-            self._earlier = (*self._earlier[1 - MOST_UNCONFIRMED :], self._snapshot())
-        elif ahead >= -MAX_JUMP:
-            self._earlier = ()
-        return stamp >= self.stamp
+        """Returns whether an observation of that stamp goes on from the last one, wherever the clock has jumped."""
+        last = self.track_state
+        self._clock, known, undone = self._clock.at(stamp, last)
+        if undone:
+            self.undone, self._left_out_in_a_row = self.undone + undone, 0
+        if known is None:  # what was learnt of the robot outlives the track
+            known = replace(
+                self.follower.initial(last.start, last.offsets),
+                corrections=last.corrections,
+                learnt_from=last.learnt_from,
+                margins=last.margins,
+            )
+        if known is not last:
+            self.track_state, self.state, self.reason = known, known.label, known.reason
+        return stamp >= known.stamp
 
-    def _left_out(self, stamp: object, why: str) -> None:
+    def _leave_out(self, stamp: object, reason: str) -> None:
         """Takes note of an observation that was left out."""
         self._left_out_in_a_row += 1
         age = stamp - self.stamp if type(stamp) is float and self.stamp > -math.inf else 0.0
-        if self._left_out_in_a_row >= MOST_LEFT_OUT or age > self.settings.lost_after:
+        if self._left_out_in_a_row >= MAX_LEFT_OUT or age > self.settings.lost_after:
             self.state = "lost"
-            self.reason = f"left out {self._left_out_in_a_row} observations in a row, the last: {why}"
-
-    def _snapshot(self) -> Snapshot:
-        """All that is known now: what an update changes it binds anew, and never changes in place."""
-        eye = self._images.eye
-        seeing = () if eye is None else (eye, eye.tracker)
-        slips = self._slipping, self._slipping.detector, self._slipping.detector.friction
-        weighs = self._weight, self._weight.weigher, self._skin
-        parts = self, self.vision, self._grasp, self._memory, self._images, *slips, *weighs, *seeing
-        return tuple((part, vars(part).copy()) for part in parts)
-
-    def _restore(self, snapshot: Snapshot) -> None:
-        for part, values in snapshot:
-            vars(part).update(values)
+            self.reason = f"left out {self._left_out_in_a_row} observations in a row, the last: {reason}"

@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.copies import shallow_copy
 from handsight.correction import PoseEstimate, PosePrior, WeightEvidence
 from handsight.forces import Weigher, Weighing
 from handsight.objects import ObjectModel
@@ -55,10 +56,16 @@ class WeightUpdate:
         self.model = model
         self.left_out = 0
         """Corrections that all else but the weight contradicted it in, and that were made without it."""
-        self._told: Weighing | None = None
+        self._reported: Weighing | None = None
         """By the last correction."""
         self._height: float | None = None
         """Of the palm in the world when the object was grasped [m]."""
+
+    def copied(self) -> "WeightUpdate":
+        """Returns a copy that evolves apart from this one."""
+        copy = shallow_copy(self)
+        copy.weigher = shallow_copy(self.weigher)
+        return copy
 
     def update(
         self, observation: Observation, touch: FingertipContacts, offsets: JointOffsets, *, grasped: bool
@@ -83,12 +90,12 @@ class WeightUpdate:
     @property
     def news(self) -> bool:
         """Whether the weight tells something else of the pose than at the last correction."""
-        found, told = self.weigher.believed, self._told
-        if found is told or self.model.center_of_mass is None:
+        found, reported = self.weigher.believed, self._reported
+        if found is reported or self.model.center_of_mass is None:
             return False
-        if found is None or told is None or found.directions != told.directions:
+        if found is None or reported is None or found.directions != reported.directions:
             return True
-        return bool(np.abs(found.center_palm - told.center_palm).max() > NEWS)
+        return bool(np.abs(found.center_palm - reported.center_palm).max() > NEWS)
 
     def evidence(self) -> WeightEvidence | None:
         """Where the object's centre of mass is; None where the model has none, or the weight is not believed."""
@@ -106,7 +113,7 @@ class WeightUpdate:
         As it was where the weight had no say; `touch` is None where other contacts had one.
         """
         weighing, evidence = self.weigher.believed, self.evidence()
-        self._told = weighing
+        self._reported = weighing
         if estimate.weight_fits is False:
             self.left_out += 1
         if not estimate.weight_fits or weighing is None or evidence is None:

@@ -44,10 +44,10 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
     return Curves(times, sigmas, _errors(shown, model, truths), [moment.state for moment in shown], slips)
 
 
-def slips_of(said: Iterable[tuple[float, Slip]]) -> list[tuple[float, float]]:
+def slips_of(slips: Iterable[tuple[float, Slip]]) -> list[tuple[float, float]]:
     """From when to when the object slipped [s], by what was said at which stamps."""
     found: dict[float, float] = {}
-    for stamp, slip in said:
+    for stamp, slip in slips:
         if slip.slipping:
             found[slip.began] = stamp
     return list(found.items())

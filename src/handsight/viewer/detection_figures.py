@@ -65,8 +65,8 @@ def _draw(left: Any, right: Any, row: Located) -> None:
         axes.set_xticks([])
         axes.set_yticks([])
     if row.reason is not None:
-        said = f"{row.model.name} is not here" if row.recognition is None else "none of them is here"
-        left.set_title(f"{frame.name}: {said}{_scores(row)}", fontsize=11)
+        text = f"{row.model.name} is not here" if row.recognition is None else "none of them is here"
+        left.set_title(f"{frame.name}: {text}{_scores(row)}", fontsize=11)
         reason = textwrap.fill(row.reason, WIDTH)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
         right.set_frame_on(False)
@@ -130,11 +130,11 @@ def _outline(axes: Any, row: Located, T: Array, color: str, style: str) -> None:
     lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
     for line in lines[(lines[..., 2] > 0).all(axis=1)][:MOST_EDGES]:
         pixels = row.frame.camera.project(line)
-        if np.isfinite(pixels).all() and _seen(drawn, pixels.mean(axis=0), line[:, 2].mean()):
+        if np.isfinite(pixels).all() and _is_visible(drawn, pixels.mean(axis=0), line[:, 2].mean()):
             axes.plot(*pixels.T, color=color, lw=0.9)
 
 
-def _seen(drawn: Depth, pixel: Array, z: float) -> bool:
+def _is_visible(drawn: Depth, pixel: Array, z: float) -> bool:
     u, v = np.round(pixel).astype(int)
     height, width = drawn.shape
     if not (0 <= u < width and 0 <= v < height):

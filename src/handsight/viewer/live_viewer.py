@@ -83,7 +83,7 @@ class Viewer(NullViewer):
         self._pipe, self._process = viewer_process.begin()
         self._changed, self._sending = threading.Event(), threading.Lock()
         self._shown = tracker.rig, tracker.model
-        self._address = self._begun(port)
+        self._address = self._started(port)
         self._watched = self._closed = False
         self._newest: tuple[Tracker, Moment | None] | None = None
         """What is to be shown; its moment, if somebody looks."""
@@ -133,7 +133,7 @@ class Viewer(NullViewer):
         self._thread.join(PATIENCE)
         _end(self._process)
 
-    def _begun(self, port: int) -> str:
+    def _started(self, port: int) -> str:
         """The page's address; raises what it was refused for."""
         self._send((*self._shown, port))
         try:
@@ -145,10 +145,10 @@ class Viewer(NullViewer):
             raise found
         return found
 
-    def _send(self, said: object) -> None:
+    def _send(self, message: object) -> None:
         """To the page; where it is gone nothing is."""
         with self._sending, contextlib.suppress(OSError):
-            self._pipe.send(said)
+            self._pipe.send(message)
 
     def _run(self) -> None:
         """Sends a frame each time that the page asks for one, until it is gone."""

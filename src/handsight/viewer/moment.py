@@ -63,19 +63,19 @@ class Moment:
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
         """Of a tracker, after the last observation that it has taken."""
-        vision = tracker.vision.in_palm(tracker.looked, tracker.T_world_palm)
-        return cls._made(tracker, tracker.looked, vision)
+        vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
+        return cls._from_tracker(tracker, tracker.processed, vision)
 
     @classmethod
     def of(cls, step: Step, observation: Observation) -> "Moment":
         """Of a step of a replay, and the observation of that stamp."""
-        return cls._made(step, observation, step.T_palm_object_vision)
+        return cls._from_tracker(step, observation, step.T_palm_object_vision)
 
     @classmethod
-    def _made(
+    def _from_tracker(
         cls, known: Tracker | Step, taken: Observation | None, T_palm_object_vision: Array | None
     ) -> "Moment":
-        seen = T_palm_object_vision
+        T_vision = T_palm_object_vision
         return cls(
             stamp=known.stamp,
             state=known.state,
@@ -86,7 +86,7 @@ class Moment:
             T_world_palm=known.T_world_palm,
             joint_positions=None if taken is None else taken.joint_positions,
             wrenches={} if taken is None else taken.wrenches,
-            vision=None if seen is None else Measured(known.stamp, seen),
+            vision=None if T_vision is None else Measured(known.stamp, T_vision),
             slip=known.slip,
             skin=known.skin,
         )

@@ -148,7 +148,7 @@ class Page:
         for camera in cameras:
             with contextlib.suppress(AttributeError):  # a client's is `up_direction`
                 camera.up = up
-            camera.position, camera.look_at = position, center
+            camera.position, camera.normals_at = position, center
 
 
 def _unsaid() -> contextlib.redirect_stdout[io.StringIO]:

@@ -40,11 +40,11 @@ class Panel:
         self.curves: Any = None
         self.image = gui.add_html("", order=IMAGE)
         with gui.add_folder("What is shown", order=SHOWN, expand_by_default=False):
-            for name, (said, _) in LAYERS.items():
-                self._box(name, said, layers, redraw)
+            for name, (label, _) in LAYERS.items():
+                self._box(name, label, layers, redraw)
 
-    def _box(self, name: str, said: str, layers: dict[str, bool], redraw: Callable[[], None]) -> None:
-        box = self._gui.add_checkbox(said, layers[name])
+    def _box(self, name: str, label: str, layers: dict[str, bool], redraw: Callable[[], None]) -> None:
+        box = self._gui.add_checkbox(label, layers[name])
 
         def chosen(_: object) -> None:
             layers[name] = box.value
@@ -90,7 +90,7 @@ class Panel:
             return
         if self.curves is not None:
             self.curves.remove()
-        series = [self._uplot.Series(label=said, stroke=color, width=2) for _, said, color in lines]
+        series = [self._uplot.Series(label=label, stroke=color, width=2) for _, label, color in lines]
         dot = self._uplot.Series_Points(show=True, size=11, fill=NOW, stroke=NOW)
         self.curves = self._gui.add_uplot(
             data,
@@ -106,22 +106,22 @@ def _chips(moment: Moment, forces: dict[str, Array]) -> Iterator[str]:
     """A label for each finger: how hard it is pushed, or why it has no contact."""
     touching, wrong = moment.fingertips.fingers, moment.outliers
     for name in (*touching, *moment.fingertips.reasons):
-        color, said = "#9e9e9e", moment.fingertips.reasons.get(name, "")
+        color, label = "#9e9e9e", moment.fingertips.reasons.get(name, "")
         if name in touching:
             color = "#222" if name in wrong else "#c2185b"
-            said = f"{np.linalg.norm(forces[name]):.1f} N" if name in forces else "touches"
-            said = f"{said}, rejected" if name in wrong else said
+            label = f"{np.linalg.norm(forces[name]):.1f} N" if name in forces else "touches"
+            label = f"{label}, rejected" if name in wrong else label
         yield (
             f'<span style="display:inline-block;background:{color};color:#fff;border-radius:.7em;'
-            f'padding:0 .6em;margin:0 .3em .2em 0"><b>{html.escape(name)}</b> {html.escape(said)}</span>'
+            f'padding:0 .6em;margin:0 .3em .2em 0"><b>{html.escape(name)}</b> {html.escape(label)}</span>'
         )
 
 
 def _legend() -> str:
     dots = "".join(
         f'<span style="white-space:nowrap;margin-right:.9em"><span style="color:rgb{color}">&#9679;</span> '
-        f"{html.escape(said)}</span> "
-        for said, color in LAYERS.values()
+        f"{html.escape(label)}</span> "
+        for label, color in LAYERS.values()
     )
     return f'<div style="padding:0 .8em;color:#555;font-size:.74em">{dots}</div>'
 

@@ -88,7 +88,7 @@ def jpeg(image: Color) -> bytes:
 
 
 def picture(
-    rig: Rig, observation: Observation, seen: CameraFromPalm, T_world_palm: Array | None
+    rig: Rig, observation: Observation, from_palm: CameraFromPalm, T_world_palm: Array | None
 ) -> Picture | None:
     """What an observation's images show; None where it has none."""
     color, depth = observation.color, observation.depth
@@ -101,7 +101,7 @@ def picture(
     else:
         return None
     camera, T_calibrated = _camera_of(rig, image.shape), palm_in_camera(rig, CameraFromPalm(), T_world_palm)
-    T_camera_palm = palm_in_camera(rig, seen, T_world_palm)
+    T_camera_palm = palm_in_camera(rig, from_palm, T_world_palm)
     points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if camera is not None and depth is not None and T_camera_palm is not None:
         points, places = _cloud(camera, depth, T_camera_palm)
@@ -112,7 +112,7 @@ def picture(
     return Picture(smaller, image, points, colors, T_camera_palm, T_calibrated)
 
 
-def palm_in_camera(rig: Rig, seen: CameraFromPalm, T_world_palm: Array | None) -> Array | None:
+def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | None) -> Array | None:
     """T_camera_palm (4, 4): as the hand in the camera's images has shown, else as the camera was calibrated.
 
     None where the rig has no camera, or one in the world and the palm's place in it is not known.
@@ -123,8 +123,8 @@ def palm_in_camera(rig: Rig, seen: CameraFromPalm, T_world_palm: Array | None) -
     T_mount_palm = np.eye(4) if mounted.on == "palm" else T_world_palm
     if T_mount_palm is None:
         return None
-    if seen.believed:
-        T_mount_palm = seen.believed[-1].expected(T_mount_palm)
+    if from_palm.believed:
+        T_mount_palm = from_palm.believed[-1].expected(T_mount_palm)
     return np.asarray(se3.inverse(mounted.T_mount_camera) @ T_mount_palm)
 
 

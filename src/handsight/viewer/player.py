@@ -14,10 +14,10 @@ from handsight.viewer.panel import CONTROLS
 
 FRAME, PLOT_EVERY, CURVES_EVERY = 1 / 30, 0.2, 1.0
 """Between two moments that are kept or drawn, two plots, and two looks at a timeline that grows [s]."""
-APART = 1e-3
+TIME_TOLERANCE = 1e-3
 """Stamps nearer to each other are the same [s]."""
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
-HELD = 0.6
+MIN_HOLD = 0.6
 """How long after a person moves the slider playing does not move it [s]."""
 
 
@@ -32,7 +32,7 @@ class Timeline:
         """Keeps a moment, if there is none just before it, whether there is one; one that goes back is left out."""
         last = self._stamps[-1] if self._stamps else -math.inf
         # What a person can see, and with it bounded memory.
-        if moment.stamp - last < FRAME - APART:
+        if moment.stamp - last < FRAME - TIME_TOLERANCE:
             return False
         self.moments.append(moment)
         self._stamps.append(moment.stamp)
@@ -51,7 +51,7 @@ class Timeline:
     def at(self, time: float) -> Moment:
         """The last one that is not later than a time since the first [s]; else the first."""
         # The sum of a difference may be below the stamp it was made of: seconds since 1970 have a quarter of a µs.
-        return self.moments[max(0, bisect.bisect_right(self._stamps, self.begin + time + APART) - 1)]
+        return self.moments[max(0, bisect.bisect_right(self._stamps, self.begin + time + TIME_TOLERANCE) - 1)]
 
 
 class Player:
@@ -65,7 +65,7 @@ class Player:
         self._growing = True
         self._drawn: Moment | None = None
         self._plot: Curves | None = None
-        self._moved = self._plotted = self._looked = -math.inf
+        self._moved = self._plotted = self._curves_at = -math.inf
         """When a person moved the slider, and when there was a plot and a look at the timeline's curves last; infinite:
         they change no more."""
         self._wake, self._closed = threading.Event(), False
@@ -154,18 +154,20 @@ class Player:
         if moment is not self._drawn:
             self._drawn = moment
             self._page.draw(moment)
-        told = "Pause" if self.playing else "Play"
-        if self._button.label != told:
-            self._button.label = told
+        label = "Pause" if self.playing else "Play"
+        if self._button.label != label:
+            self._button.label = label
         clock = time.monotonic()
         if self.playing and clock - self._plotted < PLOT_EVERY:
             return
         self._plotted = clock
-        if self._looked == -math.inf or (self._looked != math.inf and clock - self._looked > CURVES_EVERY):
-            self._looked = clock if self._growing else math.inf
+        if self._curves_at == -math.inf or (
+            self._curves_at != math.inf and clock - self._curves_at > CURVES_EVERY
+        ):
+            self._curves_at = clock if self._growing else math.inf
             self._plot = self._curves()
             self._slider.max = max(round(self._timeline.length, 2), 0.01)
         if self._plot is not None:
             self._page.draw_curves(self._plot, now)
-        if clock - self._moved > HELD:
+        if clock - self._moved > MIN_HOLD:
             self._slider.value = round(now, 2)

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator
 
 from handsight.observation import Observation
 from handsight.tracking import Tracker
+from handsight.tracking.clock import MAX_UNCONFIRMED
 from handsight.tracking.replay import Tally, replay
-from handsight.tracking.tracker import MOST_UNCONFIRMED
 from handsight.viewer.moment import Moment
 from handsight.viewer.picture import Picture, picture
 from handsight.viewer.player import Timeline
@@ -19,7 +19,7 @@ def follow(
     observations: Iterable[Observation], tracker: Tracker, tally: Tally, timeline: Timeline
 ) -> Iterator[Moment]:
     """Fills a timeline with the tracker's answers, the same as `handsight track` gives; each moment that is kept."""
-    taken = deque[Observation](maxlen=MOST_UNCONFIRMED + 2)  # an answer may wait for so many
+    taken = deque[Observation](maxlen=MAX_UNCONFIRMED + 2)  # an answer may wait for so many
     last, waiting = None, list[Picture]()
 
     def heard() -> Iterator[Observation]:
@@ -31,9 +31,9 @@ def follow(
     for step in replay(heard(), tracker, tally):
         observation = next(o for o in reversed(taken) if o.stamp == step.stamp)
         if step.stamp - pictured >= PICTURES_EVERY:
-            made = picture(tracker.rig, observation, tracker.vision.camera_from_palm, step.T_world_palm)
-            if made is not None:
-                pictured, waiting = step.stamp, [made.packed()]
+            image = picture(tracker.rig, observation, tracker.vision.camera_from_palm, step.T_world_palm)
+            if image is not None:
+                pictured, waiting = step.stamp, [image.packed()]
         moment = Moment.of(step, observation).after(last, waiting[0] if waiting else None)
         if timeline.append(moment):
             last, waiting = moment, []

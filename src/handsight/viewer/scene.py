@@ -73,7 +73,7 @@ class Scene:
         self.rejected = scene.add_point_cloud("/rejected", none, REJECTED, **size, **gone)
         self.normals = self._arrows("/normals", "contacts", 0.0008)
         self.forces = self._arrows("/forces", "forces", 0.0016)
-        self.slides = self._arrows("/open/slides", "open", 0.0015)
+        self.open_shifts = self._arrows("/open/slides", "open", 0.0015)
         lines, blue = np.zeros((0, 2, 3), np.float32), LAYERS["open"][1]
         self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
         purple = LAYERS["covariance"][1]
@@ -109,11 +109,11 @@ class Scene:
                 sent[k] = values[k]
 
     def _draw_contacts(self, moment: Moment, forces: Mapping[str, Array]) -> None:
-        felt, wanted = moment.fingertips, self.layers["contacts"]
+        fingertips, wanted = moment.fingertips, self.layers["contacts"]
         points, normals = np.zeros((2, 0, 3))
-        if felt.contacts is not None:
-            points, normals = felt.contacts.points_palm, felt.contacts.normals_palm
-        wrong = np.array([name in moment.outliers for name in felt.fingers], dtype=bool)
+        if fingertips.contacts is not None:
+            points, normals = fingertips.contacts.points_palm, fingertips.contacts.normals_palm
+        wrong = np.array([name in moment.outliers for name in fingertips.fingers], dtype=bool)
         pressed = moment.skin.contacts()
         on_skin = np.zeros((0, 3)) if pressed is None else pressed.points_palm
         self._set(self.contacts, np.concatenate([points[~wrong], on_skin]), wanted)
@@ -121,7 +121,7 @@ class Scene:
         self._set(self.normals, np.stack([points, points + NORMAL * normals], axis=1), wanted)
         arrows = [
             (point, point + force * min(FORCE, LONGEST / max(float(np.linalg.norm(force)), 1e-9)))
-            for name, point in zip(felt.fingers, points, strict=True)
+            for name, point in zip(fingertips.fingers, points, strict=True)
             if (force := forces.get(name)) is not None
         ]
         self._set(self.forces, np.array(arrows).reshape(-1, 2, 3), self.layers["forces"])
@@ -135,17 +135,17 @@ class Scene:
             # Within the object it must be opaque to be drawn before it; around it, it must be seen through.
             inside = found.semi_axes.max() < INSIDE * model.radius
             self.covariance.opacity = None if inside else GHOST_OPACITY / 2
-        slides, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
+        open_shifts, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:
             center = middle(model, estimate.T_palm_object)
             for direction in estimate.unobservable:
                 line, turn = opened(direction, center, model)
                 if turn:
                     turns.append(np.stack([line[:-1], line[1:]], axis=1))
-                    slides.append(line[None, [-6, -1]])
+                    open_shifts.append(line[None, [-6, -1]])
                 else:
-                    slides.append(np.stack([[center, line[0]], [center, line[1]]]))
-        self._set(self.slides, np.concatenate(slides), self.layers["open"])
+                    open_shifts.append(np.stack([[center, line[0]], [center, line[1]]]))
+        self._set(self.open_shifts, np.concatenate(open_shifts), self.layers["open"])
         self._set(self.turns, np.concatenate(turns), self.layers["open"])
 
     def _draw_depth(self, picture: Picture | None) -> None:

@@ -18,8 +18,12 @@ LIKELY = 0.02
 
 def sentence(moment: Moment) -> str:
     """The state, why it is no better, and what the answer rests on."""
-    said = "touched" in moment.reason and not moment.fingertips.fingers
-    parts = [part for part in (moment.reason, *_grounds(moment)) if part and not (said and part == NO_TOUCH)]
+    mentions_touch = "touched" in moment.reason and not moment.fingertips.fingers
+    parts = [
+        part
+        for part in (moment.reason, *_grounds(moment))
+        if part and not (mentions_touch and part == NO_TOUCH)
+    ]
     return f"{moment.state.capitalize()}: {'; '.join(parts)}."
 
 
@@ -57,8 +61,8 @@ def open_directions(estimate: PoseEstimate) -> str:
     rows = estimate.unobservable
     if len(rows) == 6:
         return "every direction"
-    slides = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
-    counts = ((slides, "slide"), (len(rows) - slides, "turn"))
+    shifts = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
+    counts = ((shifts, "slide"), (len(rows) - shifts, "turn"))
     return " and ".join(f"{COUNTS[n]} {name}{'s' * (n > 1)}" for n, name in counts if n)
 
 

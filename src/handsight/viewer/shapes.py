@@ -12,7 +12,7 @@ from handsight.objects import ObjectModel
 from handsight.tracking.propagation import point_covariance
 
 CREASE = np.deg2rad(25)
-SLIDE, TURN = 0.65, 0.62
+OPEN_SHIFT, OPEN_TURN = 0.65, 0.62
 """Half a slide's double arrow in parts of the object's diameter; the radius of a turn's arc in parts of its radius."""
 ARC_POINTS, ARC_ANGLE = 60, 1.6 * np.pi
 WITHIN_95 = 2.795
@@ -56,14 +56,14 @@ def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
     whichever it mostly is."""
     # About the object's middle, where a turn leaves the drawn object in place.
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
-        reach = SLIDE * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
+        reach = OPEN_SHIFT * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
         return Open(np.stack([center - reach, center + reach]), turn=False)
     axis = direction[3:] / np.linalg.norm(direction[3:])
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
     angle = np.linspace(0, ARC_ANGLE, ARC_POINTS)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return Open(center + TURN * model.radius * ring, turn=True)
+    return Open(center + OPEN_TURN * model.radius * ring, turn=True)
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:

@@ -58,16 +58,16 @@ def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
     return curves
 
 
-def _coordinate(axes: Any, times: Array, tracked: Array, seen: Array, true: Array, sigma: Array) -> None:
+def _coordinate(axes: Any, times: Array, tracked: Array, vision: Array, true: Array, sigma: Array) -> None:
     axes.fill_between(
         times, tracked - sigma, tracked + sigma, color=TRACKED, alpha=0.15, lw=0, label="tracked, ± 1 σ"
     )
-    axes.plot(times, seen, "o", mfc="none", mec=VISION, ms=4, label="vision")
+    axes.plot(times, vision, "o", mfc="none", mec=VISION, ms=4, label="vision")
     axes.plot(times, tracked, color=TRACKED, lw=1.5, label="tracked")
     known = np.flatnonzero(np.isfinite(true))
     axes.plot(times[known][::10], true[known][::10], ".", color=TRUTH, ms=4, label="truth")
     # A σ of vision alone would flatten everything else.
-    all_there = np.concatenate([tracked, seen, true])
+    all_there = np.concatenate([tracked, vision, true])
     low, high = np.nanmin(all_there), np.nanmax(all_there)
     axes.set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
     axes.grid(alpha=0.3)

@@ -26,7 +26,7 @@ from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.picture import picture
 
-FRAME, LOOK_EVERY = 1 / 30, 0.2
+FRAME, POLL_EVERY = 1 / 30, 0.2
 """Between two frames, and between two looks whether somebody looks [s]."""
 NICENESS = 5
 """A robot's own work goes first."""
@@ -45,7 +45,7 @@ class Shot(NamedTuple):
     """An image, and where the camera was by what was known then."""
 
     observation: Observation
-    seen: CameraFromPalm
+    from_palm: CameraFromPalm
     T_world_palm: Array | None
 
 
@@ -102,7 +102,7 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
         if not page.watched:
             pipe.send(False)
             while not page.watched:
-                if pipe.poll(LOOK_EVERY):
+                if pipe.poll(POLL_EVERY):
                     return
         pipe.send(True)
         frame: Frame | None = pipe.recv()

@@ -26,18 +26,18 @@ def metres(pixels: NDArray[Any], scale: float = MILLIMETRE) -> Depth:
 
     Raises InvalidInput where the median says that the unit is another.
     """
-    whole = pixels.dtype.kind in "iu"
-    unit = scale if whole else 1.0
+    is_integer = pixels.dtype.kind in "iu"
+    unit = scale if is_integer else 1.0
     depth = pixels.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        depth[~((depth > 0) & (depth < (np.inf if whole else MAX_DISTANCE)))] = np.nan
+        depth[~((depth > 0) & (depth < (np.inf if is_integer else MAX_DISTANCE)))] = np.nan
     sample = depth[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan
     if unit * median < NEAREST or unit * median > FARTHEST_MEDIAN:
-        guess = "another unit?" if whole or median < NEAREST else "millimetres?"
+        guess = "another unit?" if is_integer or median < NEAREST else "millimetres?"
         raise InvalidInput(f"expected depth in {_called(unit)}, got a median of {median:.4g} ({guess})")
-    return depth * np.float32(unit) if whole else depth
+    return depth * np.float32(unit) if is_integer else depth
 
 
 def _called(unit: float) -> str:

@@ -20,7 +20,7 @@ class Registered(NamedTuple):
 
     color: Color
     """(h, w, 3) red, green, blue of each depth pixel; 0 where the colour camera does not see it."""
-    seen: Mask
+    visible: Mask
     """(h, w) whether it does."""
 
 
@@ -50,11 +50,11 @@ def register_color(
     pixels = np.full((placed.shape[0], 2), np.nan)
     pixels[known.ravel()] = color_camera.project(placed[known.ravel()])
     columns, rows = np.rint(np.nan_to_num(pixels, nan=-1)).astype(np.int64).T
-    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    visible = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     columns, rows = columns.clip(0, width - 1), rows.clip(0, height - 1)
-    seen &= placed[:, 2] < surface[rows, columns] + BEHIND
-    found = np.where(seen[:, None], image[rows, columns], np.uint8(0))
-    return Registered(found.reshape(*known.shape, 3), seen.reshape(known.shape))
+    visible &= placed[:, 2] < surface[rows, columns] + BEHIND
+    found = np.where(visible[:, None], image[rows, columns], np.uint8(0))
+    return Registered(found.reshape(*known.shape, 3), visible.reshape(known.shape))
 
 
 def _faces(known: Mask) -> Indices:

@@ -81,6 +81,35 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
 
 
 @inner
+def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: bool, equations: Any) -> None:
+    """Adds the rows of all contacts in use, weighted by their covariance here, or else as they were last."""
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
+            if rewhiten:
+                S = residual_covariance(evidence.model, evidence.nodes, field, term, surface)
+                factor = factored(S)
+                invert_covariance(factor, term.contact.has_normal != 0, term.weight)
+                term.log_spread = log_determinant(factor, term.contact.has_normal != 0)
+            add_contact(term, surface, frame, equations)
+
+
+@inner
+def contact_cost(evidence: Any, pose: Pose) -> float:
+    """Squared residuals of all contacts in use, and the log determinants of what whitens them, on the fine field."""
+    model, nodes, field, total = evidence.model, evidence.nodes, evidence.model.fine, 0.0
+    for i in range(len(evidence.terms)):
+        term = evidence.terms[i]
+        if term.contact.used:
+            surface = surface_at(nodes, field, vector(term.contact.point), pose)
+            factor = factored(residual_covariance(model, nodes, field, term, surface))
+            total += mahalanobis2(term.contact, surface, factor)
+            total += log_determinant(factor, term.contact.has_normal != 0)
+    return total
+
+
+@inner
 def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> Covariance:
     """Of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], and what model and field add.
 

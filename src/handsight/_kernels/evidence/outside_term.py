@@ -1,9 +1,10 @@
-"""The hand that cannot be inside the object: one-sided evidence, a row for each link.
+"""Points of the hand, which cannot be inside the object: one-sided evidence, one residual row for each link.
 
-All points of one link are wrong together, by the link's own error e: it is out of the object if d(x_i + e) ≥ 0 for
-all of its points, and the least Mahalanobis length of such an e is what the link costs. Where its points are pushed out
-the same way that is the deepest point's residual alone. It is taken smoothly, as the POWER-norm of its points'
-residuals, so that two points in turn the deepest make no kink; a link of one point costs that point's square.
+All points x_i of a link share the link's position error e. The link is outside of the object if d(x_i + e) ≥ 0 for all
+of them, and its cost is the least squared Mahalanobis length of such an e. Where all points are pushed out the same way
+that is the deepest point's residual alone. The residual of a link is therefore the POWER-norm of its points'
+residuals, a smooth maximum: no kink arises where two points are in turn the deepest, and a link of one point costs
+that point's square.
 """
 
 from typing import Any
@@ -15,18 +16,20 @@ from handsight._kernels.math.simd import accumulate
 from handsight._kernels.math.vec3 import Vec3, add, cross, mul, norm, scale, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.settings import LOOK_REACH, LOOK_SLOPE
 
 POWER = 8
-"""Of the norm: even; a hundred points equally deep count as 1.8 times one of them."""
+"""The norm's exponent, an even number; a hundred points equally deep count as 1.8 times one of them."""
 _NAN = np.nan, np.nan, np.nan
-NOT_LOOKED: tuple[Pose, int] = ((_NAN, _NAN, _NAN), _NAN), 0
-"""For the first call of `nearby`."""
+NEVER_MEASURED: tuple[Pose, int] = ((_NAN, _NAN, _NAN), _NAN), 0
+"""The state of `nearby` before its first call."""
+CLEARANCE_REACH, MAX_FIELD_SLOPE = 0.2, 1.25
+"""Clearances are measured anew when the object has moved by this much [radii]; a grid's distance rises by at most so
+many metres a metre."""
 
 
 @inner
 def _beyond_bounds(model: Any, place: Vec3) -> float:
-    """How far an object point is outside the box around the object [m]; 0 within."""
+    """Returns how far a point of the object's frame is outside of the box around the object [m]; 0 within."""
     square = 0.0
     for k in range(3):
         off = max(model.bounds[0, k] - place[k], place[k] - model.bounds[1, k])
@@ -37,7 +40,7 @@ def _beyond_bounds(model: Any, place: Vec3) -> float:
 
 @inner
 def largest_move(model: Any, pose: Pose, other: Pose) -> float:
-    """No point within the object's bounds is farther apart at two poses than this [m]."""
+    """Returns an upper bound of how far any point within the object's bounds moves from one pose to another [m]."""
     (R, p), (Q, q) = pose, other
     low, high = vector(model.bounds[0]), vector(model.bounds[1])
     middle = scale(add(low, high), 0.5)
@@ -50,32 +53,33 @@ def largest_move(model: Any, pose: Pose, other: Pose) -> float:
 
 
 @inner
-def nearby(evidence: Any, field: Any, pose: Pose, last: tuple[Pose, int], near: Any) -> tuple[Pose, int]:
-    """Where the points were looked at, and how many rows of `near` there are: what can matter at a pose is not `far`.
+def nearby(evidence: Any, field: Any, pose: Pose, state: tuple[Pose, int], near: Any) -> tuple[Pose, int]:
+    """Fills `near` with the rows of OUTSIDE that can matter at a pose; returns where they were measured, and how many.
 
-    A point that was farther from the object than any part of the object has moved since is outside. So each point's
-    `clearance` is taken once and again only when the object has moved by LOOK_REACH; those beyond it are left out of
-    `near` until then. The cost is that of all points (as long as a grid's distance rises by at most LOOK_SLOPE a
-    metre). Planes always count.
+    `state` is what the last call returned. A point that was farther from the object than any part of the object has
+    moved since is outside. So each point's `clearance` is measured only when the object has moved by CLEARANCE_REACH;
+    until then points beyond it are left out of `near`, and of the others those that cannot have been reached are marked
+    `far`. The cost is that of all points, as long as a grid's distance rises by at most MAX_FIELD_SLOPE a metre. Planes
+    always count.
     """
-    looked, count = last
-    move, reach = largest_move(evidence.model, pose, looked), LOOK_REACH * evidence.model.radius
+    measured_at, count = state
+    move, reach = largest_move(evidence.model, pose, measured_at), CLEARANCE_REACH * evidence.model.radius
     if not move <= reach:
-        looked, count, move = pose, look(evidence, field, pose, reach, near), 0.0
-    pass_over(near[:count], move)
-    return looked, count
+        measured_at, count, move = pose, measure_clearances(evidence, field, pose, reach, near), 0.0
+    mark_far(near[:count], move)
+    return measured_at, count
 
 
 @inner
-def pass_over(near: Any, move: float) -> None:
-    """Marks as far what no part of the object can have reached, which has moved so far since it was looked at."""
+def mark_far(near: Any, move: float) -> None:
+    """Marks the points that no part of the object, which has moved this far [m] since they were measured, can reach."""
     for i in range(len(near)):
         near[i].far = near[i].clearance > move
 
 
 @inner
-def look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
-    """How many rows are nearer than a reach; fills `near` with them."""
+def measure_clearances(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
+    """Fills `near` with the rows of OUTSIDE nearer to the object than a reach [m], and returns how many they are."""
     R, p = pose
     count = 0
     for i in range(len(evidence.outside)):
@@ -84,7 +88,7 @@ def look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
             place = tmul(R, sub(vector(row.point), p))
             clearance = _beyond_bounds(evidence.model, place)
             if clearance == 0.0:
-                clearance = field_at(evidence.nodes, field, place)[0] / LOOK_SLOPE
+                clearance = field_at(evidence.nodes, field, place)[0] / MAX_FIELD_SLOPE
         if clearance <= reach:
             near[count] = row
             near[count].clearance = clearance
@@ -94,10 +98,12 @@ def look(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
 
 @inner
 def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
-    """Adds each link's row: the norm ρ of its points' depths u, and dρ = Σ (u / ρ)^(POWER - 1) du."""
+    """Adds the row of every link: the norm ρ of its points' depths u, with dρ = Σ (u / ρ)^(POWER - 1) du."""
     outside, model = evidence.outside, evidence.model
     (R, p), (center, radius) = pose, frame
     n, link, total = len(outside), 0, 0.0
+    if n == 0:
+        return
     by_shift, by_turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for i in range(n + 1):  # one more, for the last link's row
         u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
@@ -126,7 +132,7 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
 
 @inner
 def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
-    """Squared residuals of all links."""
+    """Returns the squared residuals of all links."""
     outside, model = evidence.outside, evidence.model
     (R, p), cost, total, link = pose, 0.0, 0.0, 0
     for i in range(len(outside)):

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.evidence.weight_term import copy_weight
 from handsight._kernels.math.dense6 import eigen
 from handsight._kernels.math.simd import accumulate
 from handsight._kernels.math.vec3 import (
@@ -34,7 +33,7 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import VISION_PRIOR, WEAK_PRIOR
+from handsight._kernels.records import NO_PRIOR, VISION_PRIOR, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
 IDENTITY: Mat33 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -46,7 +45,7 @@ def weak_position_prior(model: Any, center: Vec3, prior: Any) -> None:
 
     It selects among equal minima, and is excluded from the information that is reported.
     """
-    prior.kind, prior.has_axis, prior.weight.known = WEAK_PRIOR, 0, 0
+    prior.kind, prior.has_axis = WEAK_PRIOR, 0
     store(vector(model.center), prior.pivot_object)
     store((0.0, 0.0, 0.0), prior.axis_object)
     store(center, prior.pivot_palm)
@@ -62,7 +61,6 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     symmetry, R = model.symmetry, matrix(vision.pose.rotation)
     _information(vision.covariance, model.radius, prior.information, u)
     prior.kind, prior.has_axis = VISION_PRIOR, symmetry.axes
-    copy_weight(vision.weight, prior.weight)
     arm = mul(R, vector(symmetry.pivot))
     store(vector(symmetry.pivot), prior.pivot_object)
     store((symmetry.axis[0, 0], symmetry.axis[0, 1], symmetry.axis[0, 2]), prior.axis_object)
@@ -198,7 +196,9 @@ def _error(prior: Any, pose: Pose) -> tuple[Vec3, Vec3]:
 
 @inner
 def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
-    """Adds the prior's rows, of the pivot and of the turn."""
+    """Adds the prior's rows, of the pivot and of the turn, where there is a prior."""
+    if prior.kind == NO_PRIOR:
+        return
     center, radius = frame
     pivot, off = _error(prior, pose)
     turn, D = turn_between(prior, pose[0])
@@ -219,7 +219,9 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
 
 @inner
 def prior_cost(prior: Any, pose: Pose) -> float:
-    """The prior's squared residuals at a pose."""
+    """The prior's squared residuals at a pose; 0 where there is none."""
+    if prior.kind == NO_PRIOR:
+        return 0.0
     _, off = _error(prior, pose)
     turn, _ = turn_between(prior, pose[0])
     A, B, D = block(prior.information, 0, 0), block(prior.information, 0, 3), block(prior.information, 3, 3)

@@ -7,17 +7,8 @@ from typing import Any
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
 from handsight._kernels.math.simd import accumulate
-from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, skew, store, store33, sub, vector
+from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, skew, sub, vector
 from handsight._kernels.runtime.compilation import inner
-
-
-@inner
-def copy_weight(weight: Any, out: Any) -> None:
-    """Fills in the same evidence."""
-    out.known = weight.known
-    store(vector(weight.center_object), out.center_object)
-    store(vector(weight.center_palm), out.center_palm)
-    store33(matrix(weight.information), out.information)
 
 
 @inner

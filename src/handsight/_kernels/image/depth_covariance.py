@@ -19,13 +19,14 @@ LEAST_KNOWN = 3
 
 
 @inner
-def covariance_of(told: Any, error: Any, arm: Vec3, radius: float, weight: float, u: Any) -> None:
-    """Fills in `told[2]`, by (δp, δθ) of a frame's origin, from `told[0]`, `told[1]` (A, S) of its centre, an arm away.
+def covariance_of(information: Any, error: Any, arm: Vec3, radius: float, weight: float, u: Any) -> None:
+    """Fills in `information[2]`, by (δp, δθ) of a frame's origin, from `information[0]`, `information[1]` (A, S) of
+    its centre, an arm away.
 
     (A S⁻¹ A + what is known anyway)⁻¹ + what an image is off aside; error: as of `depth_term.inform_all`.
     """
     A, X = u.matrix, u.by_touch
-    in_metres(told[1], radius, u.wider)
+    in_metres(information[1], radius, u.wider)
     trace = 0.0
     for i in range(6):
         trace += u.wider[i, i]
@@ -34,7 +35,7 @@ def covariance_of(told: Any, error: Any, arm: Vec3, radius: float, weight: float
         # That of many points is drawn from some of their pairs, and may be less than nothing.
         u.values[k] = 1 / (max(u.values[k], 0.0) + LEAST / 6 * trace + 1e-12)
     _composed(u.values, u.vectors, u.factor)
-    in_metres(told[0], radius, A)
+    in_metres(information[0], radius, A)
     for i in range(3, 6):
         A[i, i] -= weight * error[8]
     eigen(A, u.values, u.vectors)
@@ -53,7 +54,7 @@ def covariance_of(told: Any, error: Any, arm: Vec3, radius: float, weight: float
                 u.wider[i, j] += (A[i, k] * X[k, j] + A[j, k] * X[k, i]) / 2
     _inverse(u.wider, error[7], u)
     in_metres(u.wider, radius, u.wider)
-    moved_origin(u.wider, arm, told[2])
+    moved_origin(u.wider, arm, information[2])
 
 
 @inner
@@ -67,15 +68,15 @@ def _composed(values: Any, vectors: Any, out: Any) -> None:
 
 
 @inner
-def _inverse(symmetric: Any, aside: float, u: Any) -> None:
-    """In place, and `aside` on its diagonal."""
+def _inverse(symmetric: Any, floor: float, u: Any) -> None:
+    """In place, and `floor` on its diagonal."""
     factor(symmetric, 6, 0.0, u.factor)
     for j in range(6):
         for i in range(6):
             u.row[i] = 1.0 if i == j else 0.0
         solve(u.factor, 6, u.row, u.column)
         for i in range(6):
-            symmetric[i, j] = u.column[i] + (aside if i == j else 0.0)
+            symmetric[i, j] = u.column[i] + (floor if i == j else 0.0)
 
 
 @inner

@@ -136,11 +136,11 @@ def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
 
 
 @entry
-def look_at(rays: Any, depth: Any, labels: Any, pixels: Any, out: Any) -> None:
+def normals_at(rays: Any, depth: Any, labels: Any, pixels: Any, out: Any) -> None:
     """Fills in the SEEN (n,) of pixels (n,), by row and column in one."""
     for n in range(len(pixels)):
         v, u = pixels[n] // depth.shape[1], pixels[n] % depth.shape[1]
-        z, seen = depth[v, u], out[n]
-        seen.point[0], seen.point[1], seen.point[2] = rays[v, u, 0] * z, rays[v, u, 1] * z, z
-        seen.normal[0], seen.normal[1], seen.normal[2] = normal_at(rays, depth, v, u)
-        seen.part = labels[v, u]
+        z, point = depth[v, u], out[n]
+        point.point[0], point.point[1], point.point[2] = rays[v, u, 0] * z, rays[v, u, 1] * z, z
+        point.normal[0], point.normal[1], point.normal[2] = normal_at(rays, depth, v, u)
+        point.part = labels[v, u]

@@ -29,26 +29,26 @@ PAIRED = 100
 
 
 @inner
-def _point(surface: Any, seen: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
+def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
     """Weight and residual of a SEEN, where it is, and the surface's normal there in the camera."""
     nodes, field = surface
     R, p = pose
-    P = vector(seen.point)
+    P = vector(points.point)
     distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
-    ratio, g, normal = distance / bound, mul(R, gradient), vector(seen.normal)
+    ratio, g, normal = distance / bound, mul(R, gradient), vector(points.normal)
     if not ratio * ratio < 1 or (dot(normal, g) < AGREES and normal != (0.0, 0.0, 0.0)):
         return 0.0, distance, P, g
     return (1 - ratio * ratio) ** 2, distance, P, g
 
 
 @inner
-def _equations(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, u: Any) -> float:
+def _equations(surface: Any, points: Any, pose: Pose, about: Vec3, bound: float, u: Any) -> float:
     """The sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω). surface: nodes, field."""
     total = 0.0
     u.matrix[:] = 0.0
     u.values[:] = 0.0
-    for n in range(len(seen)):
-        weight, distance, P, g = _point(surface, seen[n], pose, bound)
+    for n in range(len(points)):
+        weight, distance, P, g = _point(surface, points[n], pose, bound)
         if not weight > 0:
             continue
         row = g + cross(sub(P, about), g)
@@ -74,16 +74,18 @@ def _hold(expected: tuple[Pose, Any], center: Vec3, pose: Pose, u: Any) -> None:
 
 
 @inner
-def settle(model: Any, nodes: Any, seen: Any, rung: Any, expected: tuple[Pose, Any], pose: Pose) -> Pose:
-    """The pose after Gauss-Newton steps to where points lie on the surface; rung: as of `settle_all`, the third not
+def refine_pose(
+    model: Any, nodes: Any, points: Any, stage: Any, expected: tuple[Pose, Any], pose: Pose
+) -> Pose:
+    """The pose after Gauss-Newton steps to where points lie on the surface; rung: as of `refine_poses`, the third not
     below the look's own bound; expected: as of `_hold`."""
-    field = model.fine if rung[0] else model.coarse
-    u, center, steps = local(UNCERTAINTY), vector(model.center), int(rung[3])
+    field = model.fine if stage[0] else model.coarse
+    u, center, steps = local(UNCERTAINTY), vector(model.center), int(stage[3])
     longest = LONGEST_SHIFT * 2 * model.radius, LONGEST_TURN
     for step in range(steps):
-        bound = max(rung[1] + (rung[2] - rung[1]) * (step / max(steps - 1, 1)), rung[4])
+        bound = max(stage[1] + (stage[2] - stage[1]) * (step / max(steps - 1, 1)), stage[4])
         about = add(mul(pose[0], center), pose[1])
-        if not _equations((nodes, field), seen, pose, about, bound, u) > 0:
+        if not _equations((nodes, field), points, pose, about, bound, u) > 0:
             break
         _hold(expected, center, pose, u)
         pose = damped_step(u, model.radius, longest, center, pose)
@@ -91,57 +93,57 @@ def settle(model: Any, nodes: Any, seen: Any, rung: Any, expected: tuple[Pose, A
 
 
 @entry
-def settle_all(model: Any, nodes: Any, seen: Any, rung: Any, looks: Any) -> None:
+def refine_poses(model: Any, nodes: Any, points: Any, stage: Any, candidates: Any) -> None:
     """Moves LOOK (k,) to where SEEN (n,) lie on the surface.
 
     rung: whether on the fine field, Tukey's bound at first and at last [m], steps; no bound is less than a look's own.
     """
     nothing = np.zeros((6, 6))
-    for k in range(len(looks)):
-        start = pose_of(looks[k].pose)
-        bounded = rung[0], rung[1], rung[2], rung[3], looks[k].bound
-        store_pose(settle(model[0], nodes, seen, bounded, (start, nothing), start), looks[k].pose)
+    for k in range(len(candidates)):
+        start = pose_of(candidates[k].pose)
+        bounded = stage[0], stage[1], stage[2], stage[3], candidates[k].bound
+        store_pose(refine_pose(model[0], nodes, points, bounded, (start, nothing), start), candidates[k].pose)
 
 
 @entry
-def settle_near(model: Any, nodes: Any, seen: Any, rungs: Any, known: Any, look: Any) -> None:
-    """Moves LOOK (1,) by rungs (r, 5) as of `settle_all`, each on every so manieth point.
+def refine_near(model: Any, nodes: Any, points: Any, stages: Any, known: Any, candidate: Any) -> None:
+    """Moves LOOK (1,) by rungs (r, 5) as of `refine_poses`, each on every so manieth point.
 
     known (6, 6): information of its pose by (τ, ω), such that a point's residual counts 1 a metre.
     """
-    start = pose_of(look[0].pose)
+    start = pose_of(candidate[0].pose)
     pose = start
-    for k in range(len(rungs)):
-        bounded = rungs[k, 0], rungs[k, 1], rungs[k, 2], rungs[k, 3], look[0].bound
-        pose = settle(model[0], nodes, seen[:: int(rungs[k, 4])], bounded, (start, known), pose)
-    store_pose(pose, look[0].pose)
+    for k in range(len(stages)):
+        bounded = stages[k, 0], stages[k, 1], stages[k, 2], stages[k, 3], candidate[0].bound
+        pose = refine_pose(model[0], nodes, points[:: int(stages[k, 4])], bounded, (start, known), pose)
+    store_pose(pose, candidate[0].pose)
 
 
 @entry
-def closeness(model: Any, nodes: Any, seen: Any, within: Any, looks: Any) -> None:
+def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any) -> None:
     """Fills in how many of SEEN (n,) lie on the surface of LOOK (k,), each by how near, within so far (k,) [m]."""
-    for k in range(len(looks)):
-        R, p = pose_of(looks[k].pose)
+    for k in range(len(candidates)):
+        R, p = pose_of(candidates[k].pose)
         close = 0.0
-        for n in range(len(seen)):
-            point = tmul(R, sub(vector(seen[n].point), p))
+        for n in range(len(points)):
+            point = tmul(R, sub(vector(points[n].point), p))
             ratio = field_at(nodes, model[0].fine, point)[0] / within[k]
             close += max(1 - ratio * ratio, 0.0)
-        looks[k].close = close
+        candidates[k].close = close
 
 
 @inner
-def _pulls(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, told: tuple[Any, Any]) -> int:
+def _pulls(surface: Any, points: Any, pose: Pose, about: Vec3, bound: float, pulls: tuple[Any, Any]) -> int:
     """How many points count, and how their depths pull the object by (τ, ω).
 
     told: `values`, the sum of pulls, `wider`, of their squares; (m, 8) slopes x/z and y/z and pull of those first.
     """
-    u, rows = told
+    u, rows = pulls
     count = 0
     u.values[:] = 0.0
     u.wider[:] = 0.0
-    for n in range(len(seen)):
-        weight, _, P, g = _point(surface, seen[n], pose, bound)
+    for n in range(len(points)):
+        weight, _, P, g = _point(surface, points[n], pose, bound)
         if not weight > 0:
             continue
         pull, lever = weight * dot(g, P) / P[2], g + cross(sub(P, about), g)
@@ -158,9 +160,9 @@ def _pulls(surface: Any, seen: Any, pose: Pose, about: Vec3, bound: float, told:
 
 
 @inner
-def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
+def _spread(pulls: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
     """The covariance of the sum of all points' pulls; what neighbours share by a few. error: as of `inform_all`."""
-    u, rows = told
+    u, rows = pulls
     few = min(count, len(rows))
     pairs = count * (count - 1) / max(few * (few - 1), 1)
     for i in range(6):
@@ -172,8 +174,10 @@ def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
         u.values[:] = 0.0
         for m in range(n):
             du, dv = rows[n, 0] - rows[m, 0], rows[n, 1] - rows[m, 1]
-            apart = du * du + dv * dv
-            shared = pairs * (error[1] * np.exp(-apart * error[4]) + error[2] * np.exp(-apart * error[5]))
+            distance2 = du * du + dv * dv
+            shared = pairs * (
+                error[1] * np.exp(-distance2 * error[4]) + error[2] * np.exp(-distance2 * error[5])
+            )
             for i in range(6):
                 u.values[i] += shared * rows[m, 2 + i]
         for i in range(6):
@@ -182,7 +186,7 @@ def _spread(told: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
 
 
 @entry
-def inform_all(model: Any, nodes: Any, seen: Any, errors: Any, looks: Any, out: Any) -> None:
+def inform_all(model: Any, nodes: Any, points: Any, errors: Any, candidates: Any, out: Any) -> None:
     """Fills in what SEEN (n,) say of each LOOK (k,) by (δp, δθ) of the object's centre along the camera's axes.
 
     `out` (k, 3, 6, 6): the information of independent points of a standard deviation of 1 m, by their weights, the
@@ -193,14 +197,14 @@ def inform_all(model: Any, nodes: Any, seen: Any, errors: Any, looks: Any, out: 
     and of radius times a turn [1/m²].
     """
     u, rows = local(UNCERTAINTY), np.empty((PAIRED, 8))
-    for k in range(len(looks)):
-        pose, bound = pose_of(looks[k].pose), max(errors[k, 6], looks[k].bound)
+    for k in range(len(candidates)):
+        pose, bound = pose_of(candidates[k].pose), max(errors[k, 6], candidates[k].bound)
         arm = mul(pose[0], vector(model[0].center))
         surface, about = (nodes, model[0].fine), add(arm, pose[1])
-        looks[k].weight = _equations(surface, seen, pose, about, bound, u)
+        candidates[k].weight = _equations(surface, points, pose, about, bound, u)
         for i in range(6):
             for j in range(6):
                 out[k, 0, i, j] = u.matrix[max(i, j), min(i, j)]
-        count = _pulls(surface, seen, pose, about, bound, (u, rows))
+        count = _pulls(surface, points, pose, about, bound, (u, rows))
         _spread((u, rows), count, errors[k], out[k, 1])
-        covariance_of(out[k], errors[k], arm, model[0].radius, looks[k].weight, u)
+        covariance_of(out[k], errors[k], arm, model[0].radius, candidates[k].weight, u)

@@ -40,7 +40,7 @@ FARTHER, UNKNOWN, LEAST_EXPECTED = 3.0, 0.5, 100.0
 
 
 @inner
-def _look(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
+def _observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
     """Row, column and depth of a point's pixel; depth below 0: out of the image."""
     u, v = project(camera, P)
     if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
@@ -69,7 +69,7 @@ def row_of(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[flo
     depth, rays, cells, corner = image
     if not -dot(n, P) > FACING * norm(P):
         return 0.0, 0.0
-    row, column, z = _look(camera, depth, P)
+    row, column, z = _observed_at(camera, depth, P)
     if not z > 0:
         return 0.0, 0.0
     away = sub((float(rays[row, column, 0]) * z, float(rays[row, column, 1]) * z, z), P)
@@ -102,69 +102,71 @@ def _equations(
 
 
 @entry
-def settle_all(camera: Any, image: Any, hand: Any, middle: Any, rung: Any, looks: Any) -> None:
+def refine_hand(camera: Any, image: Any, hand: Any, middle: Any, stage: Any, candidates: Any) -> None:
     """Moves LOOK (k,) by Gauss-Newton steps to where the hand's points (2, m, 3: with normals) lie on the image.
 
     image: as of `row_of`. middle (3,) of the hand. rung: Tukey's bound at first and at last [m], steps, radius [m].
     """
-    u, steps, radius, longest = local(UNCERTAINTY), int(rung[2]), rung[3], (LONGEST_SHIFT, LONGEST_TURN)
-    for k in range(len(looks)):
-        R, p = pose_of(looks[k].pose)
+    u, steps, radius, longest = local(UNCERTAINTY), int(stage[2]), stage[3], (LONGEST_SHIFT, LONGEST_TURN)
+    for k in range(len(candidates)):
+        R, p = pose_of(candidates[k].pose)
         for step in range(steps):
-            bound = rung[0] + (rung[1] - rung[0]) * (step / max(steps - 1, 1))
+            bound = stage[0] + (stage[1] - stage[0]) * (step / max(steps - 1, 1))
             about = add(mul(R, vector(middle)), p)
             if not _equations(camera[0], image, hand, (R, p, about), bound, u) > LEAST_WEIGHT:
                 break
             R, p = damped_step(u, radius, longest, vector(middle), (R, p))
-        store_pose((R, p), looks[k].pose)
+        store_pose((R, p), candidates[k].pose)
 
 
 @inner
-def _add(camera: Any, image: Any, P: Vec3, n: Vec3, limits: Any, look: Any) -> None:
+def _add(camera: Any, image: Any, P: Vec3, n: Vec3, limits: Any, candidate: Any) -> None:
     """Adds what the image says of one point."""
     way = norm(P)
     cosine, bound = -dot(n, P) / way, limits[1]
     if not cosine > FACING:
         return
-    _, _, z = _look(camera, image[0], P)
+    _, _, z = _observed_at(camera, image[0], P)
     if z < 0:
         return
     pixels = limits[0] * camera.fx * camera.fy * cosine / (P[2] * P[2])
-    look.expected += pixels if z > 0 else UNKNOWN * pixels
+    candidate.expected += pixels if z > 0 else UNKNOWN * pixels
     if z == 0:
         return
     along = (z - P[2]) * way / P[2]
     off = along * cosine
     if off > bound or along > FARTHER * bound:
-        look.passed += pixels
+        candidate.passed += pixels
     elif off < -bound or along < -FARTHER * bound:
-        look.hidden += pixels
+        candidate.hidden += pixels
     else:
         alike = _cosine(image[2], image[3], P, n)
         share = UNSURE if alike > 1.5 else min(max((alike - UNALIKE) / (ALIKE - UNALIKE), 0.0), 1.0)
-        worth = pixels * (1 - (off / bound) ** 2) * share
-        look.explained += worth
-        look.unexplained += pixels * (1 - share)
-        look.rms += worth * off * off
+        score = pixels * (1 - (off / bound) ** 2) * share
+        candidate.explained += score
+        candidate.unexplained += pixels * (1 - share)
+        candidate.rms += score * off * off
 
 
 @entry
-def judge_all(camera: Any, image: Any, hand: Any, limits: Any, looks: Any) -> None:
+def score_hand(camera: Any, image: Any, hand: Any, limits: Any, candidates: Any) -> None:
     """Fills in the score of LOOK (k,), and what it is made of; `unexplained`: pixels that have another normal.
 
     hand: points and normals (2, m, 3) that are seen from there. limits: area of a point [m²], bound of what is
     explained [m].
     """
-    for k in range(len(looks)):
-        look = looks[k]
-        R, p = pose_of(look.pose)
-        look.expected = look.explained = look.passed = look.hidden = look.unexplained = look.rms = 0.0
+    for k in range(len(candidates)):
+        candidate = candidates[k]
+        R, p = pose_of(candidate.pose)
+        candidate.expected = candidate.explained = candidate.passed = candidate.hidden = (
+            candidate.unexplained
+        ) = candidate.rms = 0.0
         for m in range(hand.shape[1]):
             P, n = add(mul(R, vector(hand[0, m])), p), mul(R, vector(hand[1, m]))
-            _add(camera[0], image, P, n, limits, look)
-        look.rms = np.sqrt(look.rms / look.explained) if look.explained > 0 else np.inf
-        cost = PASSED * look.passed + HIDDEN * look.hidden + TURNED * look.unexplained
-        look.score = (look.explained - cost) / max(look.expected, LEAST_EXPECTED) ** POWER
+            _add(camera[0], image, P, n, limits, candidate)
+        candidate.rms = np.sqrt(candidate.rms / candidate.explained) if candidate.explained > 0 else np.inf
+        cost = PASSED * candidate.passed + HIDDEN * candidate.hidden + TURNED * candidate.unexplained
+        candidate.score = (candidate.explained - cost) / max(candidate.expected, LEAST_EXPECTED) ** POWER
 
 
 @entry

@@ -56,7 +56,7 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
 
 
 @entry
-def near_points(surface: Any, image: Any, window: Any, look: Any, out: Any) -> int:
+def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any) -> int:
     """Fills in the points of SEEN with what lies near LOOK (1,), evenly over all such; how many it filled in.
 
     surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m], labels (h, w), of which the negative are
@@ -67,7 +67,7 @@ def near_points(surface: Any, image: Any, window: Any, look: Any, out: Any) -> i
     while True:
         rows, columns = here.rows[1] - here.rows[0], here.columns[1] - here.columns[0]
         found = np.empty((rows // step + 1) * (columns // step + 1), np.int64)
-        count = _gathered(surface, image, (here, step), look[0].pose, found)
+        count = _gathered(surface, image, (here, step), candidate[0].pose, found)
         if step == 1 or count >= len(out):
             break
         # Where most of it is hidden, as many points are in what is left.

@@ -22,7 +22,7 @@ PASSED, HIDDEN = 1.5, 0.1
 """What a point that the camera sees past weighs, and one that is hidden, against one that agrees."""
 BESIDE = 1.0
 """What a point beside the hand weighs where the image has something as near as the hand is."""
-LEAST_SEEN, UNSEEN = 10, 20
+MIN_VISIBLE, VISIBLE_SLACK = 10, 20
 """Points that must fall on depth; and what is added to their number, so that few do not win by their share."""
 
 
@@ -49,7 +49,7 @@ def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> Non
 
 
 @inner
-def _best(there: Any, agree: Any, seen: float) -> tuple[float, int]:
+def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
     """By how much most agree, and the bin in which they do, from the middle one."""
     half, best, where = BINS // 2, -np.inf, 0
     for b in range(half - AWAY, half + AWAY + 1):
@@ -59,7 +59,7 @@ def _best(there: Any, agree: Any, seen: float) -> tuple[float, int]:
             near += there[k]
         for k in range(b - REACH):
             before += there[k]
-        score = good - PASSED * (seen - near - before) - HIDDEN * before
+        score = good - PASSED * (visible - near - before) - HIDDEN * before
         if score > best:
             best, where = score, b - half
     return best, where
@@ -82,7 +82,7 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
                 turned[m, side, 0], turned[m, side, 1], turned[m, side, 2] = mul(R, vector(hand[side, m]))
         for s in range(len(middles)):
             c = vector(middles[s])
-            least, seen, out = FACING * norm(c), 0.0, 0.0
+            least, visible, out = FACING * norm(c), 0.0, 0.0
             there[:] = 0.0
             agree[:] = 0.0
             for m in range(count):
@@ -101,12 +101,12 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
                 if beside:
                     agree[b] -= BESIDE
                     continue
-                seen += 1.0
+                visible += 1.0
                 there[b] += 1.0
                 known = cell[1] != 0.0 or cell[2] != 0.0 or cell[3] != 0.0
                 same = n[0] * cell[1] + n[1] * cell[2] + n[2] * cell[3] > AGREES
                 agree[b] += (1.0 if same else 0.0) if known else 0.5
             found[r, s, 0], found[r, s, 1] = -np.inf, 0.0
-            if seen >= LEAST_SEEN:
-                score, away = _best(there, agree, seen)
-                found[r, s, 0], found[r, s, 1] = score / (seen + out + UNSEEN), away * corner[3]
+            if visible >= MIN_VISIBLE:
+                score, away = _best(there, agree, visible)
+                found[r, s, 0], found[r, s, 1] = score / (visible + out + VISIBLE_SLACK), away * corner[3]

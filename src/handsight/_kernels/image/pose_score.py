@@ -65,47 +65,47 @@ def _nearest(directions: Any, way: tuple[float, float, float]) -> int:
 
 @inner
 def _add(
-    image: Any, sample: tuple[float, float, float, float], bound: float, look: Any, explained: Any
+    image: Any, sample: tuple[float, float, float, float], bound: float, candidate: Any, explained: Any
 ) -> None:
     """Adds what the image says of a sample at (column, row, depth) that is worth so many pixels."""
     depth, labels = image
     column, row, z, pixels = int(sample[0] + 0.5), int(sample[1] + 0.5), sample[2], sample[3]
-    seen, label = depth[row, column], labels[row, column]
-    if not seen > 0:
-        look.expected += UNKNOWN * pixels
+    observed, label = depth[row, column], labels[row, column]
+    if not observed > 0:
+        candidate.expected += UNKNOWN * pixels
         return
-    off = seen - z
+    off = observed - z
     if off < -bound and label == HAND:
         return
-    look.expected += pixels
+    candidate.expected += pixels
     if off > bound or (off < -bound and label == TABLE):  # nothing is under the table
-        look.passed += pixels
+        candidate.passed += pixels
     elif off < -bound:
-        look.hidden += pixels
+        candidate.hidden += pixels
     elif label >= 0:
-        worth = pixels * (1 - (off / bound) ** 2)
-        look.explained += worth
-        look.rms += worth * off * off
+        score = pixels * (1 - (off / bound) ** 2)
+        candidate.explained += score
+        candidate.rms += score * off * off
         explained[label] += pixels
 
 
 @inner
-def _score(sizes: Any, explained: Any, look: Any) -> None:
+def _score(sizes: Any, explained: Any, candidate: Any) -> None:
     """Finishes what `_add` has added up; unexplained are pixels of the parts that it lies on, by share."""
     unexplained = total = 0.0
     for part in range(len(sizes)):
         unexplained += explained[part] * max(sizes[part] - explained[part], 0.0)
         total += explained[part]
-    look.unexplained = unexplained / total if total > 0 else 0.0
-    look.rms = np.sqrt(look.rms / look.explained) if look.explained > 0 else np.inf
-    size = max(look.expected, LEAST_EXPECTED)
-    cost = PASSED * look.passed + HIDDEN * look.hidden
-    cost += UNEXPLAINED * min(look.unexplained, MOST_UNEXPLAINED * size)
-    look.score = (look.explained - cost) / size**POWER
+    candidate.unexplained = unexplained / total if total > 0 else 0.0
+    candidate.rms = np.sqrt(candidate.rms / candidate.explained) if candidate.explained > 0 else np.inf
+    size = max(candidate.expected, LEAST_EXPECTED)
+    cost = PASSED * candidate.passed + HIDDEN * candidate.hidden
+    cost += UNEXPLAINED * min(candidate.unexplained, MOST_UNEXPLAINED * size)
+    candidate.score = (candidate.explained - cost) / size**POWER
 
 
 @entry
-def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, looks: Any) -> None:
+def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, candidates: Any) -> None:
     """Fills in the score of LOOK (k,), and what it is made of.
 
     image: depth (h, w) [m] and labels (h, w) of parts, `TABLE`, `HAND` or `OUT`. sides: samples and normals (2, m, 3),
@@ -116,13 +116,13 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, look
     height, width = image[0].shape
     explained, center = np.empty(len(sizes)), (limits[2], limits[3], limits[4])
     density = limits[0] * camera[0].fx * camera[0].fy
-    for k in range(len(looks)):
-        look = looks[k]
-        R, p = pose_of(look.pose)
+    for k in range(len(candidates)):
+        candidate = candidates[k]
+        R, p = pose_of(candidate.pose)
         middle = add(mul(R, center), p)
         side = _nearest(directions, scale(tmul(R, middle), -1 / max(norm(middle), 1e-9)))
-        explained[:], bound = 0.0, max(limits[1], look.bound)
-        look.expected = look.explained = look.passed = look.hidden = look.rms = 0.0
+        explained[:], bound = 0.0, max(limits[1], candidate.bound)
+        candidate.expected = candidate.explained = candidate.passed = candidate.hidden = candidate.rms = 0.0
         for m in range(samples.shape[1]):
             if visible[side, m]:
                 P = add(mul(R, vector(samples[0, m])), p)
@@ -130,5 +130,5 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, look
                 cosine = -dot(mul(R, vector(samples[1, m])), P) / norm(P)
                 if cosine > 0 and -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
                     sample = u, v, P[2], density * cosine / (P[2] * P[2])
-                    _add(image, sample, bound, look, explained)
-        _score(sizes, explained, look)
+                    _add(image, sample, bound, candidate, explained)
+        _score(sizes, explained, candidate)

@@ -13,14 +13,14 @@ CAMERA = record(
 )
 
 # A point of a depth image.
-SEEN = record(
+DEPTH_POINT = record(
     ("point", "f8", (3,)),  # in the camera
     ("normal", "f8", (3,)),  # towards it; zero: none
     ("part", "i8"),  # of the image's connected parts
 )
 
 # Where an object is thought to be in the camera, and what the image says of it; pixels are areas.
-LOOK = record(
+CANDIDATE = record(
     ("pose", POSE),
     ("votes", "f8"),
     ("score", "f8"),

@@ -46,10 +46,10 @@ def _see(voxel: Any, depth: Any, pixel: tuple[float, float], node: Vec3, bound: 
     if gap > CLEAR * bound:
         voxel.passed += np.float32(1)
         return
-    seen = _depth_between(depth, u, v)
-    gap = (seen - node[2]) * norm(node) / node[2]  # along the ray
-    if seen > 0 and abs(gap) <= bound:
-        weight = np.float32(1 / (seen * seen * seen * seen))
+    observed = _depth_between(depth, u, v)
+    gap = (observed - node[2]) * norm(node) / node[2]  # along the ray
+    if observed > 0 and abs(gap) <= bound:
+        weight = np.float32(1 / (observed * observed * observed * observed))
         voxel.sum += weight * np.float32(gap)
         voxel.weight += weight
         voxel.views += np.float32(1)

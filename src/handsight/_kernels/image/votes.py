@@ -81,16 +81,16 @@ def pairs_of(points: Any, normals: Any, diameter: float, cells: Any, spins: Any)
 
 
 @inner
-def _count(table: Any, seen: Any, r: int, diameter: float, most: int, votes: Any) -> None:
+def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: Any) -> None:
     """Counts in `votes` (m, 2 SPINS) the model's pairs alike to those of a reference point and up to so many others."""
     starts, pairs = table
-    first, n1 = vector(seen[r].point), vector(seen[r].normal)
+    first, n1 = vector(points[r].point), vector(points[r].normal)
     frame, partners = about_normal(n1), 0
-    for j in range(len(seen)):
-        n2 = vector(seen[j].normal)
+    for j in range(len(points)):
+        n2 = vector(points[j].normal)
         if j == r or n2 == (0.0, 0.0, 0.0):
             continue
-        second = vector(seen[j].point)
+        second = vector(points[j].point)
         cell = cell_of(first, n1, second, n2, diameter)
         if cell < 0:
             continue
@@ -117,7 +117,7 @@ def _best_spins(votes: Any, most: Any, spins: Any) -> None:
 
 
 @entry
-def vote(table: Any, model: Any, seen: Any, references: Any, limits: Any, looks: Any) -> None:
+def vote(table: Any, model: Any, observed: Any, references: Any, limits: Any, candidates: Any) -> None:
     """Fills in the LOOK (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
 
     table: starts of cells (CELLS + 1,), the model's pairs in them. model: points and normals (2, m, 3). limits:
@@ -128,17 +128,17 @@ def vote(table: Any, model: Any, seen: Any, references: Any, limits: Any, looks:
     best, spins = np.empty(len(points)), np.empty(len(points), np.int64)
     for n in range(len(references)):
         votes[:] = 0
-        _count(table, seen, references[n], limits[0], most, votes)
+        _count(table, observed, references[n], limits[0], most, votes)
         _best_spins(votes, best, spins)
-        reference = seen[references[n]]
+        reference = observed[references[n]]
         back = transpose(about_normal(vector(reference.normal)))
         for peak in range(PEAKS):
             i = np.argmax(best)
-            look = looks[n, peak]
-            look.votes = best[i]
+            candidate = candidates[n, peak]
+            candidate.votes = best[i]
             angle = 2 * np.pi * (spins[i] + 0.5) / SPINS
             spun = matmul(back, rotation_exp((angle, 0.0, 0.0)))
             R = matmul(spun, about_normal(vector(normals[i])))
             p = sub(vector(reference.point), mul(R, vector(points[i])))
-            store_pose((R, p), look.pose)
+            store_pose((R, p), candidate.pose)
             best[i] = -1.0

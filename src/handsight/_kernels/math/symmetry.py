@@ -105,7 +105,7 @@ def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
 
 
 @inner
-def are_apart(model: Any, a: Pose, b: Pose, limits: Any) -> bool:
+def are_distinct(model: Any, a: Pose, b: Pose, limits: Any) -> bool:
     """Whether two poses differ by more than a shift of the object's center [m] or a turn [rad], modulo symmetry."""
     R, p = nearest(model, a, b)
     center = vector(model.center)

@@ -31,7 +31,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 Values = tuple[float, Vec3, Mat33]
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 FLAT: Mat33 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-APART = 1.02
+RIM_MARGIN = 1.02
 """Two places whose distances to a surface add up to more than this much of what is between them, and what the surface
 itself is unsure of (`blur`), are on one side."""
 
@@ -71,7 +71,7 @@ def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
         for j in range(4):
             for k in range(4):
                 value = nodes[first + i * step_x + j * step_y + k]
-                gap2 = (APART * field.cell) ** 2 * ((i - x) ** 2 + (j - y) ** 2 + (k - z) ** 2)
+                gap2 = (RIM_MARGIN * field.cell) ** 2 * ((i - x) ** 2 + (j - y) ** 2 + (k - z) ** 2)
                 over = abs(value - nearest) - field.blur
                 if value * nearest < 0 and over > 0 and over * over > gap2:
                     value = -value

@@ -58,7 +58,7 @@ ROOM = np.dtype(
     ],
     align=True,
 )
-SEEN = 16
+WINDOW_VALUES = 16
 """Numbers kept of each window: point, normal, the bends' tensor along the object's axes, variances, the spread."""
 
 
@@ -184,8 +184,8 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
     store(a, patch.along[0])
     store(cross(n, a), patch.along[1])
     mean, half = 0.5 * (patch.bends[0] + patch.bends[2]), 0.5 * (patch.bends[0] - patch.bends[2])
-    apart = np.sqrt(half * half + patch.bends[1] * patch.bends[1])
-    k1, k2 = mean + apart, mean - apart
+    root = np.sqrt(half * half + patch.bends[1] * patch.bends[1])
+    k1, k2 = mean + root, mean - root
     patch.bend = (k1 * abs(k1) + k2 * abs(k2)) / max(abs(k1) + abs(k2), 1e-300)
 
 
@@ -200,11 +200,11 @@ def _tensor(patch: Any, out: Any) -> None:
 
 
 @inner
-def _has_drifted(patch: Any, seen: Any, windows: int, tensor: Any) -> bool:
+def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
     """Whether a patch is further from that of a smaller window than that one's deviations allow."""
     n, limit = vector(patch.normal), DRIFT * DRIFT
     for j in range(windows):
-        row = seen[j]
+        row = earlier[j]
         height = dot(n, sub(vector(patch.point), vector(row)))
         turn, bend = 0.0, 0.0
         for k in range(3):
@@ -241,11 +241,11 @@ def _note(patch: Any, tensor: Any, row: Any) -> None:
 
 
 @entry
-def widen(cloud: Any, keys: Any, levels: Any, patches: Any, seen: Any) -> None:
+def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> None:
     """Fits each patch (m,) again in a wider window, and keeps that unless it tells something else.
 
-    `cloud` (n, 6): points and normals, in the order of their cells, whose `keys` (n,) are. `levels` (1,): LEVEL. `seen`
-    (m, windows, SEEN): what earlier windows told.
+    `cloud` (n, 6): points and normals, in the order of their cells, whose `keys` (n,) are. `levels` (1,): LEVEL.
+    `earlier` (m, windows, SEEN): what earlier windows told.
     """
     level, room, index = levels[0], local(ROOM), np.empty(MOST, np.int64)
     for k in range(len(patches)):
@@ -268,13 +268,13 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, seen: Any) -> None:
             if (
                 left_out > REJECTED
                 or trial.spread > expected
-                or _has_drifted(trial, seen[k], level.place, room.tensor)
+                or _has_drifted(trial, earlier[k], level.place, room.tensor)
             ):
                 patch.ended = 1
                 continue
         _copy(trial, patch)
         patch.window = level.window
-        _note(patch, room.tensor, seen[k, level.place])
+        _note(patch, room.tensor, earlier[k, level.place])
         patch.fits += 1
 
 
@@ -282,4 +282,4 @@ def warm() -> None:
     """Compiles every kernel, or loads it."""
     patches, levels = np.zeros(1, dtype=PATCH), np.zeros(1, dtype=LEVEL)
     patches["normal"], levels["window"], levels["shape"] = [0.0, 0.0, 1.0], 1.0, 3
-    widen(np.zeros((1, 6)), np.zeros(1, dtype=np.int64), levels, patches, np.zeros((1, 1, SEEN)))
+    widen(np.zeros((1, 6)), np.zeros(1, dtype=np.int64), levels, patches, np.zeros((1, 1, WINDOW_VALUES)))

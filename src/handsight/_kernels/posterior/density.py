@@ -14,26 +14,22 @@ from handsight._kernels.evidence.contact_term import (
     residual_covariance,
     surface_at,
 )
-from handsight._kernels.evidence.outside_term import outside_cost
-from handsight._kernels.evidence.plane_term import plane_cost
-from handsight._kernels.evidence.prior_term import add_prior, prior_cost
-from handsight._kernels.evidence.weight_term import add_weight, weight_cost
+from handsight._kernels.evidence.terms import ALL, LOADS, PRIOR, WALLS, Evidence, add_evidence, evidence_cost
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import vector
 from handsight._kernels.posterior.spurious_information import (
     add_spurious_information,
     subtract_spurious_information,
 )
-from handsight._kernels.records import NO_PRIOR, VISION_PRIOR
+from handsight._kernels.records import VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
 
 
 @inner
-def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[float, float]:
+def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[float, float]:
     """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
 
-    Adds to `lent` those of what the model's bumps lend.
+    Adds to `spurious` those of what the model's bumps lend.
     """
     model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
     chi2, log_spread = 0.0, 0.0
@@ -46,7 +42,7 @@ def contact_information(evidence: Evidence, pose: Pose, lent: Any) -> tuple[floa
             factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
             invert_covariance(factor4, has_normal, term.weight)
             log_spread += log_determinant(factor4, has_normal)
-            add_spurious_information(model, evidence.nodes, term, surface, pose, lent)
+            add_spurious_information(model, evidence.nodes, term, surface, pose, spurious)
             if at_edge(model, term.contact, surface):
                 square = mahalanobis2(term.contact, surface, factor4)
                 add_contact(term, flattened(term.contact, surface), frame, term.equations)
@@ -80,15 +76,16 @@ def information(
             by_touch[i, j] = by_touch[j, i] = value
     subtract_spurious_information(by_touch, equations, model.radius)
     # Walls: they cost, but say nothing of the way back.
-    chi2 += outside_cost(evidence, model.fine, pose) + plane_cost(evidence, pose)
+    chi2 += evidence_cost(evidence, WALLS, pose)
     equations[:] = 0.0
-    add_weight(evidence.prior.weight, pose, (pose[1], 1.0), equations)
+    frame = pose[1], 1.0
+    add_evidence(evidence, LOADS, model.fine, pose, frame, False, equations)
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = by_touch[i, j]
             by_touch[i, j] = by_touch[j, i] = by_touch[i, j] + equations[i, j]
     if evidence.prior.kind == VISION_PRIOR:
-        add_prior(evidence.prior, pose, (pose[1], 1.0), equations)
+        add_evidence(evidence, PRIOR, model.fine, pose, frame, False, equations)
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = total[j, i] = total[i, j] + equations[i, j]
@@ -99,18 +96,7 @@ def information(
 @inner
 def posterior_cost(evidence: Evidence, pose: Pose) -> float:
     """Minus two log of the posterior density at a pose, up to a constant."""
-    model, nodes, field = evidence.model, evidence.nodes, evidence.model.fine
-    total = outside_cost(evidence, field, pose) + plane_cost(evidence, pose)
-    for i in range(len(evidence.terms)):
-        term = evidence.terms[i]
-        if term.contact.used:
-            surface = surface_at(nodes, field, vector(term.contact.point), pose)
-            factor4 = factored(residual_covariance(model, nodes, field, term, surface))
-            total += mahalanobis2(term.contact, surface, factor4)
-            total += log_determinant(factor4, term.contact.has_normal != 0)
-    if evidence.prior.kind != NO_PRIOR:
-        total += prior_cost(evidence.prior, pose)
-    return total + weight_cost(evidence.prior.weight, pose)
+    return evidence_cost(evidence, ALL, pose)
 
 
 @inner

@@ -8,29 +8,15 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import largest_move, pass_over
-from handsight._kernels.evidence.prior_term import prior_cost
-from handsight._kernels.evidence.weight_term import weight_cost
+from handsight._kernels.evidence.outside_term import largest_move, mark_far
+from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.vec3 import cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import information, posterior_cost
+from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
 from handsight._kernels.posterior.uncertainty import calibrated_information, retract_body
 from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
-from handsight._kernels.solve.settings import (
-    DEPARTS,
-    FAR,
-    MOST_OPEN,
-    NARROW,
-    OPEN,
-    PLACES,
-    PROBES,
-    RISE,
-    SPREAD,
-    STRIDE,
-    SWEEPS,
-)
 
 SPIN = 1e6
 """What stands for a spin about a declared axis, in traces of a matrix, so that it is told from what is open."""
@@ -60,35 +46,37 @@ def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
 
 
 @inner
-def choose(evidence: Evidence, pose: Pose, slide: Any, u: Any) -> None:
+def choose(evidence: Evidence, pose: Pose, flat: Any, u: Any) -> None:
     """Fills in what is along the slide, and what is across; where nothing departs from a Gaussian, the widest is along.
 
     A spin about a declared axis is neither.
     """
-    radius, departs = evidence.model.radius, np.zeros(6)
+    radius, rises = evidence.model.radius, np.zeros(6)
     slopes, calibrated = np.empty(6), np.empty(6)
-    _departures(evidence, pose, slopes, calibrated, departs, u)
-    slide.count = slide.count_across = 0
-    for n in range(MOST_OPEN):
+    _rises(evidence, pose, slopes, calibrated, rises, u)
+    flat.count = flat.count_across = 0
+    for n in range(INTEGRATION.max_directions):
         widest = -1
         for k in range(6):
-            if departs[k] > (DEPARTS if n else -1.0) and (widest < 0 or _before(departs, slopes, k, widest)):
+            if rises[k] > (INTEGRATION.max_gaussian_rise if n else -1.0) and (
+                widest < 0 or _before(rises, slopes, k, widest)
+            ):
                 widest = k
         if widest >= 0:
-            slide.along[:, n] = u.vectors[:, widest]
-            slide.spacing[n] = min(1 / np.sqrt(max(slopes[widest], 1 / radius**2)), radius / 2)
-            slide.count, departs[widest] = n + 1, -np.inf
-    blind, slide.proper = evidence.prior.kind == WEAK_PRIOR, True
+            flat.along[:, n] = u.vectors[:, widest]
+            flat.spacing[n] = min(1 / np.sqrt(max(slopes[widest], 1 / radius**2)), radius / 2)
+            flat.count, rises[widest] = n + 1, -np.inf
+    blind, flat.proper = evidence.prior.kind == WEAK_PRIOR, True
     for k in range(6):
-        slide.proper = slide.proper and not (blind and slopes[k] * (OPEN * radius) ** 2 < 1)
-        if departs[k] >= 0:
-            slide.across[:, slide.count_across] = u.vectors[:, k]
-            slide.stretch[slide.count_across] = np.sqrt(slopes[k] / calibrated[k]) if slopes[k] > 0 else 1.0
-            slide.count_across += 1
+        flat.proper = flat.proper and not (blind and slopes[k] * (CALIBRATION.open_sigma * radius) ** 2 < 1)
+        if rises[k] >= 0:
+            flat.across[:, flat.count_across] = u.vectors[:, k]
+            flat.stretch[flat.count_across] = np.sqrt(slopes[k] / calibrated[k]) if slopes[k] > 0 else 1.0
+            flat.count_across += 1
 
 
 @inner
-def _departures(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, departs: Any, u: Any) -> None:
+def _rises(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, rises: Any, u: Any) -> None:
     """Fills in the eigenvalues [1/m²] of the information at a mode (its spins': infinite), as it is and as the cost has
     it, and how the cost departs from a Gaussian's along its vectors, `u.vectors`; of spins below 0."""
     model = evidence.model
@@ -101,21 +89,23 @@ def _departures(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, de
     for far in range(2):
         for k in range(6):
             u.values[k] = 0.0 if slopes[k] > limit else slopes[k]
-        calibrated_information(evidence, pose, FAR if far else STRIDE, u.values, u.vectors, u.row)
+        calibrated_information(
+            evidence, pose, INTEGRATION.wall_stride if far else CALIBRATION.stride, u.values, u.vectors, u.row
+        )
         for k in range(6):
-            if slopes[k] * (NARROW * model.radius) ** 2 < 1:
-                departs[k] = max(departs[k], np.inf if u.values[k] == 0.0 else u.row[k])
+            if slopes[k] * (INTEGRATION.narrow_sigma * model.radius) ** 2 < 1:
+                rises[k] = max(rises[k], np.inf if u.values[k] == 0.0 else u.row[k])
             calibrated[k] = calibrated[k] if far else u.values[k]
     for k in range(6):
         if slopes[k] > limit:
-            slopes[k], departs[k] = np.inf, -np.inf
+            slopes[k], rises[k] = np.inf, -np.inf
 
 
 @inner
-def _before(departs: Any, slopes: Any, k: int, other: int) -> bool:
+def _before(rises: Any, slopes: Any, k: int, other: int) -> bool:
     """Whether a direction is integrated along rather than another: one that departs, then the wider one."""
-    if (departs[k] > DEPARTS) != (departs[other] > DEPARTS):
-        return departs[k] > DEPARTS
+    if (rises[k] > INTEGRATION.max_gaussian_rise) != (rises[other] > INTEGRATION.max_gaussian_rise):
+        return rises[k] > INTEGRATION.max_gaussian_rise
     return slopes[k] < slopes[other]
 
 
@@ -130,22 +120,22 @@ def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
     """As `at_coordinates`; outside points, looked at from the mode, are passed over where they are too far."""
     pose = at_coordinates(mode, evidence.model.radius, six)
     if len(evidence.outside):
-        pass_over(evidence.outside, largest_move(evidence.model, pose, mode))
+        mark_far(evidence.outside, largest_move(evidence.model, pose, mode))
     return pose
 
 
 @inner
-def without_dents(evidence: Evidence, slide: Any, pose: Pose, cost: float) -> float:
+def without_bumps(evidence: Evidence, flat: Any, pose: Pose, cost: float) -> float:
     """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
     explains is alike."""
-    if slide.give > 0.0:
-        by_prior = prior_cost(evidence.prior, pose) + weight_cost(evidence.prior.weight, pose)
-        cost = by_prior + max(cost - by_prior, slide.level)
+    if flat.bump_margin > 0.0:
+        by_prior = evidence_cost(evidence, PRIOR | LOADS, pose)
+        cost = by_prior + max(cost - by_prior, flat.level)
     return cost
 
 
 @inner
-def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
+def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
     """Brings the places of a slide as close as they need be, by how far its cost, `here` at the mode, lets each
     direction go.
 
@@ -154,69 +144,71 @@ def measure(evidence: Evidence, mode: Pose, slide: Any, here: float) -> None:
     is followed from the middle of the one before, twice.
     """
     radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
-    for m in range(slide.count * (SWEEPS if slide.count > 1 else 1)):
-        n, ends = m % slide.count, (0.0, 0.0)
+    for m in range(flat.count * (INTEGRATION.sweeps if flat.count > 1 else 1)):
+        n, ends = m % flat.count, (0.0, 0.0)
         for side in range(2):
-            length, near, far = slide.spacing[n], 0.0, 2 * radius
-            for _ in range(PROBES):
+            length, near, far = flat.spacing[n], 0.0, 2 * radius
+            for _ in range(INTEGRATION.max_probes):
                 for i in range(6):
-                    six[i] = middle[i] + slide.along[i, n] * (-length if side else length)
+                    six[i] = middle[i] + flat.along[i, n] * (-length if side else length)
                 pose = moved_to(evidence, mode, six)
-                rise = without_dents(evidence, slide, pose, posterior_cost(evidence, pose)) - here
-                if 0.5 * RISE < rise < 2 * RISE:
+                rise = without_bumps(evidence, flat, pose, posterior_cost(evidence, pose)) - here
+                if 0.5 * INTEGRATION.rise < rise < 2 * INTEGRATION.rise:
                     break
-                if rise > RISE:
+                if rise > INTEGRATION.rise:
                     far = length
                 else:
                     near = length
                 length = min(2 * length, 0.5 * (near + far))
             ends = ends[1], length
         for i in range(6):
-            middle[i] += 0.5 * slide.along[i, n] * (ends[0] - ends[1])
-        slide.spacing[n] = 0.5 * (ends[0] + ends[1])
-    for n in range(slide.count):
-        slide.spacing[n] *= SPREAD[slide.count - 1] / PLACES[slide.count - 1]
+            middle[i] += 0.5 * flat.along[i, n] * (ends[0] - ends[1])
+        flat.spacing[n] = 0.5 * (ends[0] + ends[1])
+    for n in range(flat.count):
+        flat.spacing[n] *= (
+            INTEGRATION.sigma_of_reach[flat.count - 1] / INTEGRATION.points_per_sigma[flat.count - 1]
+        )
 
 
 @inner
-def lay_lattice(slide: Any) -> float:
+def build_lattice(flat: Any) -> float:
     """Log of the lattice's cell [m^count]; fills in its steps."""
     cell = 0.0
-    for n in range(slide.count):
-        cell += np.log(slide.spacing[n])
+    for n in range(flat.count):
+        cell += np.log(flat.spacing[n])
         for i in range(6):
             value = 0.0
-            for m in range(slide.count):
-                value += slide.along[i, m] * (slide.spacing[m] * TURN[slide.count - 1, m, n])
-            slide.lattice[i, n] = value
+            for m in range(flat.count):
+                value += flat.along[i, m] * (flat.spacing[m] * TURN[flat.count - 1, m, n])
+            flat.lattice[i, n] = value
     return cell
 
 
 @inner
-def coordinates_at(slide: Any, place: Any, out: Any) -> None:
+def coordinates_at(flat: Any, point: Any, out: Any) -> None:
     """`out` (6): the coordinates of a place."""
     for i in range(6):
         value = 0.0
-        for n in range(slide.count):
-            value += slide.lattice[i, n] * place.index[n]
-        for n in range(slide.count_across):
-            value += slide.across[i, n] * place.aside[n]
+        for n in range(flat.count):
+            value += flat.lattice[i, n] * point.index[n]
+        for n in range(flat.count_across):
+            value += flat.across[i, n] * point.lateral[n]
         out[i] = value
 
 
 @inner
-def fine_enough(slide: Any, sums: Any, radius: float) -> bool:
+def fine_enough(flat: Any, sums: Any, radius: float) -> bool:
     """Whether deviations along the slide have places enough; else brings these closer together."""
-    fine, wanted = True, PLACES[slide.count - 1]
-    for k in range(slide.count):
+    fine, wanted = True, INTEGRATION.points_per_sigma[flat.count - 1]
+    for k in range(flat.count):
         mean = square = 0.0
         for i in range(6):
-            a = slide.along[i, k] * (1.0 if i < 3 else radius)
+            a = flat.along[i, k] * (1.0 if i < 3 else radius)
             mean += a * sums.first[i] / sums.total
             for j in range(6):
-                square += a * sums.second[i, j] / sums.total * slide.along[j, k] * (1.0 if j < 3 else radius)
+                square += a * sums.second[i, j] / sums.total * flat.along[j, k] * (1.0 if j < 3 else radius)
         spread = np.sqrt(max(square - mean * mean, 0.0))
-        if slide.spacing[k] * (0.8 * wanted) > spread:
-            slide.spacing[k] = max(spread / wanted, slide.spacing[k] / 4)
+        if flat.spacing[k] * (0.8 * wanted) > spread:
+            flat.spacing[k] = max(spread / wanted, flat.spacing[k] / 4)
             fine = False
     return fine

@@ -8,27 +8,27 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import Mat33, add, cross, matmul, mul, norm, scale, sub, transpose
 from handsight._kernels.posterior.flat_directions import (
     at_coordinates,
     coordinates_at,
     moved_to,
-    without_dents,
+    without_bumps,
 )
+from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence, evaluate
-from handsight._kernels.solve.settings import NEAR2
 
 
 @inner
-def _relax(slide: Any, E: Mat33, u: Any) -> bool:
+def _relax(flat: Any, E: Mat33, u: Any) -> bool:
     """Whether a step across the slide is determined; `u.column`: the step, of `u.values` the gradient, `u.matrix` the
     Hessian by it, `u.wider` its directions (τ, radius ω) after the turn E that led to the place."""
-    count = slide.count_across
+    count = flat.count_across
     for a in range(count):
-        shift = mul(E, (slide.across[0, a], slide.across[1, a], slide.across[2, a]))
-        turn = mul(E, (slide.across[3, a], slide.across[4, a], slide.across[5, a]))
+        shift = mul(E, (flat.across[0, a], flat.across[1, a], flat.across[2, a]))
+        turn = mul(E, (flat.across[3, a], flat.across[4, a], flat.across[5, a]))
         six = shift + turn
         for i in range(6):
             u.wider[i, a] = six[i]
@@ -56,26 +56,27 @@ def _relax(slide: Any, E: Mat33, u: Any) -> bool:
 
 
 @inner
-def visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: Any) -> float:
+def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, sums: Any, u: Any) -> float:
     """Log weight of a place, its other coordinates made the best there; adds it to the sums.
 
     The cost is what the step across promises: what S changes on the way is left out.
     """
-    count, fine = slide.count_across, evidence.model.fine
-    coordinates_at(slide, place, u.row)
+    count, fine = flat.count_across, evidence.model.fine
+    coordinates_at(flat, point, u.row)
     pose = moved_to(evidence, mode, u.row)
-    evaluate(evidence, fine, pose, True, u.equations)
-    if not _relax(slide, matmul(pose[0], transpose(mode[0])), u):
+    u.equations[:] = 0.0
+    add_evidence(evidence, ALL, fine, pose, (evidence.center, evidence.model.radius), True, u.equations)
+    if not _relax(flat, matmul(pose[0], transpose(mode[0])), u):
         return -np.inf
     cost = u.equations[6, 6]
     for a in range(count):
         cost -= u.values[a] * u.column[a]
-        place.aside[a] -= u.column[a]
+        point.lateral[a] -= u.column[a]
     for i in range(len(evidence.terms)):
         if evidence.terms[i].contact.used:
             cost += evidence.terms[i].log_spread
-    coordinates_at(slide, place, u.row)
-    cost = without_dents(evidence, slide, at_coordinates(mode, evidence.model.radius, u.row), cost)
+    coordinates_at(flat, point, u.row)
+    cost = without_bumps(evidence, flat, at_coordinates(mode, evidence.model.radius, u.row), cost)
     half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / evidence.model.radius
     if half > 0.5 * np.pi:
         return -np.inf  # a place met before, from the other side
@@ -84,14 +85,14 @@ def visit(evidence: Evidence, mode: Pose, slide: Any, place: Any, sums: Any, u: 
         log_weight += 2 * np.log(np.sin(half) / half)  # of rotations there are fewer, the larger the turn
     for a in range(count):
         log_weight += np.log(u.factor[a, a])
-    _add(slide, mode, evidence.model.radius, log_weight, sums, u)
+    _add(flat, mode, evidence.model.radius, log_weight, sums, u)
     return log_weight
 
 
 @inner
-def _add(slide: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u: Any) -> None:
+def _add(flat: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u: Any) -> None:
     """Adds a place, whose coordinates `u.row` are, with its Gaussian across the slide, both by (δp, δθ)."""
-    count, shift = slide.count_across, sub(at_coordinates(mode, radius, u.row)[1], mode[1])
+    count, shift = flat.count_across, sub(at_coordinates(mode, radius, u.row)[1], mode[1])
     if log_weight > sums.best:
         before = np.exp(sums.best - log_weight)
         sums.best = log_weight
@@ -105,10 +106,8 @@ def _add(slide: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u:
     six = shift + scale((u.row[3], u.row[4], u.row[5]), 1 / radius)
     for a in range(count):
         turn = scale((u.wider[3, a], u.wider[4, a], u.wider[5, a]), 1 / radius)
-        moved = scale(
-            add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), slide.stretch[a]
-        )
-        column = moved + scale(turn, slide.stretch[a])
+        moved = scale(add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), flat.stretch[a])
+        column = moved + scale(turn, flat.stretch[a])
         # The columns of L⁻¹ Gᵀ, of which the product with itself is G H⁻¹ Gᵀ.
         for i in range(6):
             value = column[i]
@@ -127,22 +126,22 @@ def _add(slide: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u:
 
 
 @inner
-def cover(slide: Any, others: Any, u: Any) -> None:
+def cover(flat: Any, others: Any, u: Any) -> None:
     """Marks other modes (n, 7), coordinates and a mark, that lie beside the place that was visited last."""
     for n in range(len(others)):
         beside = True
-        for k in range(slide.count):
+        for k in range(flat.count):
             along = 0.0
             for i in range(6):
-                along += slide.along[i, k] * (others[n, i] - u.row[i])
-            beside = beside and abs(along) <= slide.spacing[k]
+                along += flat.along[i, k] * (others[n, i] - u.row[i])
+            beside = beside and abs(along) <= flat.spacing[k]
         square = 0.0
-        for a in range(slide.count_across):
+        for a in range(flat.count_across):
             u.column[a] = 0.0
             for i in range(6):
-                u.column[a] += slide.across[i, a] * (others[n, i] - u.row[i])
-        for a in range(slide.count_across):
-            for b in range(slide.count_across):
+                u.column[a] += flat.across[i, a] * (others[n, i] - u.row[i])
+        for a in range(flat.count_across):
+            for b in range(flat.count_across):
                 square += u.column[a] * u.matrix[a, b] * u.column[b]
-        if beside and square < NEAR2:
+        if beside and square < INTEGRATION.same_mode:
             others[n, 6] = 1.0

@@ -14,23 +14,30 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import look
-from handsight._kernels.evidence.prior_term import prior_cost, rotation_log
-from handsight._kernels.evidence.weight_term import weight_cost
+from handsight._kernels.evidence.outside_term import measure_clearances
+from handsight._kernels.evidence.prior_term import rotation_log
+from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import nearest, pose_of
 from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
 from handsight._kernels.posterior.density import posterior_cost
-from handsight._kernels.posterior.flat_directions import choose, fine_enough, lay_lattice, mark_spins, measure
+from handsight._kernels.posterior.flat_directions import (
+    build_lattice,
+    choose,
+    fine_enough,
+    mark_spins,
+    measure,
+)
 from handsight._kernels.posterior.lattice import cover, visit
-from handsight._kernels.posterior.spurious_information import wavering
+from handsight._kernels.posterior.options import INTEGRATION
+from handsight._kernels.posterior.spurious_information import cost_deviation
 from handsight._kernels.posterior.uncertainty import retract_body
 from handsight._kernels.records import (
+    FLAT_DIRECTIONS,
+    LATTICE_POINT,
     OUTSIDE,
-    PLACE,
     PRIOR_TERM,
-    SLIDE,
     SUMS,
     TERM,
     UNCERTAINTY,
@@ -38,84 +45,82 @@ from handsight._kernels.records import (
 )
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import fill_prior, load_terms
-from handsight._kernels.solve.levenberg import Evidence
-from handsight._kernels.solve.settings import (
-    DEPARTS,
-    DEPTH,
-    GIVE,
-    LIGHT,
-    MOST_MEANS,
-    MOST_PLACES,
-    REACH,
-    ROUNDS,
-)
 
 
 @inner
-def _flood(evidence: Evidence, mode: Pose, slide: Any, others: Any, sums: Any) -> bool:
+def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, sums: Any) -> bool:
     """Whether all that has density was visited, from the mode on."""
-    u, places, reach = local(UNCERTAINTY), np.zeros(MOST_PLACES, PLACE), REACH[slide.count - 1]
+    u, points, reach = (
+        local(UNCERTAINTY),
+        np.zeros(INTEGRATION.max_points, LATTICE_POINT),
+        INTEGRATION.max_extent[flat.count - 1],
+    )
     side = 2 * reach + 1
-    seen = np.zeros(side**slide.count, np.bool_)
+    visited = np.zeros(side**flat.count, np.bool_)
     sums.total, sums.best = 0.0, -np.inf
     sums.first[:], sums.second[:], sums.within[:] = 0.0, 0.0, 0.0
-    count, done, middle = 1, 0, len(seen) // 2
-    seen[middle] = True
+    count, done, middle = 1, 0, len(visited) // 2
+    visited[middle] = True
     while done < count:
-        place = places[done]
+        point = points[done]
         done += 1
-        log_weight = visit(evidence, mode, slide, place, sums, u)
-        if not log_weight > sums.best - 0.5 * DEPTH:
+        log_weight = visit(evidence, mode, flat, point, sums, u)
+        if not log_weight > sums.best - 0.5 * INTEGRATION.max_cost:
             continue
-        cover(slide, others, u)
+        cover(flat, others, u)
         where = middle
-        for k in range(slide.count):
-            where += place.index[k] * side**k
-        for k in range(slide.count):
+        for k in range(flat.count):
+            where += point.index[k] * side**k
+        for k in range(flat.count):
             for direction in range(2):
                 step = 2 * direction - 1
                 next_to = where + step * side**k
-                if abs(place.index[k] + step) > reach or seen[next_to]:
+                if abs(point.index[k] + step) > reach or visited[next_to]:
                     continue
-                if count == MOST_PLACES:
+                if count == INTEGRATION.max_points:
                     return False
-                seen[next_to] = True
-                added = places[count]
+                visited[next_to] = True
+                added = points[count]
                 for n in range(3):
-                    added.index[n] = place.index[n] + (step if n == k else 0)
+                    added.index[n] = point.index[n] + (step if n == k else 0)
                 for n in range(6):
-                    added.aside[n] = place.aside[n]
+                    added.lateral[n] = point.lateral[n]
                 count += 1
     return True
 
 
 @inner
-def _integrated(evidence: Evidence, mode: Pose, others: Any, slide: Any, sums: Any) -> bool:
+def _integrated(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: Any) -> bool:
     """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
-    choose(evidence, mode, slide, local(UNCERTAINTY))
+    choose(evidence, mode, flat, local(UNCERTAINTY))
     rows = np.empty(len(evidence.outside), OUTSIDE)
-    look(evidence, evidence.model.fine, mode, np.inf, rows)
-    near = Evidence(evidence.model, evidence.nodes, evidence.terms, rows, evidence.prior, evidence.center)
-    slide.give, here = GIVE * wavering(evidence, mode), posterior_cost(evidence, mode)
-    by_prior = prior_cost(evidence.prior, mode) + weight_cost(evidence.prior.weight, mode)
-    slide.level = here - by_prior + slide.give
-    measure(near, mode, slide, here + slide.give)
-    for _ in range(ROUNDS):
-        cell = lay_lattice(slide)
+    measure_clearances(evidence, evidence.model.fine, mode, np.inf, rows)
+    near = Evidence(
+        evidence.model, evidence.nodes, evidence.terms, rows, evidence.weight, evidence.prior, evidence.center
+    )
+    flat.bump_margin, here = (
+        INTEGRATION.bump_sigmas * cost_deviation(evidence, mode),
+        posterior_cost(evidence, mode),
+    )
+    by_prior = evidence_cost(evidence, PRIOR | LOADS, mode)
+    flat.level = here - by_prior + flat.bump_margin
+    measure(near, mode, flat, here + flat.bump_margin)
+    for _ in range(INTEGRATION.max_lattices):
+        cell = build_lattice(flat)
         others[:, 6] = 0.0
-        if not _flood(near, mode, slide, others, sums):
-            for k in range(slide.count):
-                slide.spacing[k] *= 1.5
+        if not _flood(near, mode, flat, others, sums):
+            for k in range(flat.count):
+                flat.spacing[k] *= 1.5
         elif not sums.total > 0:
             return False
-        elif fine_enough(slide, sums, evidence.model.radius):
-            sums.best += cell - 0.5 * slide.count * np.log(2 * np.pi)
+        elif fine_enough(flat, sums, evidence.model.radius):
+            sums.best += cell - 0.5 * flat.count * np.log(2 * np.pi)
             return True
     return False
 
 
 @inner
-def _store_mean(model: Any, mode: Pose, slide: Any, sums: Any, row: Any) -> None:
+def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
     """The answer's pose, covariance and information; those of a direction that is not known, blind, stay the mode's."""
     u, radius = local(UNCERTAINTY), model.radius
     for i in range(6):
@@ -126,7 +131,7 @@ def _store_mean(model: Any, mode: Pose, slide: Any, sums: Any, row: Any) -> None
         for j in range(3):
             row.T_palm_object[i, j] = R[i][j]
         row.T_palm_object[i, 3] = mode[1][i] + mean[i]
-    if not slide.proper:
+    if not flat.proper:
         return
     for i in range(6):
         for j in range(6):
@@ -155,29 +160,33 @@ def _coordinates(model: Any, pose: Pose, mode: Pose, out: Any) -> None:
 
 
 @entry
-def integrate(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any) -> None:
     """Makes means of the first of the answers (K,) that depart from a Gaussian; the first set of contacts counts.
 
     Another mode that is reached along a slide is part of that mean: its weight becomes -1. `log_weight` becomes the
     integral's logarithm, as `mode_weights` has it. An answer's `pose` remains the mode.
     """
-    term, slide, sums = local(PRIOR_TERM), local(SLIDE), local(SUMS)
+    term, flat, sums = local(PRIOR_TERM), local(FLAT_DIRECTIONS), local(SUMS)
     terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
     center = load_terms(contacts[0], terms)
-    fill_prior(model[0], prior, center, term)
+    fill_prior(model[0], constraints[0], center, term)
     floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
     best = -np.inf
-    for k in range(min(len(answers), MOST_MEANS)):
+    for k in range(min(len(answers), INTEGRATION.max_modes)):
         row = answers[k]
-        if row.weight < 0 or not row.departure > DEPARTS or row.log_weight < best - LIGHT:
+        if (
+            row.weight < 0
+            or not row.departure > INTEGRATION.max_gaussian_rise
+            or row.log_weight < best - INTEGRATION.min_log_weight
+        ):
             continue
         mode = pose_of(row.pose)
         for n in range(k + 1, len(answers)):
             _coordinates(model[0], pose_of(answers[n].pose), mode, others[n])
-        evidence = Evidence(model[0], nodes, terms, outside, term, mode[1])
-        if _integrated(evidence, mode, others[k + 1 :], slide, sums):
-            _store_mean(model[0], mode, slide, sums, row)
-            spins = 6 - slide.count - slide.count_across
+        evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, mode[1])
+        if _integrated(evidence, mode, others[k + 1 :], flat, sums):
+            _store_mean(model[0], mode, flat, sums, row)
+            spins = 6 - flat.count - flat.count_across
             row.log_weight = np.log(sums.total) + sums.best - 0.5 * spins * np.log(floor)
             for n in range(k + 1, len(answers)):
                 if others[n, 6] == 1.0:

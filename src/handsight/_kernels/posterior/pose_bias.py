@@ -148,7 +148,7 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
     all that are as old.
     """
     rows, factored, step = np.empty((6, STATE + 1)), np.empty((6, 6)), np.empty(STATE)
-    whole, back = np.empty((STATE, STATE)), np.empty(STATE)
+    joint, back = np.empty((STATE, STATE)), np.empty(STATE)
     center = vector(pivot)
     for _ in range(GAUSS_NEWTON_STEPS):
         for i in range(2):
@@ -169,8 +169,8 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
         for i in range(2):
             _move(Ts[i], step[6 * i : 6 * i + 6])
         turned = max(norm(vector(step[3:])), norm(vector(step[9:])))
-        if factor(covariance, STATE, 0.0, whole):
-            solve(whole, STATE, step, back)
+        if factor(covariance, STATE, 0.0, joint):
+            solve(joint, STATE, step, back)
             left = 0.0
             for i in range(STATE):
                 left += step[i] * back[i]
@@ -203,8 +203,8 @@ def _age(one: Any, process_noise: Any, covariance: Any) -> None:
         for i in range(3):
             for j in range(3):
                 for k in range(3):
-                    walked = process_noise[a + k] - one.process_noise[a + k]
-                    covariance[a + i, a + j] += R[i][k] * walked * R[j][k]
+                    motion_variance = process_noise[a + k] - one.process_noise[a + k]
+                    covariance[a + i, a + j] += R[i][k] * motion_variance * R[j][k]
 
 
 @inner
@@ -243,7 +243,7 @@ def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
 
 
 @inner
-def _apart(a: Any, b: Any) -> tuple[float, float]:
+def _angles_between(a: Any, b: Any) -> tuple[float, float]:
     """How far palms (4, 4) are from each other [m], [rad]."""
     shift, square = sub((a[0, 3], a[1, 3], a[2, 3]), (b[0, 3], b[1, 3], b[2, 3])), 0.0
     for i in range(3):
@@ -260,7 +260,7 @@ def merge(measurements: Any, most: int, same: Any, Ts: Any, pivot: Any) -> int:
     last, best, least = len(measurements) - 1, 0, np.inf
     new, near = measurements[last], False
     for k in range(last):
-        shift, turn = _apart(measurements[k].T_mount_palm, new.T_mount_palm)
+        shift, turn = _angles_between(measurements[k].T_mount_palm, new.T_mount_palm)
         if shift + LENGTH_PER_TURN * turn < least:
             best, least = k, shift + LENGTH_PER_TURN * turn
             near = not (shift > same[0] or turn > same[1])

@@ -10,7 +10,7 @@ from handsight._kernels.math.vec3 import add, cross, scale, vector
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import entry
 
-KNOWN = 1e-9
+NEGLIGIBLE = 1e-9
 """Of the largest eigenvalue: below it a declared symmetry leaves the information at zero."""
 
 
@@ -45,7 +45,7 @@ def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> fl
         for j in range(6):
             u.matrix[i, j] = 0.0
     for k in range(6):
-        if u.values[k] > KNOWN * most:
+        if u.values[k] > NEGLIGIBLE * most:
             shift = u.vectors[0, k], u.vectors[1, k], u.vectors[2, k]
             turn = scale((u.vectors[3, k], u.vectors[4, k], u.vectors[5, k]), 1 / radius)
             moved = scale(add(shift, cross(turn, arm)), 1 / np.sqrt(u.values[k]))

@@ -17,12 +17,12 @@ from handsight._kernels.evidence.contact_term import (
     residual_covariance,
     surface_at,
 )
+from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.vec3 import cross, outer, sub, sub33, vector
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
 
 LEND = 3.84
 """Of a slope's or a bend's variance, 95 % of the χ² of one: few are met at once, and their mean is not enough."""
@@ -45,14 +45,14 @@ def add_spurious_information(
     if slope + curvature == 0.0:
         return
     W, n, lever = term.weight, surface[2], sub(vector(term.contact.point), pose[1])
-    lent = W[0, 0] * slope + CURVATURE_SHARE * (W[1, 1] + W[2, 2] + W[3, 3]) * curvature
+    spurious = W[0, 0] * slope + CURVATURE_SHARE * (W[1, 1] + W[2, 2] + W[3, 3]) * curvature
     along = sub33(UNIT, outer(n, n))
     rows = (
         along[0] + cross(lever, along[0]) + (0.0,),
         along[1] + cross(lever, along[1]) + (0.0,),
         along[2] + cross(lever, along[2]) + (0.0,),
     )
-    accumulate((lent, lent, lent), rows, equations)
+    accumulate((spurious, spurious, spurious), rows, equations)
 
 
 @inner
@@ -77,7 +77,7 @@ def subtract_spurious_information(by_touch: Any, equations: Any, radius: float) 
 
 
 @inner
-def wavering(evidence: Evidence, pose: Pose) -> float:
+def cost_deviation(evidence: Evidence, pose: Pose) -> float:
     """How far touch's cost moves from bump to bump along a slide, as a standard deviation; 0 where there are none.
 
     The finger's error n ~ N(0, S) stays what it is, the bumps' e ~ N(0, V) changes from place to place. With

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import NOT_LOOKED, nearby
+from handsight._kernels.evidence.outside_term import NEVER_MEASURED, nearby
 from handsight._kernels.evidence.prior_term import IDENTITY
+from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.vec3 import (
@@ -28,16 +29,15 @@ from handsight._kernels.math.vec3 import (
     vector,
 )
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
+from handsight._kernels.posterior.options import CALIBRATION
 from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence
-from handsight._kernels.solve.settings import KNOWN, LEAST_FACTOR, OPEN, SECANT_PASSES, SLIDE, STRIDE
 
 
 @inner
-def retract_body(pose: Pose, slide: tuple[Vec3, Vec3]) -> Pose:
+def retract_body(pose: Pose, flat: tuple[Vec3, Vec3]) -> Pose:
     """The pose after a slide (s, δθ), straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
-    (R, p), (s, w) = pose, slide
+    (R, p), (s, w) = pose, flat
     half = 0.5 * norm(w)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
     S = skew(w)
@@ -66,37 +66,43 @@ def calibrated_information(
     """
     model, largest, here = evidence.model, 0.0, 0.0
     radius = model.radius
-    near, look, rows = evidence, NOT_LOOKED, np.empty(len(evidence.outside), OUTSIDE)
+    near, clearances, rows = evidence, NEVER_MEASURED, np.empty(len(evidence.outside), OUTSIDE)
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(-1, 6):
-        if k >= 0 and not values[k] > KNOWN * largest:
+        if k >= 0 and not values[k] > CALIBRATION.negligible * largest:
             values[k] = rises[k] = 0.0
             continue
-        for again in range(SECANT_PASSES):
+        for again in range(CALIBRATION.secant_passes):
             length = stride * min(1 / np.sqrt(values[max(k, 0)]), radius / 2)
             change = steeper = 0.0
             for side in range(2):
                 # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
-                slide = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
-                beside = retract_body(pose, slide)
+                flat = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
+                beside = retract_body(pose, flat)
                 if len(rows):
-                    look = nearby(evidence, model.fine, beside, look, rows)
-                    left = rows[: look[1]]
+                    clearances = nearby(evidence, model.fine, beside, clearances, rows)
+                    left = rows[: clearances[1]]
                     near = Evidence(
-                        model, evidence.nodes, evidence.terms, left, evidence.prior, evidence.center
+                        model,
+                        evidence.nodes,
+                        evidence.terms,
+                        left,
+                        evidence.weight,
+                        evidence.prior,
+                        evidence.center,
                     )
                 there = posterior_cost(near, beside)
                 if k < 0:
                     here = there
                     break
                 rise = (there - here) / (length * length * values[k])
-                change += 0.5 * min(max(rise, LEAST_FACTOR), 1.0)
+                change += 0.5 * min(max(rise, CALIBRATION.min_factor), 1.0)
                 steeper = max(steeper, rise)
             if k < 0:
                 break
             if again == 0:
-                rises[k] = steeper if values[k] * (OPEN * radius) ** 2 > 1 else np.inf
+                rises[k] = steeper if values[k] * (CALIBRATION.open_sigma * radius) ** 2 > 1 else np.inf
             values[k] *= change
             if change > 0.5:
                 break
@@ -107,7 +113,7 @@ def _departure(model: Any, values: Any, rises: Any) -> float:
     """The largest of the rises along slides; infinite where more is unknown than turns about declared axes."""
     most, unknown = 0.0, 0
     for k in range(6):
-        if values[k] * (SLIDE * model.radius) ** 2 < 1:
+        if values[k] * (CALIBRATION.wide_sigma * model.radius) ** 2 < 1:
             most = max(most, rises[k])
         unknown += values[k] == 0.0
     return np.inf if unknown > model.symmetry.axes else most
@@ -161,7 +167,7 @@ def _keep_known(values: Any, vectors: Any, least: float) -> tuple[int, bool]:
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(6):
-        if values[k] > KNOWN * largest:
+        if values[k] > CALIBRATION.negligible * largest:
             values[known] = values[k]
             for i in range(6):
                 vectors[i, known] = vectors[i, k]
@@ -209,7 +215,7 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
     Judged at the object's center: an origin far from the object swings by metres where the object itself hardly turns.
     """
     radius = model.radius
-    limit = 1 / (OPEN * radius) ** 2
+    limit = 1 / (CALIBRATION.open_sigma * radius) ** 2
     lever = mul(pose[0], vector(model.center))
     _at_center(by_touch, lever, u.matrix)
     in_metres(u.matrix, radius, u.wider)
@@ -271,13 +277,13 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
     in_metres(row.information, model.radius, u.matrix)
     eigen(u.matrix, u.values, u.vectors)
     if not row.first_order:
-        calibrated_information(evidence, pose, STRIDE, u.values, u.vectors, u.row)
+        calibrated_information(evidence, pose, CALIBRATION.stride, u.values, u.vectors, u.row)
     row.departure = 0.0 if row.first_order else _departure(model, u.values, u.row)
-    least = 0.0 if evidence.prior.kind == VISION_PRIOR else 1 / (OPEN * model.radius) ** 2
+    least = 0.0 if evidence.prior.kind == VISION_PRIOR else 1 / (CALIBRATION.open_sigma * model.radius) ** 2
     row.complete = second_order_information(model, least, row, u)
     row.rows = 0
     for i in range(len(evidence.terms)):
         contact = evidence.terms[i].contact
         if contact.used:
             row.rows += 3 if contact.has_normal else 1
-    row.rows += 3 if evidence.prior.weight.known else 0
+    row.rows += 3 if evidence.weight.known else 0

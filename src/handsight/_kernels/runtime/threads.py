@@ -63,8 +63,8 @@ def in_parts(work: Callable[..., object], arrays: Sequence[NDArray[Any]], least:
     try:
         take()
     finally:
-        begun = [helper for helper in helping if not helper.cancel()]
-        errors = [helper.exception() for helper in begun]
+        started = [helper for helper in helping if not helper.cancel()]
+        errors = [helper.exception() for helper in started]
     for error in errors:
         if error is not None:
             raise error

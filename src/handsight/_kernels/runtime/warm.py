@@ -34,20 +34,21 @@ def warm_tracker() -> None:
 
 def _starts() -> None:
     model, nodes, contacts, problems, outside = _ball()
-    prior, descents = problems["prior"].copy(), np.zeros(2, dtype=records.DESCENT)
-    descents["pose"] = prior["pose"]
-    given = (model, nodes, contacts[None], prior, outside)
+    constraints, descents = problems["constraints"].copy(), np.zeros(2, dtype=records.DESCENT)
+    pose = constraints["prior"]["pose"]
+    descents["pose"] = pose
+    given = (model, nodes, contacts[None], constraints, outside)
     for kernel in (batch.weigh, batch.cost_all):
         kernel(*given, descents)
     search.search(*given, descents[None, :, None])
-    search.draw(prior, np.zeros((2, 6)), descents)
-    search.spin(model, prior["pose"], np.zeros((1, 1, records.SAMPLES), dtype=records.DESCENT))
+    search.draw(constraints, np.zeros((2, 6)), descents)
+    search.spin(model, pose, np.zeros((1, 1, records.SAMPLES), dtype=records.DESCENT))
     search.score(model, nodes, contacts, np.ones(2), descents, np.empty((2, len(contacts))))
     answers = np.zeros(1, dtype=records.ANSWER)
-    answers["pose"] = prior["pose"]
+    answers["pose"] = pose
     batch.summarize_all(*given, answers)
     mean.integrate(*given, answers)
-    batch.width(model, prior)
+    batch.width(model, constraints)
     batch.equivalent(model, np.eye(4), np.eye(4), np.empty((4, 4)))
     batch.residuals_at(model, nodes, contacts, descents, np.empty((len(contacts), 2)))
     batch.distinct(model, descents, np.arange(2), np.ones(2), np.empty(1, dtype=np.int64))
@@ -80,7 +81,7 @@ def _time() -> None:
     surface_at_contacts.warm(model, nodes)
 
 
-def _sight() -> None:
+def _vision() -> None:
     model, nodes, *_ = _ball()
     warm_vision.warm(model, nodes)
 
@@ -93,7 +94,7 @@ GROUPS: dict[str, Callable[[], None]] = {
     "contact sensing": sensing.warm,
     "hands": _hands,
     "time": _time,
-    "sight": _sight,
+    "vision": _vision,
 }
 
 
@@ -114,7 +115,8 @@ def _ball() -> tuple[NDArray[Any], ...]:
     contacts["has_normal"] = contacts["used"] = 1
     contacts["covariance"] = np.diag([1e-6] * 3 + [1e-3] * 3)
     problems = np.zeros(1, dtype=records.PROBLEM)
-    prior = problems[0]["prior"]
+    problems["constraints"]["has_prior"] = 1
+    prior = problems[0]["constraints"]["prior"]
     prior["pose"]["rotation"], prior["pose"]["position"] = np.eye(3), 0.01
     prior["covariance"] = np.diag([1e-4] * 3 + [1e-2] * 3)
     problems["last"] = 3

@@ -17,7 +17,7 @@ from handsight._kernels.image import (
     volume,
     votes,
 )
-from handsight._kernels.image.vision_records import CAMERA, LOOK, SEEN, VOXEL, WINDOW
+from handsight._kernels.image.vision_records import CAMERA, CANDIDATE, DEPTH_POINT, VOXEL, WINDOW
 from handsight._kernels.solve import distinct_poses
 
 
@@ -35,35 +35,35 @@ def warm(model: Any, nodes: Any) -> None:
     wanted = np.isfinite(depth)
     depth_image.sort_pixels(rays, (depth, wanted, wanted), np.ones(5), depth, labels)
     depth_image.label_parts(depth, labels, 1, np.empty(64))
-    seen, looks = np.zeros(2, dtype=SEEN), np.zeros(4, dtype=LOOK)
+    observed, candidates = np.zeros(2, dtype=DEPTH_POINT), np.zeros(4, dtype=CANDIDATE)
     chosen = np.zeros(2, dtype=np.int64)
     depth_image.spread(rays, depth, chosen, 1.0, chosen)
-    depth_image.look_at(rays, depth, labels, chosen, seen)
+    depth_image.normals_at(rays, depth, labels, chosen, observed)
 
     points, normals = (model["samples"][0, :4, k].copy() for k in range(2))
     cells, spins = np.empty((4, 4), dtype=np.int64), np.empty((4, 4))
     votes.pairs_of(points, normals, 0.1, cells, spins)
     pairs = np.zeros(votes.CELLS + 1, dtype=np.int32), np.zeros(1, dtype=np.int32)
-    voters, voted = np.stack([points, normals]), np.zeros((1, votes.PEAKS), dtype=LOOK)
-    votes.vote(pairs, voters, seen, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
+    voters, voted = np.stack([points, normals]), np.zeros((1, votes.PEAKS), dtype=CANDIDATE)
+    votes.vote(pairs, voters, observed, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
 
     sides = voters, np.eye(3), np.empty((3, 4), dtype=np.bool_)
     visible = sides[2]
     pose_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
-    depth_term.settle_all(model, nodes, seen, np.array([1, 0.01, 0.01, 2]), looks)
-    depth_term.closeness(model, nodes, seen, np.full(4, 0.01), looks)
-    depth_term.settle_near(model, nodes, seen, np.ones((1, 5)), np.eye(6), looks[:1])
-    depth_term.inform_all(model, nodes, seen, np.ones((4, 11)), looks, np.empty((4, 3, 6, 6)))
+    depth_term.refine_poses(model, nodes, observed, np.array([1, 0.01, 0.01, 2]), candidates)
+    depth_term.closeness(model, nodes, observed, np.full(4, 0.01), candidates)
+    depth_term.refine_near(model, nodes, observed, np.ones((1, 5)), np.eye(6), candidates[:1])
+    depth_term.inform_all(model, nodes, observed, np.ones((4, 11)), candidates, np.empty((4, 3, 6, 6)))
     depth_covariance.largest_shift(model, nodes, np.eye(3), np.eye(6))
     group, order = (np.eye(4)[None], np.zeros((0, 3))), np.arange(4)
-    distinct_poses.apart(group, np.ones(5), looks, order, np.empty(4, dtype=np.int64))
+    distinct_poses.distinct_candidates(group, np.ones(5), candidates, order, np.empty(4, dtype=np.int64))
     limits = np.array([1e-4, 0.006, 0, 0, 0])
-    pose_score.score_all(camera, (depth, labels), sides, np.ones(1), limits, looks)
+    pose_score.score_all(camera, (depth, labels), sides, np.ones(1), limits, candidates)
     volume.fuse(camera, depth, np.ones((3, 4)), 0.01, np.zeros((2, 2, 2), dtype=VOXEL))
     window, image = np.zeros(1, dtype=WINDOW), (rays, depth, labels)
     window["step"] = 1
     near_points.leave_out_plane(image, window)
-    near_points.near_points((model, nodes), image, window, looks[:1], seen)
+    near_points.near_points((model, nodes), image, window, candidates[:1], observed)
     _warm_hand(camera, rays, depth)
 
 
@@ -71,10 +71,10 @@ def _warm_hand(camera: Any, rays: Any, depth: Any) -> None:
     """Each kernel of the seen hand, with one of three points."""
     cells, corner = np.empty((8, 8, 4), dtype=np.float32), np.array([-0.5, -0.5, 0.125])
     palm_scan.cells_of(camera, rays, depth, corner, cells)
-    hand, looks = np.ones((2, 3, 3)), np.zeros(2, dtype=LOOK)
+    hand, candidates = np.ones((2, 3, 3)), np.zeros(2, dtype=CANDIDATE)
     found = np.empty((1, 1, 2))
     palm_scan.scan(cells, np.append(corner, 0.01), hand, np.ones((1, 3)), np.eye(3)[None], found)
     image = depth, rays, cells, corner
-    hand_term.settle_all(camera, image, hand, np.ones(3), np.array([0.02, 0.01, 2, 0.1]), looks)
-    hand_term.judge_all(camera, image, hand, np.array([1e-4, 0.01]), looks)
-    hand_term.rows_of(camera, image, hand, looks["pose"][:1].copy(), 0.01, np.empty((3, 8)))
+    hand_term.refine_hand(camera, image, hand, np.ones(3), np.array([0.02, 0.01, 2, 0.1]), candidates)
+    hand_term.score_hand(camera, image, hand, np.array([1e-4, 0.01]), candidates)
+    hand_term.rows_of(camera, image, hand, candidates["pose"][:1].copy(), 0.01, np.empty((3, 8)))

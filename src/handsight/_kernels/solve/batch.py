@@ -1,7 +1,7 @@
 """What Python calls: one correction after another, or one stage of many descents, in one call.
 
 `model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
-problem, each set with its own `used`. `prior` is one PRIOR, or none where contacts are all there is. What ranges over
+problem, each set with its own `used`. `constraints` is one CONSTRAINTS. What ranges over
 descents or problems takes a slice of them, so that several threads share the work.
 """
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, prepare_term, surface_at
 from handsight._kernels.evidence.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
-from handsight._kernels.evidence.weight_term import copy_weight
+from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import (
-    are_apart,
+    are_distinct,
     nearest,
     pose_of,
     store_pose,
@@ -27,11 +27,11 @@ from handsight._kernels.posterior.density import information, largest_gain, post
 from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.levenberg import Evidence, descend
+from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.settings import COARSE_LIMITS, FINE_LIMITS, WIDEST_OF_ONE
+from handsight._kernels.solve.options import DESCENT, SEARCH
 
-LIMITS = COARSE_LIMITS, FINE_LIMITS
+LIMITS = DESCENT.coarse, DESCENT.fine
 
 
 @inner
@@ -54,20 +54,12 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
 
 
 @inner
-def seen(prior: Any) -> bool:
-    """Whether vision says something of the pose."""
-    return len(prior) > 0 and not prior[0].unseen
-
-
-@inner
-def fill_prior(model: Any, prior: Any, center: Vec3, term: Any) -> None:
-    """Vision's evidence, or the weak one in its place."""
-    if seen(prior):
-        vision_prior(model, prior[0], term, local(UNCERTAINTY))
+def fill_prior(model: Any, constraints: Any, center: Vec3, term: Any) -> None:
+    """Fills in the evidence of the prior, or where there is none the weak prior on the position in its place."""
+    if constraints.has_prior:
+        vision_prior(model, constraints.prior, term, local(UNCERTAINTY))
     else:
         weak_position_prior(model, center, term)
-        if len(prior):
-            copy_weight(prior[0].weight, term.weight)
 
 
 @inner
@@ -87,9 +79,9 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
 
 
 @inner
-def _residual(evidence: Evidence, contact: Any, pose: Pose) -> tuple[float, float]:
+def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, float]:
     """Distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
-    distance, _, facing, _, _ = surface_at(evidence.nodes, evidence.model.fine, vector(contact.point), pose)
+    distance, _, facing, _, _ = surface_at(nodes, model.fine, vector(contact.point), pose)
     if not contact.has_normal:
         return distance, np.nan
     normal = vector(contact.normal)
@@ -103,9 +95,9 @@ def _store_answer(pose: Pose, answer: Any) -> None:
 
 
 @entry
-def width(model: Any, prior: Any) -> float:
+def width(model: Any, constraints: Any) -> float:
     """As `prior_width`, of an object and a prior alone."""
-    return prior_width(model[0], prior[0])
+    return prior_width(model[0], constraints[0].prior)
 
 
 @entry
@@ -124,14 +116,14 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
     prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
     for k in range(len(problems)):
         problem, answer = problems[k], problems[k].answer
-        answer.width = 0.0 if problem.follows else prior_width(model[0], problem.prior)
-        if not answer.width < WIDEST_OF_ONE:
+        answer.width = 0.0 if problem.follows else prior_width(model[0], problem.constraints.prior)
+        if not answer.width < SEARCH.single_start_width:
             continue
         terms = np.empty(problem.last - problem.first, TERM)
         center = load_terms(contacts[problem.first : problem.last], terms)
-        vision_prior(model[0], problem.prior, prior, room)
-        evidence = Evidence(model[0], nodes, terms, outside, prior, center)
-        prior_pose = pose_of(problem.prior.pose)
+        vision_prior(model[0], problem.constraints.prior, prior, room)
+        evidence = Evidence(model[0], nodes, terms, outside, problem.constraints.weight, prior, center)
+        prior_pose = pose_of(problem.constraints.prior.pose)
         start = pose_of(problem.start) if problem.follows else prior_pose
         pose = _solve(evidence, start, problem.follows != 0, answer)
         pose = nearest(model[0], pose, prior_pose)
@@ -140,7 +132,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         summarize(evidence, pose, answer)
         for i in range(len(terms)):
             row = residuals[problem.first + i]
-            row[0], row[1] = _residual(evidence, terms[i].contact, pose)
+            row[0], row[1] = _residual(model[0], nodes, terms[i].contact, pose)
 
 
 @entry
@@ -151,15 +143,15 @@ def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: An
         problem, answer = problems[k], problems[k].answer
         terms = np.empty(problem.last - problem.first, TERM)
         center = load_terms(contacts[problem.first : problem.last], terms)
-        vision_prior(model[0], problem.prior, prior, room)
-        evidence = Evidence(model[0], nodes, terms, outside, prior, center)
-        start = pose_of(problem.prior.pose)
+        vision_prior(model[0], problem.constraints.prior, prior, room)
+        evidence = Evidence(model[0], nodes, terms, outside, problem.constraints.weight, prior, center)
+        start = pose_of(problem.constraints.prior.pose)
         pose = _solve(evidence, start, problem.follows != 0, answer)
         store_pose(pose, answer.pose)
 
 
 @entry
-def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and what a contact gains at most.
 
     Of the first set of contacts. Σ over the directions known better than the prior, or, without vision, than the
@@ -167,15 +159,15 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
     """
     term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
     radius = model[0].radius
-    floor = (1e-9 if seen(prior) else 1.0) / (radius * radius)
+    floor = (1e-9 if constraints[0].has_prior else 1.0) / (radius * radius)
     center = load_terms(contacts[0], terms)
-    fill_prior(model[0], prior, center, term)
-    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    fill_prior(model[0], constraints[0], center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, center)
     for k in range(len(descents)):
         descent = descents[k]
         pose = pose_of(descent.pose)
-        if seen(prior):
-            pose = nearest(model[0], pose, pose_of(prior[0].pose))
+        if constraints[0].has_prior:
+            pose = nearest(model[0], pose, pose_of(constraints[0].prior.pose))
             store_pose(pose, descent.pose)
         _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)
         if term.kind == WEAK_PRIOR:
@@ -190,12 +182,14 @@ def weigh(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, desce
 
 
 @entry
-def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, answers: Any) -> None:
+def summarize_all(
+    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any
+) -> None:
     """Completes answers (K,) whose pose is there; of the first set of contacts, with their gains at the first pose."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     center = load_terms(contacts[0], terms)
-    fill_prior(model[0], prior, center, term)
-    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    fill_prior(model[0], constraints[0], center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, center)
     for k in range(len(answers)):
         pose = pose_of(answers[k].pose)
         _store_answer(pose, answers[k])
@@ -205,12 +199,12 @@ def summarize_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: An
 
 
 @entry
-def cost_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, descents: Any) -> None:
+def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in minus two log of the posterior density of descents (K,), by the first set of contacts."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     center = load_terms(contacts[0], terms)
-    fill_prior(model[0], prior, center, term)
-    evidence = Evidence(model[0], nodes, terms, outside, term, center)
+    fill_prior(model[0], constraints[0], center, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, center)
     for k in range(len(descents)):
         descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))
 
@@ -218,10 +212,8 @@ def cost_all(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, de
 @entry
 def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals: Any) -> None:
     """Distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
-    nothing, terms = local(PRIOR_TERM), np.empty(0, TERM)
-    evidence = Evidence(model[0], nodes, terms, terms, nothing, (0.0, 0.0, 0.0))
     for i in range(len(contacts)):
-        residuals[i, 0], residuals[i, 1] = _residual(evidence, contacts[i], pose_of(descent[0].pose))
+        residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, contacts[i], pose_of(descent[0].pose))
 
 
 @entry
@@ -237,7 +229,7 @@ def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) ->
         new = True
         for k in range(count):
             pose, other = pose_of(descents[index].pose), pose_of(descents[chosen[k]].pose)
-            if not are_apart(model[0], pose, other, limits):
+            if not are_distinct(model[0], pose, other, limits):
                 new = False
                 break
         if new:

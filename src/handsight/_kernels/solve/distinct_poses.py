@@ -44,7 +44,7 @@ def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tup
 
 
 @entry
-def apart(symmetries: Any, limits: Any, looks: Any, order: Any, kept: Any) -> int:
+def distinct_candidates(symmetries: Any, limits: Any, candidates: Any, order: Any, kept: Any) -> int:
     """Fills in `kept` (most,) with those LOOK, in an order (k,), that are apart from all before; how many there are.
 
     symmetries: discrete ones (r, 4, 4), directions of continuous axes (a, 3). limits: a point (3,) on these axes, or
@@ -52,9 +52,9 @@ def apart(symmetries: Any, limits: Any, looks: Any, order: Any, kept: Any) -> in
     """
     about, count = (limits[0], limits[1], limits[2]), 0
     for n in order:
-        new, pose = True, pose_of(looks[n].pose)
+        new, pose = True, pose_of(candidates[n].pose)
         for k in range(count):
-            if _alike(symmetries, about, limits[3], limits[4], (pose_of(looks[kept[k]].pose), pose)):
+            if _alike(symmetries, about, limits[3], limits[4], (pose_of(candidates[kept[k]].pose), pose)):
                 new = False
                 break
         if new:

@@ -1,70 +1,18 @@
 """Phase 2: Levenberg-Marquardt on a field, one pose at a time."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import (
-    Pose,
-    add_contact,
-    factored,
-    invert_covariance,
-    log_determinant,
-    residual_covariance,
-    surface_at,
-)
-from handsight._kernels.evidence.outside_term import NOT_LOOKED, add_outside, nearby
-from handsight._kernels.evidence.plane_term import add_planes
-from handsight._kernels.evidence.prior_term import add_prior
-from handsight._kernels.evidence.weight_term import add_weight
+from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.evidence.outside_term import NEVER_MEASURED, nearby
+from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.simd import local
-from handsight._kernels.math.vec3 import Vec3, add, matmul, mul, norm, scale, sub, vector
-from handsight._kernels.records import NO_PRIOR, OUTSIDE, WORKSPACE
+from handsight._kernels.math.vec3 import Vec3, add, matmul, mul, norm, scale, sub
+from handsight._kernels.records import OUTSIDE, WORKSPACE
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.settings import MAX_TURN, SHORT_STEP
-
-
-class Evidence(NamedTuple):
-    """All that is known of a pose."""
-
-    model: Any
-    """MODEL."""
-    nodes: Any
-    """Of the model's grids, float32."""
-    terms: Any
-    """(n,) TERM, the contacts."""
-    outside: Any
-    """(m,) OUTSIDE."""
-    prior: Any
-    """PRIOR_TERM, and with it what the weight tells."""
-    center: Any
-    """Centroid of the contacts: about it shift and turn hardly disturb each other, and one damping serves both."""
-
-
-@inner
-def evaluate(evidence: Evidence, field: Any, pose: Pose, rewhiten: bool, equations: Any) -> None:
-    """Normal equations by (τ, radius ω) of all evidence at a pose.
-
-    `rewhiten`: weigh contacts as they are there; else as they were last, so that the costs of one descent compare.
-    """
-    model, frame = evidence.model, (evidence.center, evidence.model.radius)
-    equations[:] = 0.0
-    for i in range(len(evidence.terms)):
-        term = evidence.terms[i]
-        if term.contact.used:
-            surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
-            if rewhiten:
-                factor4 = factored(residual_covariance(model, evidence.nodes, field, term, surface))
-                invert_covariance(factor4, term.contact.has_normal != 0, term.weight)
-                term.log_spread = log_determinant(factor4, term.contact.has_normal != 0)
-            add_contact(term, surface, frame, equations)
-    if len(evidence.outside):
-        add_outside(evidence, field, pose, frame, equations)
-        add_planes(evidence, pose, frame, equations)
-    if evidence.prior.kind != NO_PRIOR:
-        add_prior(evidence.prior, pose, frame, equations)
-    add_weight(evidence.prior.weight, pose, frame, equations)
+from handsight._kernels.solve.options import DESCENT
 
 
 @inner
@@ -79,7 +27,7 @@ def damped_step(equations: Any, radius: float, damping: float, workspace: Any) -
     s = workspace.step
     solve(workspace.factor, 6, equations[6], s)
     shift, turn = (s[0], s[1], s[2]), (s[3], s[4], s[5])
-    shorter = -MAX_TURN / max(norm(turn) / radius, MAX_TURN)
+    shorter = -DESCENT.max_turn / max(norm(turn) / radius, DESCENT.max_turn)
     return scale(shift, shorter), scale(turn, shorter)
 
 
@@ -126,21 +74,30 @@ def descend(
     most, small = limits
     step = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     candidate, damping, tried, converged = pose, 1e-6, -1, False
-    near, look, rows = evidence, NOT_LOOKED, np.empty(len(evidence.outside), OUTSIDE)
+    near, clearances, rows = evidence, NEVER_MEASURED, np.empty(len(evidence.outside), OUTSIDE)
     while True:
         if len(rows):
-            look = nearby(evidence, field, candidate, look, rows)
+            clearances = nearby(evidence, field, candidate, clearances, rows)
             # No function can answer with it: it holds a record.
-            near = Evidence(model, evidence.nodes, evidence.terms, rows[: look[1]], evidence.prior, center)
+            near = Evidence(
+                model,
+                evidence.nodes,
+                evidence.terms,
+                rows[: clearances[1]],
+                evidence.weight,
+                evidence.prior,
+                center,
+            )
         # One place evaluates, the first pose as well as every candidate: it is most of what there is to compile.
-        evaluate(near, field, candidate, rewhiten and tried < 0, new)
+        new[:] = 0.0
+        add_evidence(near, ALL, field, candidate, (center, radius), rewhiten and tried < 0, new)
         tried += 1
         # At rounding level the cost cannot tell better from worse; such a step counts as taken.
         if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):
             if tried > 0:
                 longest, square = step_size(now, step)
                 # At an edge the cost has a kink: there steps get short long before the slope does.
-                converged = square < small * small or longest < SHORT_STEP * radius
+                converged = square < small * small or longest < DESCENT.short_step * radius
                 damping = max(damping * 0.1, 1e-9)
             pose = candidate
             for i in range(7):

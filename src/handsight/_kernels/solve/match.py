@@ -5,14 +5,13 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.evidence.prior_term import add_prior
-from handsight._kernels.evidence.weight_term import add_weight
+from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, add_evidence
 from handsight._kernels.math.simd import accumulate, local, scan
 from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
-from handsight._kernels.records import NO_PRIOR, WORKSPACE
+from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import Evidence, damped_step, retract
-from handsight._kernels.solve.settings import MATCH_STEPS, MATCH_TOLERANCE
+from handsight._kernels.solve.levenberg import damped_step, retract
+from handsight._kernels.solve.options import MATCH
 
 
 @inner
@@ -44,10 +43,10 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
     point, n = vector(contact.point), mul(R, normal)
     offset = sub(sub(point, p), mul(R, place))
     distance = dot(offset, n)
-    aside = sub(offset, scale(n, distance))
-    reach = norm(aside)
+    lateral = sub(offset, scale(n, distance))
+    reach = norm(lateral)
     lever = scale(sub(point, center), 1 / radius)
-    by_distance, by_reach = neg(n), scale(aside, -1 / max(reach, 1e-300))
+    by_distance, by_reach = neg(n), scale(lateral, -1 / max(reach, 1e-300))
     turned, error = skew(scale(n, -1 / radius)), sub(n, vector(contact.normal))
     facing = 0.0
     if contact.has_normal:
@@ -76,20 +75,19 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)
-    for taken in range(1, MATCH_STEPS + 1):
+    for taken in range(1, MATCH.max_steps + 1):
         equations[:] = 0.0
         for i in range(len(evidence.terms)):
             term = evidence.terms[i]
             if term.contact.used:
                 add_match(model, term, pose, frame, equations)
-        if evidence.prior.kind != NO_PRIOR:
-            add_prior(evidence.prior, pose, frame, equations)
-        add_weight(evidence.prior.weight, pose, frame, equations)
+        # Walls would hold the object back on the way to its place: they hurt from far away.
+        add_evidence(evidence, PRIOR | LOADS, model.coarse, pose, frame, False, equations)
         step = damped_step(equations, model.radius, 1e-9, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0
         for k in range(3):
             longest = max(longest, max(abs(step[0][k]), abs(step[1][k])))
-        if longest < MATCH_TOLERANCE * model.radius:
+        if longest < MATCH.tolerance * model.radius:
             return pose, taken
-    return pose, MATCH_STEPS
+    return pose, MATCH.max_steps

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, surface_at
-from handsight._kernels.evidence.prior_term import prior_cost, rotation_exp
-from handsight._kernels.evidence.weight_term import copy_weight
+from handsight._kernels.evidence.prior_term import rotation_exp
+from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import factor
 from handsight._kernels.math.simd import local
-from handsight._kernels.math.symmetry import are_apart, pose_of, store_pose
+from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -32,12 +32,12 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import fill_prior, load_terms
-from handsight._kernels.solve.levenberg import Evidence, descend
+from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.settings import CANDIDATE_APART, COARSE_LIMITS, FINE_LIMITS, MATCHED_APART
+from handsight._kernels.solve.options import DESCENT, SEARCH
 
-LIMITS = COARSE_LIMITS, FINE_LIMITS
-COSINE = float(np.cos(MATCHED_APART[1]))
+LIMITS = DESCENT.coarse, DESCENT.fine
+COSINE = float(np.cos(SEARCH.same_after_match[1]))
 WORST = 1e300
 """The cost of what is no number: a descent all the same, where there is no better one."""
 
@@ -59,10 +59,11 @@ def _root(prior: Any, R: Mat33, u: Any) -> None:
 
 
 @entry
-def draw(prior: Any, draws: Any, descents: Any) -> None:
+def draw(constraints: Any, draws: Any, descents: Any) -> None:
     """Puts descents (K,) where standard normal draws (K, 6) lead from a prior's pose, along the object's own axes."""
-    u, (R, p) = local(UNCERTAINTY), pose_of(prior[0].pose)
-    _root(prior[0], R, u)
+    prior, u = constraints[0].prior, local(UNCERTAINTY)
+    R, p = pose_of(prior.pose)
+    _root(prior, R, u)
     for k in range(len(descents)):
         for i in range(6):
             value = draws[k, i] / u.factor[i, i]
@@ -132,7 +133,7 @@ def _is_near(model: Any, a: Pose, b: Pose) -> bool:
     (R, p), (Q, q) = a, b
     gap = add(sub(p, q), sub(mul(R, vector(model.center)), mul(Q, vector(model.center))))
     trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
-    return dot(gap, gap) < MATCHED_APART[0] ** 2 and trace > 1 + 2 * COSINE
+    return dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE
 
 
 @inner
@@ -162,8 +163,8 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
             break
         taken[best], new = True, True
         for j in range(count):
-            if not are_apart(
-                model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), CANDIDATE_APART
+            if not are_distinct(
+                model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), SEARCH.same_after_coarse
             ):
                 new = False
                 break
@@ -176,7 +177,7 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
 
 
 @entry
-def search(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, blocks: Any) -> None:
+def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, blocks: Any) -> None:
     """Moves starts (B, M, 1) to the minima that they lead to; what is a repeat in its block, or none, costs infinity.
 
     Phase 1 and the coarse field for all but what was a minimum of other evidence, which has steps behind it; the fine
@@ -185,18 +186,17 @@ def search(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, bloc
     """
     term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     nothing.kind = NO_PRIOR
-    nothing.weight.known = 0
+    weight = constraints[0].weight
     chosen, earlier = np.empty(blocks.shape[1], np.int64), np.empty(blocks.shape[1], POSE)
     for b in range(len(blocks)):
         rows = blocks[b]
         center = load_terms(contacts[rows[0, 0].set], terms)
         if b == 0:
-            fill_prior(model[0], prior, center, term)
-            copy_weight(term.weight, nothing.weight)
-        matching = Evidence(model[0], nodes, terms, outside, term, center)
+            fill_prior(model[0], constraints[0], center, term)
+        matching = Evidence(model[0], nodes, terms, outside, weight, term, center)
         # The weak prior keeps phase 1 from running away, and has no say in what fits.
         weak = term.kind == WEAK_PRIOR
-        fitting = Evidence(model[0], nodes, terms, outside, nothing if weak else term, center)
+        fitting = Evidence(model[0], nodes, terms, outside, weight, nothing if weak else term, center)
         count, ends = len(rows), 1
         for phase in range(2):
             if phase == 1:
@@ -220,7 +220,7 @@ def search(model: Any, nodes: Any, contacts: Any, prior: Any, outside: Any, bloc
                 field = model[0].fine if phase else model[0].coarse
                 pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], end == 0)
                 if end:
-                    cost -= prior_cost(term, pose)
+                    cost -= evidence_cost(matching, PRIOR, pose)
                 row.cost = min(cost, WORST) if cost == cost else WORST
                 row.iterations, row.converged = steps + (0 if end else more), phase == 1 and converged
                 store_pose(pose, row.pose)

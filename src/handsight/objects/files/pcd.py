@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from handsight.objects.files.text import BadText, number_table, rows, text_lines
 
-_WHOLE = (1, 2, 4, 8)
+_INTEGER_SIZES = (1, 2, 4, 8)
 _DTYPES = {
     (kind, size): np.dtype(f"<{kind.lower()}{size}")
-    for kind, sizes in (("F", (4, 8)), ("I", _WHOLE), ("U", _WHOLE))
+    for kind, sizes in (("F", (4, 8)), ("I", _INTEGER_SIZES), ("U", _INTEGER_SIZES))
     for size in sizes
 }
 _MOST_FIELDS = 256
@@ -65,14 +65,14 @@ def _header(data: bytes) -> _Header:
     if not 0 < len(names) <= _MOST_FIELDS:
         raise BadText(f"FIELDS: expected 1 to {_MOST_FIELDS} names, got {len(names)}")
     if "POINTS" in entries:
-        points = _whole(entries, "POINTS", 1)[0]
+        points = _integers(entries, "POINTS", 1)[0]
     else:
-        points = _whole(entries, "WIDTH", 1)[0] * _whole(entries, "HEIGHT", 1)[0]
+        points = _integers(entries, "WIDTH", 1)[0] * _integers(entries, "HEIGHT", 1)[0]
     kind = entries["DATA"][0].lower() if entries["DATA"] else ""
     return _Header(names, _row(entries, len(names)), points, kind, data[at:])
 
 
-def _whole(entries: dict[str, list[str]], key: str, length: int) -> list[int]:
+def _integers(entries: dict[str, list[str]], key: str, length: int) -> list[int]:
     words = entries.get(key, [])
     if len(words) != length or not all(word.isdecimal() and len(word) < 19 for word in words):
         raise BadText(f"{key}: expected {length} whole numbers, got {' '.join(words)[:40]!r}")
@@ -80,10 +80,10 @@ def _whole(entries: dict[str, list[str]], key: str, length: int) -> list[int]:
 
 
 def _row(entries: dict[str, list[str]], length: int) -> np.dtype[Any]:
-    counts = _whole(entries, "COUNT", length) if "COUNT" in entries else [1] * length
+    counts = _integers(entries, "COUNT", length) if "COUNT" in entries else [1] * length
     if max(counts) > _MOST_COUNT:
         raise BadText(f"COUNT: expected at most {_MOST_COUNT}, got {max(counts)}")
-    sizes, kinds = _whole(entries, "SIZE", length), entries.get("TYPE", [])
+    sizes, kinds = _integers(entries, "SIZE", length), entries.get("TYPE", [])
     if len(kinds) != length:
         raise BadText(f"TYPE: expected {length} letters, got {len(kinds)}")
     for part in zip(kinds, sizes, strict=True):

@@ -152,8 +152,8 @@ def _numbers(words: list[str], element: _Element) -> list[list[Any]]:
             if len(found[-1]) < n:
                 raise ValueError
     except (ValueError, StopIteration):
-        said = f"expected numbers, as many as there are properties, got {' '.join(words)[:40]!r}"
-        raise BadText(f"{element.name}: {said}") from None
+        message = f"expected numbers, as many as there are properties, got {' '.join(words)[:40]!r}"
+        raise BadText(f"{element.name}: {message}") from None
     return found
 
 

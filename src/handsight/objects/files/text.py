@@ -114,14 +114,14 @@ def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
 
 def _take_polygon(words: list[str], corners: "array[int]", counts: "array[int]") -> None:
     """Take in a row of a number of corners and their indices; colours may follow."""
-    said = f"face {len(counts)}: expected"
+    message = f"face {len(counts)}: expected"
     try:
         n = int(words[0])
         index = array("q", map(int, words[1 : 1 + max(n, 0)]))
     except (ValueError, OverflowError):
-        raise BadText(f"{said} whole numbers, got {' '.join(words)[:40]!r}") from None
+        raise BadText(f"{message} whole numbers, got {' '.join(words)[:40]!r}") from None
     if n < 3 or len(index) < n:
-        raise BadText(f"{said} at least 3 corners, all there, got {' '.join(words)[:40]!r}")
+        raise BadText(f"{message} at least 3 corners, all there, got {' '.join(words)[:40]!r}")
     corners.extend(index)
     counts.append(n)
 

@@ -43,8 +43,8 @@ def new_object(
     model = ObjectModel.from_file(file, scale, symmetries=symmetries)
     check_inside(facts, model)
     data = _ply(Path(file), scale)
-    said = msgspec.to_builtins(facts) | {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
-    return NewObject(said, info_of(model), data)
+    entry = msgspec.to_builtins(facts) | {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+    return NewObject(entry, info_of(model), data)
 
 
 def add(folder: Folder, new: NewObject) -> None:
@@ -84,9 +84,9 @@ def revise(folder: Folder, number: int, facts: Facts) -> None:
         documents = folder.documents()
         known = {} if documents.facts is None else decode_object(documents.facts, FACTS)["objects"]
         data = content(models / f"obj_{number:06d}.ply")
-        said = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
-        before = known.get(str(number), said)
-        new = msgspec.to_builtins(facts) | {key: before[key] for key in said}
+        entry = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+        before = known.get(str(number), entry)
+        new = msgspec.to_builtins(facts) | {key: before[key] for key in entry}
         with new_file(models / FACTS) as file:
             document = {"version": VERSION, "objects": {**known, str(number): new}}
             file.write(msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n")

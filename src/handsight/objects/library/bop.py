@@ -156,15 +156,15 @@ def _closed(turns: list[Array], near: float) -> Array:
             if _gap(product, group, near).min() > 1:
                 group = np.vstack([group, product[None]])
         if len(group) > MOST_ROTATIONS:
-            said = f"expected a finite group, got over {MOST_ROTATIONS} products"
-            raise InvalidInput(f"symmetries_discrete: {said}")
+            message = f"expected a finite group, got over {MOST_ROTATIONS} products"
+            raise InvalidInput(f"symmetries_discrete: {message}")
         done += 1
     return group
 
 
 def _gap(T: Array, others: Array, near: float) -> Array:
     """How far a transform is off each of others (k, 4, 4); 1 where they may just be meant to be one."""
-    apart = np.abs(others - T)
+    differences = np.abs(others - T)
     return np.asarray(
-        np.maximum(apart[:, :3, :3].max(axis=(1, 2)) / NEAR, apart[:, :3, 3].max(axis=1) / near)
+        np.maximum(differences[:, :3, :3].max(axis=(1, 2)) / NEAR, differences[:, :3, 3].max(axis=1) / near)
     )

@@ -70,9 +70,9 @@ class Document(msgspec.Struct, forbid_unknown_fields=True):
 
 def check_name(name: Any) -> None:
     """Raises InvalidInput for what no object can be called: what a path or a terminal would obey, or a number."""
-    said = f"expected up to {checks.MAX_NAME_LENGTH} letters, digits, blanks and _.+-, the first a letter or a digit"
+    message = f"expected up to {checks.MAX_NAME_LENGTH} letters, digits, blanks and _.+-, the first a letter or a digit"
     if not isinstance(name, str) or len(name) > checks.MAX_NAME_LENGTH or not _NAME.fullmatch(name):
-        raise InvalidInput(f"name: {said}, got {checks.brief(name)!r}")
+        raise InvalidInput(f"name: {message}, got {checks.brief(name)!r}")
     if name != name.strip() or _NUMBERED.fullmatch(name):
         raise InvalidInput(f"name: expected no number and no blank at its end, got {name!r}")
 

@@ -23,8 +23,8 @@ class Folder:
         """Both; raises NoLibrary where there is none, InvalidFile."""
         models = self.models
         if not (models / INFO).exists():
-            said = f"expected a library, with models/{INFO}, got none; `handsight objects add` makes one"
-            raise NoLibrary(f"{self.place}: {said}")
+            message = f"expected a library, with models/{INFO}, got none; `handsight objects add` makes one"
+            raise NoLibrary(f"{self.place}: {message}")
         # In this order: an add writes facts first, and who finds an object finds what is known of it.
         info = read_bytes(models / INFO, LARGEST_DOCUMENT)
         if not (models / FACTS).exists():

@@ -75,18 +75,18 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
     records: dict[int, Record] = {}
     if documents.facts is not None:
         records = _by_number(_records(documents.facts, there), there)
-    made, owners = list[Entry](), dict[str, int]()
+    entries, owners = list[Entry](), dict[str, int]()
     for number in sorted(infos):
         record = records.get(number)
         name = record.name if record else f"obj_{number:06d}"  # which no name can be
         entry = Entry(number=number, name=name, facts=record, info=infos[number], place=place)
         if entry.name in owners:
             owner = owners[entry.name]
-            said = f"expected a name of its own, got {entry.name!r}, which is that of object {owner}"
-            raise InvalidFile(f"{there}: objects.{number}.name: {said}")
+            message = f"expected a name of its own, got {entry.name!r}, which is that of object {owner}"
+            raise InvalidFile(f"{there}: objects.{number}.name: {message}")
         owners[entry.name] = number
-        made.append(entry)
-    return tuple(made)
+        entries.append(entry)
+    return tuple(entries)
 
 
 def _records(data: bytes, where: str) -> dict[str, Record]:

@@ -97,7 +97,7 @@ class Library:
             except HandsightError as error:
                 yield str(error)
 
-    def fetch(self, advance: Callable[..., None] = lambda share, said="": None) -> list[str]:
+    def fetch(self, advance: Callable[..., None] = lambda share, text="": None) -> list[str]:
         """Copies a URL's documents and models to this machine's cache; what could not be copied, in a sentence each.
 
         `advance(share, said)` is told how far it is. From then on they are used from there.
@@ -144,9 +144,9 @@ class Library:
         if entry.facts is None:
             raise InvalidInput(f"name: expected an object that was added with a name, got {entry.name!r}")
         x, y, z = (float(value) for value in np.round(center_of_mass, 6))
-        said = {key: getattr(entry.facts, key) for key in ("name", "licence", "source")}
+        text = {key: getattr(entry.facts, key) for key in ("name", "licence", "source")}
         sigma = round(float(sigma_center_of_mass), 6)
-        facts = Facts(**said, mass=round(mass, 6), center_of_mass=(x, y, z), sigma_center_of_mass=sigma)
+        facts = Facts(**text, mass=round(mass, 6), center_of_mass=(x, y, z), sigma_center_of_mass=sigma)
         check_inside(facts, self.model(name))
         revise(self._source, entry.number, facts)
         return self.entry(name)
@@ -156,5 +156,5 @@ def _check_unit(measured: float, entry: Entry) -> None:
     """Raises InvalidFile where a file's diameter [mm] is not the one that is declared."""
     ratio = measured / entry.info.diameter
     if not 1 / OTHER_UNIT < ratio < OTHER_UNIT:
-        said = f"expected the diameter {entry.info.diameter:.4g} mm, got {measured:.4g}: another unit?"
-        raise InvalidFile(f"{entry.place}: {entry.file}: {said}")
+        text = f"expected the diameter {entry.info.diameter:.4g} mm, got {measured:.4g}: another unit?"
+        raise InvalidFile(f"{entry.place}: {entry.file}: {text}")

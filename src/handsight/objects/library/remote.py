@@ -124,8 +124,8 @@ def fetched(url: str, most: int) -> bytes | None:
     except Exception as error:  # each kind of URL has errors of its own
         if _says_not_there(error):
             return None
-        said = getattr(error, "reason", None) or error
-        raise InvalidFile(f"{url}: cannot be fetched: {said or type(error).__name__}") from None
+        reason = getattr(error, "reason", None) or error
+        raise InvalidFile(f"{url}: cannot be fetched: {reason or type(error).__name__}") from None
     if left:
         raise InvalidFile(f"{url}: cannot be fetched: it ended {left} bytes early")
     return bytes(data)

@@ -74,8 +74,8 @@ def locked(folder: Path) -> Iterator[None]:
                 if not isinstance(error.__context__, BlockingIOError | PermissionError):
                     raise
                 if time.monotonic() > until:
-                    said = f"another process has been adding to it for {LOCK_SECONDS:g} s"
-                    raise NotWritten(f"{folder}: cannot be written: {said}") from None
+                    message = f"another process has been adding to it for {LOCK_SECONDS:g} s"
+                    raise NotWritten(f"{folder}: cannot be written: {message}") from None
             time.sleep(0.02)
         yield
 
@@ -100,5 +100,5 @@ def check_content(path: Path, sha256: str | None, size: int | None) -> None:
 def check_sha256(name: str | Path, sha256: str, found: str) -> None:
     """Raises InvalidFile, which begins with the name, where a file's SHA-256 is not what it was when it was added."""
     if found != sha256:
-        said = f"expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
-        raise InvalidFile(f"{name}: {said}")
+        message = f"expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
+        raise InvalidFile(f"{name}: {message}")

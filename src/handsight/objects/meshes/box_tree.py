@@ -106,8 +106,8 @@ def _frames(normals: Array) -> Array:
     """(p, 3, 3) rotations whose third row is along these (p, 3); any rotation where there is none."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
-    aside = np.eye(3)[np.abs(third).argmin(axis=1)]
-    first = np.cross(aside, third)
+    lateral = np.eye(3)[np.abs(third).argmin(axis=1)]
+    first = np.cross(lateral, third)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(third, first), third], axis=1)
 

@@ -15,7 +15,7 @@ from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
 CLOSED_SHARE = 0.95
 LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
-SLIT, NOT_WHOLE = 0.1, 0.25
+SLIT, MAX_OPEN_SHARE = 0.1, 0.25
 """How near to its rim a hole is looked for [fine cells], and how far winding numbers there are from whole ones: at
 least 0.375 at one of four places around a rim. Slits up to about half as wide are none."""
 VOTES = 16
@@ -69,12 +69,12 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     of_edge = np.empty(len(pairs), dtype=np.int64)
     of_edge[mesh.edges[1]] = np.arange(len(mesh.faces))[:, None]
     normal = mesh.doubled_normals[of_edge[rim]]
-    aside = np.cross(normal, along)
-    normal, aside = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, aside))
-    turns = np.stack([normal + aside, normal - aside, -normal + aside, -normal - aside], axis=1)
+    lateral = np.cross(normal, along)
+    normal, lateral = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, lateral))
+    turns = np.stack([normal + lateral, normal - lateral, -normal + lateral, -normal - lateral], axis=1)
     around = middles[:, None] + SLIT * cell / np.sqrt(2) * turns[edge]
     number = winding.at(around.reshape(-1, 3)).reshape(-1, 4)
-    open_piece = np.abs(number - np.round(number)).max(axis=1) > NOT_WHOLE
+    open_piece = np.abs(number - np.round(number)).max(axis=1) > MAX_OPEN_SHARE
     rim[rim] = np.bincount(edge, open_piece, minlength=len(start)) > 0
     return rim
 

@@ -5,7 +5,7 @@ import numpy as np
 from handsight._kernels.posterior.spurious_information import LEND
 from handsight.checks import Array
 
-SEEN, UNSEEN = 1.5, 2.5
+COVERED_GAP, OPEN_GAP = 1.5, 2.5
 """Spacings from the nearest point: up to the first a place is seen, from the other on it is not."""
 CLEAR, OPEN = 0.2, 0.4
 """Winding numbers as far from 0 and from 1: up to the first no surface can pass, from the other on one may."""
@@ -19,7 +19,7 @@ def unseen_variances(gap: Array, winding: Array, spacing: float) -> Array:
     `winding` (n,): how often they wind around each place. `spacing` [m] of the points.
     """
     is_open = np.clip((np.minimum(winding, 1 - winding) - CLEAR) / (OPEN - CLEAR), 0.0, 1.0)
-    share = is_open * np.clip((gap / spacing - SEEN) / (UNSEEN - SEEN), 0.0, 1.0)
+    share = is_open * np.clip((gap / spacing - COVERED_GAP) / (OPEN_GAP - COVERED_GAP), 0.0, 1.0)
     return share[:, None] * np.stack(
         [gap**2, np.ones_like(gap), np.full_like(gap, LEND), np.full_like(gap, LEND / spacing**2)], axis=1
     )

@@ -67,10 +67,10 @@ def noise_of(points: Points, thickness: float) -> Noise:
         growth = _growth(quiet, windows, points.diameter)
         if growth[0] < WHITE:
             return Noise(min(float(np.nanmedian(spread[:, 0])), float(quiet[0]) / LOW))
-    steady, steep = (np.flatnonzero(which) for which in (growth < WHITE, growth > SHAPED))
-    if not len(steady) or (len(steep) and steep[0] < steady[0]):
+    flat, steep = (np.flatnonzero(which) for which in (growth < WHITE, growth > SHAPED))
+    if not len(flat) or (len(steep) and steep[0] < flat[0]):
         return Noise(float(quiet[0]), is_shape=True)
-    level = int(steady[0])
+    level = int(flat[0])
     calm = patches[spread[:, level] <= quiet[level]]
     widened(points, calm, windows[: level + 1], **ANYTHING)
     return Noise(float(quiet[level]) / LOW, _together(points, calm, float(windows[level])))

@@ -27,7 +27,7 @@ MOST_WIDENED = 9.0
 """Points that share one noise widen the least window, up to as many."""
 THICK = 3.0
 """Deviations of noise that a window must be wide."""
-STEADY = 5.0
+MAX_DRIFT = 5.0
 """Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
 TOLERANCE = 2e-4
 """Of a quadric's residual, what an object's shape may add to the noise [diameters]."""
@@ -37,7 +37,7 @@ LEAST_SIGMA = 1e-4
 """No scan is taken for better [diameters]."""
 ROUGHLY = 3
 """Windows that tell the faces of an object apart."""
-TOLD = 0.5
+MIN_INFORMED = 0.5
 """Of a spacing, noise below which the way from a patch to the next has a direction."""
 MANY = 4096
 """Nodes that are worth another thread."""
@@ -75,7 +75,7 @@ class ScannedSurface:
         """Signed distances (n,) [m] of nodes (n, 3) near the surface, whose nearest patches (n,) are known."""
         return np.asarray(self.blended(nodes, nearest)[:, 0])
 
-    def settled(self) -> tuple[Array, Array]:
+    def converged(self) -> tuple[Array, Array]:
         """Points (m, 3) [m] on the blended surface, a patch's each, and unit outward normals (m, 3)."""
         points = self.patches["point"]
         there = self.blended(points, np.arange(len(points)))
@@ -97,7 +97,7 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
         # Planes tell faces apart, but quadrics do so better: what they found decides once more.
         patches = _fits(replace(points, normals=normals[nearest]), normals, noise, ROUGHLY)
         normals = patches["normal"].copy()
-        if noise.sigma < TOLD * points.spacing:
+        if noise.sigma < MIN_INFORMED * points.spacing:
             normals = outwards(patches["point"], normals, cKDTree(patches["point"]), turning=True)
         patches = _fits(replace(points, normals=normals[nearest]), normals, noise)
     variance = patches["covariance"][:, 1, 1] + patches["covariance"][:, 2, 2]
@@ -116,7 +116,7 @@ def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None)
     least = max(
         FIRST * points.spacing * np.sqrt(shared),
         THICK * noise.sigma,
-        STEADY * np.sqrt(noise.sigma * points.spacing),
+        MAX_DRIFT * np.sqrt(noise.sigma * points.spacing),
     )
     level = {
         "variance": noise.sigma**2,

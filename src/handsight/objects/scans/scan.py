@@ -84,8 +84,8 @@ def _flat_share(mesh: Triangles) -> float:
     order = np.argsort(of_face.reshape(-1), kind="stable") // 3
     first = (np.cumsum(count) - count)[count == 2]
     normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
-    apart = np.linalg.norm(normals[order[first]] - normals[order[first + 1]], axis=1)
-    return float((apart < FLAT).mean()) if len(apart) else 1.0
+    differences = np.linalg.norm(normals[order[first]] - normals[order[first + 1]], axis=1)
+    return float((differences < FLAT).mean()) if len(differences) else 1.0
 
 
 def _vertex_normals(mesh: Triangles) -> Array:

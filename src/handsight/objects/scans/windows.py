@@ -85,14 +85,14 @@ def widths(least: float, most: float, ratio: float) -> Array:
 
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
     """What each window (k,) [m] told of each patch, (m, k, SEEN); fits the patches in place."""
-    seen = np.full((len(patches), len(windows), kernel.SEEN), np.nan)
+    fitted = np.full((len(patches), len(windows), kernel.WINDOW_VALUES), np.nan)
     for place, window in enumerate(windows):
         given = np.zeros(1, dtype=kernel.LEVEL)
         for name, value in {**level, "window": window, "place": place}.items():
             given[name] = value
         cloud, keys = _in_cells(points, given, patches)
-        in_parts(partial(kernel.widen, cloud, keys, given), (patches, seen), FEW)
-    return seen
+        in_parts(partial(kernel.widen, cloud, keys, given), (patches, fitted), FEW)
+    return fitted
 
 
 def _in_cells(points: Points, level: NDArray[np.void], patches: Patches) -> tuple[Array, Indices]:

@@ -71,8 +71,8 @@ def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[n
     def fits(numbers: NDArray[np.int32]) -> bool:
         starts, pairs = np.split(numbers, [votes.CELLS + 1])
         points = pairs >> votes.POINT_BITS
-        whole = len(starts) > votes.CELLS and starts[0] == 0 and starts[-1] == len(pairs)
-        return bool(whole and (np.diff(starts) >= 0).all() and ((points >= 0) & (points < count)).all())
+        complete = len(starts) > votes.CELLS and starts[0] == 0 and starts[-1] == len(pairs)
+        return bool(complete and (np.diff(starts) >= 0).all() and ((points >= 0) & (points < count)).all())
 
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
     name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))

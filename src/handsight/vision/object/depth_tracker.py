@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._kernels.image import depth_covariance
-from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_covariance import UNKNOWN
-from handsight.vision.object.pose_refiner import Looked, PoseRefiner
+from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -57,7 +57,7 @@ class Sighting:
     """`tracking`; `uncertain`: it fits, and might as well elsewhere; `lost`: it does not fit."""
     reason: str
     """Why it is not `tracking`; empty if it is."""
-    look: NDArray[np.void]
+    candidate: NDArray[np.void]
     """LOOK (1,): the pose that was tried, and what the image says of it."""
 
 
@@ -97,7 +97,7 @@ class DepthTracker:
     ) -> None:
         """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
         self.model, self.camera = model, camera
-        self._middle, self._look = model.center_object, PoseRefiner(model, camera, noise)
+        self._middle, self._refiner = model.center_object, PoseRefiner(model, camera, noise)
         self._start = None if start is None else se3.check(start, "start")
         self._belief: _Belief | None = None
         self._searched = -np.inf
@@ -129,31 +129,31 @@ class DepthTracker:
         now = float(checks.finite(stamp, "stamp", ()))
         frame = _Frame(now, depth, hand, plane, T_palm, gripped)
         before = self._belief, self._searched
-        sighting = self._seen(frame, self._predicted(frame, hint))
+        sighting = self._observed(frame, self._predicted(frame, hint))
         if before[0] is not None and 0 < before[0].stamp - now <= LONGEST:
             self._belief, self._searched = before
         return sighting
 
-    def _seen(self, frame: _Frame, predicted: _Belief | None) -> Sighting:
-        looked, reason = None, "not found"
+    def _observed(self, frame: _Frame, predicted: _Belief | None) -> Sighting:
+        refined, reason = None, "not found"
         if predicted is not None:
-            looked = self._looked(frame, predicted)
-            reason = self._misfit(predicted, looked)
+            refined = self._refined(frame, predicted)
+            reason = self._misfit(predicted, refined)
             if not reason:
-                return self._followed(frame, predicted, looked)
+                return self._followed(frame, predicted, refined)
         found = self._found(frame)
         if found is not None:
             return self._followed(frame, *found)
         self._belief = predicted and replace(predicted, lost=True)
-        look = np.zeros(1, dtype=LOOK) if looked is None else looked.look
-        return Sighting(frame.stamp, None, None, "lost", reason, look)
+        candidate = np.zeros(1, dtype=CANDIDATE) if refined is None else refined.candidate
+        return Sighting(frame.stamp, None, None, "lost", reason, candidate)
 
-    def _misfit(self, predicted: _Belief, looked: Looked) -> str:
+    def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Why the object is lost; empty if it is not."""
-        look, enough = looked.look[0], _is_enough(looked)
-        against = look["passed"] + look["hidden"]
-        if against > max(look["explained"], LEAST_AGAINST):
-            share = look["explained"] / (look["explained"] + against)
+        candidate, enough = refined.candidate[0], _is_enough(refined)
+        against = candidate["passed"] + candidate["hidden"]
+        if against > max(candidate["explained"], LEAST_AGAINST):
+            share = candidate["explained"] / (candidate["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
         if enough or not (predicted.lost or self._unsure(predicted) > GONE * self.model.diameter):
             return ""
@@ -180,22 +180,27 @@ class DepthTracker:
         P = P + self._about_origin(T, np.repeat([(dt * w) ** 2 for w in wanders], 3))
         return _Belief(frame.stamp, T if hint is None else hint, P, velocity, frame.T_camera_palm, last.lost)
 
-    def _found(self, frame: _Frame) -> tuple[_Belief, Looked] | None:
+    def _found(self, frame: _Frame) -> tuple[_Belief, RefinedPose] | None:
         """The object somewhere in the image, if it is time to search and it is there."""
         if abs(frame.stamp - self._searched) < SEARCH_EVERY:
             return None
         self._searched = frame.stamp
         found = locate(
-            self.model, self.camera, frame.depth, hand=frame.hand, table=frame.table, noise=self._look.noise
+            self.model,
+            self.camera,
+            frame.depth,
+            hand=frame.hand,
+            table=frame.table,
+            noise=self._refiner.noise,
         )
-        fits = found.looks["explained"] >= LEAST_FOUND * found.looks["expected"]
+        fits = found.candidates["explained"] >= LEAST_FOUND * found.candidates["expected"]
         chosen = np.flatnonzero(fits & (found.weights >= TWIN * found.weights.max(initial=0.0)))
         if not len(chosen):
             return None
         T = self._likeliest(found.Ts_camera_object[chosen])
         belief = _Belief(frame.stamp, T, self._unknown(T), np.zeros(6), frame.T_camera_palm, True)
-        looked = self._looked(frame, belief)
-        return None if self._misfit(belief, looked) else (belief, looked)
+        refined = self._refined(frame, belief)
+        return None if self._misfit(belief, refined) else (belief, refined)
 
     def _likeliest(self, Ts: Array) -> Array:
         """Of poses that an image supports about alike, the one turned least from where the object was."""
@@ -204,21 +209,23 @@ class DepthTracker:
         turns = se3.rotation_log(Ts[:, :3, :3] @ self._belief.T_camera_object[:3, :3].T)
         return np.asarray(Ts[np.linalg.norm(turns, axis=1).argmin()])
 
-    def _followed(self, frame: _Frame, predicted: _Belief, looked: Looked) -> Sighting:
-        enough = _is_enough(looked)
-        now = self._belief = self._updated(frame, predicted, looked) if enough else predicted
-        T, look, unsure = now.T_camera_object, looked.look, self._unsure(now)
-        look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    def _followed(self, frame: _Frame, predicted: _Belief, refined: RefinedPose) -> Sighting:
+        enough = _is_enough(refined)
+        now = self._belief = self._updated(frame, predicted, refined) if enough else predicted
+        T, candidate, unsure = now.T_camera_object, refined.candidate, self._unsure(now)
+        candidate["pose"]["rotation"], candidate["pose"]["position"] = T[:3, :3], T[:3, 3]
         reason = "" if enough else HIDDEN
         if enough and unsure > UNCERTAIN * self.model.diameter:
             reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
-        return Sighting(frame.stamp, T, now.covariance, "uncertain" if reason else "tracking", reason, look)
+        return Sighting(
+            frame.stamp, T, now.covariance, "uncertain" if reason else "tracking", reason, candidate
+        )
 
-    def _updated(self, frame: _Frame, predicted: _Belief, looked: Looked) -> _Belief:
+    def _updated(self, frame: _Frame, predicted: _Belief, refined: RefinedPose) -> _Belief:
         """What was expected and what was seen, each as much as it knows (Kalman)."""
         P, last = predicted.covariance, self._belief
-        gain = np.linalg.solve(P + looked.covariance, P).T
-        off = se3.difference(looked.T_camera_object, predicted.T_camera_object)
+        gain = np.linalg.solve(P + refined.covariance, P).T
+        off = se3.difference(refined.T_camera_object, predicted.T_camera_object)
         T, P = se3.moved(predicted.T_camera_object, gain @ off), P - gain @ P
         velocity = predicted.velocity
         if last is None or predicted.lost:
@@ -235,13 +242,13 @@ class DepthTracker:
             *self.model.record[:2], belief.T_camera_object[:3, :3], belief.covariance
         )
 
-    def _looked(self, frame: _Frame, predicted: _Belief) -> Looked:
+    def _refined(self, frame: _Frame, predicted: _Belief) -> RefinedPose:
         """What an image says near where the object is expected."""
         T = predicted.T_camera_object
         J = np.eye(6)
         J[:3, 3:] = -se3.skew(T[:3, :3] @ self._middle)
         known = np.asarray(np.linalg.inv(J @ predicted.covariance @ J.T))
-        return self._look.at(T, known, frame.depth, frame.hand, frame.table)
+        return self._refiner.at(T, known, frame.depth, frame.hand, frame.table)
 
     def _unknown(self, T: Array) -> Array:
         """The covariance of a pose that is as good as not known."""
@@ -263,6 +270,6 @@ class DepthTracker:
         return se3.compose(T[:3, :3], T[:3, 3] - T[:3, :3] @ self._middle)
 
 
-def _is_enough(looked: Looked) -> bool:
+def _is_enough(refined: RefinedPose) -> bool:
     """Whether as much is seen as a pose takes."""
-    return looked.points >= LEAST_POINTS and looked.look["explained"][0] >= LEAST_PIXELS
+    return refined.points >= LEAST_POINTS and refined.candidate["explained"][0] >= LEAST_PIXELS

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -43,7 +43,7 @@ def locate(
     found = first_pose(model, scene, noise=noise)
     if found.probability >= LEAST_PROBABILITY:
         return found
-    if not len(found.looks):
+    if not len(found.candidates):
         return _nowhere("no surface there is large enough to tell its shape")
     name = model.name or "the object"
     return _nowhere(
@@ -86,5 +86,5 @@ def nothing_in(scene: Scene) -> str:
 
 def _nowhere(reason: str) -> ObjectDetection:
     return ObjectDetection(
-        np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros(0), np.zeros(0, dtype=LOOK), 0.0, reason
+        np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros(0), np.zeros(0, dtype=CANDIDATE), 0.0, reason
     )

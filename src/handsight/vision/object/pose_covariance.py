@@ -18,8 +18,8 @@ UNKNOWN = 0.5, 0.9
 def pose_covariances(
     model: ObjectModel,
     camera: PinholeCamera,
-    seen: NDArray[np.void],
-    looks: NDArray[np.void],
+    points: NDArray[np.void],
+    candidates: NDArray[np.void],
     noise: DepthNoise,
 ) -> Array:
     """(k, 6, 6) of LOOK (k,) by (δp, δθ) of the object's origin along the camera's axes.
@@ -27,10 +27,12 @@ def pose_covariances(
     Of SEEN (n,) those within a look's bound count, with errors that they share as the noise has it: a pixel's own, its
     neighbours', a smooth bias and one of the whole image. On top of that come pixels' places and the model's error.
     """
-    z = np.maximum((looks["pose"]["position"] + looks["pose"]["rotation"] @ model.center_object)[:, 2], 1e-3)
-    told = np.empty((len(looks), 3, 6, 6))
-    depth_term.inform_all(*model.record[:2], seen, _errors(model, camera, noise, z), looks, told)
-    return told[:, 2]
+    z = np.maximum(
+        (candidates["pose"]["position"] + candidates["pose"]["rotation"] @ model.center_object)[:, 2], 1e-3
+    )
+    pulls = np.empty((len(candidates), 3, 6, 6))
+    depth_term.inform_all(*model.record[:2], points, _errors(model, camera, noise, z), candidates, pulls)
+    return pulls[:, 2]
 
 
 def errors_of(camera: PinholeCamera, noise: DepthNoise, z: Array) -> Array:

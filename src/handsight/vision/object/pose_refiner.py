@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import depth_term, near_points, pinhole, pose_score
-from handsight._kernels.image.vision_records import LOOK, SEEN, WINDOW
+from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT, WINDOW
 from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
 from handsight.vision.camera import Depth, PinholeCamera
@@ -19,23 +19,23 @@ from handsight.vision.object.region import TABLE_WITHIN
 
 WITHIN, MARGIN = 0.12, 0.15
 """Of the expected surface, for a point to count, and what is looked at around its silhouette [diameters]."""
-MOST_POINTS, MOST_LOOKED_AT = 400, 2000
+MOST_POINTS, MAX_PIXELS = 400, 2000
 """Points that settle a pose, and pixels of the window that they are chosen from."""
 FEW = 50
 """Of them do for the covariance."""
-RUNGS = ((False, 0.12, 0.05, 4, 4), (True, 0.05, 0.0, 3, 1))
+STAGES = ((False, 0.12, 0.05, 4, 4), (True, 0.05, 0.0, 3, 1))
 """Whether on the fine field, Tukey's bound at first and at last [diameters], steps, every so manieth point."""
 ONE_PART = np.zeros(1)
 
 
-class Looked(NamedTuple):
+class RefinedPose(NamedTuple):
     """What depth alone says."""
 
     T_camera_object: Array
     """(4, 4)"""
     covariance: Array
     """(6, 6) of (δp, δθ) of the object's origin along the camera's axes."""
-    look: NDArray[np.void]
+    candidate: NDArray[np.void]
     """LOOK (1,)"""
     points: int
     """On the surface, or nearly."""
@@ -52,34 +52,34 @@ class PoseRefiner:
         self._labels = np.full(camera.size[::-1], pose_score.OUT, dtype=np.int32)
         self._window = np.zeros(1, dtype=WINDOW)
         self._window["within"], self._window["plane_within"] = WITHIN * model.diameter, TABLE_WITHIN
-        self._seen = np.zeros(MOST_POINTS, dtype=SEEN)
-        self._rungs = np.array(RUNGS) * [1, model.diameter, model.diameter, 1, 1]
+        self._points = np.zeros(MOST_POINTS, dtype=DEPTH_POINT)
+        self._stages = np.array(STAGES) * [1, model.diameter, model.diameter, 1, 1]
         self._limits = np.array([self._appearance.sample_area, BOUND, *model.center_object])
 
     def at(
         self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None
-    ) -> Looked:
+    ) -> RefinedPose:
         """The pose that depth (h, w) settles, from the expected one on; the hand's pixels and the table left out.
 
         known (6, 6): information by (δp, δθ) of the object's centre along the camera's axes, which holds what hardly
         any point sees where it is expected.
         """
-        look = np.zeros(1, dtype=LOOK)
-        look["pose"]["rotation"], look["pose"]["position"] = T_expected[:3, :3], T_expected[:3, 3]
+        candidate = np.zeros(1, dtype=CANDIDATE)
+        candidate["pose"]["rotation"], candidate["pose"]["position"] = T_expected[:3, :3], T_expected[:3, 3]
         model, nodes = self.model.record[:2]
         self._show(self._around(T_expected), depth, hand, table)
         image = self.camera.rays, self._depth, self._labels
-        count = near_points.near_points((model, nodes), image, self._window, look, self._seen)
-        seen, z = self._seen[:count], depths(self.model, look)
+        count = near_points.near_points((model, nodes), image, self._window, candidate, self._points)
+        points, z = self._points[:count], depths(self.model, candidate)
         sigma = self.noise.sigma(z)
-        look["bound"] = np.maximum(BOUND, SIGMAS * sigma)
+        candidate["bound"] = np.maximum(BOUND, SIGMAS * sigma)
         one_point = sigma**2 + self.noise.bias(z) ** 2
-        depth_term.settle_near(model, nodes, seen, self._rungs, one_point * known, look)
+        depth_term.refine_near(model, nodes, points, self._stages, one_point * known, candidate)
         sides = self._appearance.sides
-        pose_score.score_all(self.camera.record, image[1:], sides, ONE_PART, self._limits, look)
-        some = np.ascontiguousarray(seen[:: max(count // FEW, 1)])
-        covariance = pose_covariances(self.model, self.camera, some, look, self.noise)[0]
-        return Looked(poses_of(look)[0], covariance, look, count)
+        pose_score.score_all(self.camera.record, image[1:], sides, ONE_PART, self._limits, candidate)
+        some = np.ascontiguousarray(points[:: max(count // FEW, 1)])
+        covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
+        return RefinedPose(poses_of(candidate)[0], covariance, candidate, count)
 
     def _around(self, T: Array) -> tuple[slice, slice]:
         """Rows and columns around the object's silhouette; empty where it is out of the picture."""
@@ -109,7 +109,7 @@ class PoseRefiner:
         rows, columns = box
         here["rows"], here["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)
         area = (rows.stop - rows.start) * (columns.stop - columns.start)
-        here["step"] = max(1, round(float(np.sqrt(area / MOST_LOOKED_AT))))
+        here["step"] = max(1, round(float(np.sqrt(area / MAX_PIXELS))))
         if table is not None:
             here["plane"] = table
             near_points.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)

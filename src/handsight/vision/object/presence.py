@@ -12,17 +12,17 @@ EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
 sums, and how close points lie, tell more of drawn pictures, and lead a real camera's astray."""
 
 
-def evidence_of(looks: NDArray[np.void]) -> Array:
+def evidence_of(candidates: NDArray[np.void]) -> Array:
     """(k, 5) of LOOK (k,): one; of the expected pixels the shares explained, seen past, hidden and left over."""
-    size = np.maximum(looks["expected"], LEAST)
-    shares = [looks[name] / size for name in ("explained", "passed", "hidden")]
-    left = np.minimum(looks["unexplained"] / size, MOST_UNEXPLAINED)
-    return np.stack([np.ones(len(looks)), *shares, left], axis=1)
+    size = np.maximum(candidates["expected"], LEAST)
+    shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
+    left = np.minimum(candidates["unexplained"] / size, MOST_UNEXPLAINED)
+    return np.stack([np.ones(len(candidates)), *shares, left], axis=1)
 
 
-def log_odds(looks: NDArray[np.void]) -> Array:
+def log_odds(candidates: NDArray[np.void]) -> Array:
     """(k,) that the object is where LOOK (k,) have it, against that it is not."""
-    return np.asarray(evidence_of(looks) @ EVIDENCE)
+    return np.asarray(evidence_of(candidates) @ EVIDENCE)
 
 
 def probabilities(odds: Array) -> Array:

@@ -54,9 +54,9 @@ def recognise(
     extent = WIDER_THAN_OBJECT * max(model.diameter for model in models.values())
     scene = scene_in(camera, depth, extent, wanted=wanted, hand=hand, table=table)
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
-    seen = [name for name, one in found.items() if len(one.looks)]
-    odds = np.array([log_odds(found[name].looks[:1])[0] for name in seen])
-    scores = dict.fromkeys(models, 0.0) | dict(zip(seen, probabilities(odds).tolist(), strict=True))
+    detected = [name for name, one in found.items() if len(one.candidates)]
+    odds = np.array([log_odds(found[name].candidates[:1])[0] for name in detected])
+    scores = dict.fromkeys(models, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
     none, reason = 1 - sum(scores.values()), None
     if not len(scene.sizes):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels.image import depth_image
-from handsight._kernels.image.vision_records import SEEN
+from handsight._kernels.image.vision_records import DEPTH_POINT
 from handsight.checks import Array, Mask
 from handsight.vision.camera import Depth, PinholeCamera
 
@@ -89,6 +89,6 @@ def observed_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> N
     np.random.default_rng(seed).shuffle(order)
     chosen = np.empty(most, dtype=np.int64)
     count = depth_image.spread(scene.camera.rays, scene.depth, order, spacing, chosen)
-    seen = np.zeros(count, dtype=SEEN)
-    depth_image.look_at(scene.camera.rays, scene.depth, scene.labels, chosen[:count], seen)
-    return seen
+    points = np.zeros(count, dtype=DEPTH_POINT)
+    depth_image.normals_at(scene.camera.rays, scene.depth, scene.labels, chosen[:count], points)
+    return points

@@ -80,7 +80,7 @@ class HandAppearance:
 class PlacedHand:
     """A hand in the palm's axes, with its joints at certain positions."""
 
-    look: HandAppearance
+    appearance: HandAppearance
     skin: Array
     """(2, m, 3) points [m] and outward normals."""
     vertices: Array
@@ -102,8 +102,8 @@ class PlacedHand:
 
     def by_joints(self, rows: Indices) -> Array:
         """(k, 3, j) how the points `rows` (k,) move in the palm by each joint [m/rad]."""
-        bodies = self.look.skin[2][rows]
-        return self.look.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
+        bodies = self.appearance.skin[2][rows]
+        return self.appearance.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
 
     def outline_continued(self, camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> float:
         """Share of the pixels around the hand, as it would be drawn there, in which what is seen goes on as near as it.
@@ -116,9 +116,9 @@ class PlacedHand:
         around = np.isfinite(near) & ~np.isfinite(drawn)
         rows, columns = (FINER * k + FINER // 2 for k in np.nonzero(around))
         inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
-        seen, hand = depth[rows[inside], columns[inside]], near[around][inside]
-        counts = (seen > 0) & (seen > hand - GOES_ON)
-        return float((seen[counts] < hand[counts] + GOES_ON).mean()) if counts.any() else 1.0
+        observed, hand = depth[rows[inside], columns[inside]], near[around][inside]
+        counts = (observed > 0) & (observed > hand - GOES_ON)
+        return float((observed[counts] < hand[counts] + GOES_ON).mean()) if counts.any() else 1.0
 
     def beside(self, camera: PinholeCamera, T_camera_palm: Array, most: int) -> Array:
         """(k, 3) points in the air, in the palm's axes, `BESIDE` off the hand's outline and as near as it [m]."""
@@ -159,7 +159,7 @@ def _smaller(camera: PinholeCamera) -> PinholeCamera:
 def _drawn(hand: PlacedHand, camera: PinholeCamera, T_camera_palm: bytes) -> Depth:
     """The depth of its coarse triangles at a quarter of the size; inf beside them."""
     T = np.frombuffer(T_camera_palm).reshape(4, 4)
-    return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.look.coarse[2]).depth
+    return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.appearance.coarse[2]).depth
 
 
 def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
@@ -172,6 +172,6 @@ def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
     body = np.zeros(len(count), dtype=np.int64)
     body[where] = shape.body_of
     faces = where[shape.faces]
-    apart = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    _, first = np.unique(np.sort(faces[apart], axis=1), axis=0, return_index=True)
-    return np.stack(middles, axis=1), body, faces[apart][first].astype(np.int64)
+    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    _, first = np.unique(np.sort(faces[proper], axis=1), axis=0, return_index=True)
+    return np.stack(middles, axis=1), body, faces[proper][first].astype(np.int64)

@@ -17,16 +17,19 @@ class HandInImage:
     def __init__(self, rig: Rig) -> None:
         self._shape, self._sigma_joint = rig.hand.shape(), rig.sigma_joint_offset
         self._noise = STRUCTURED_LIGHT if rig.camera is None else PRESETS[rig.camera.depth_camera]
-        self._look = HandAppearance.of(rig.hand) if len(self._shape.faces) else None
+        self._appearance = HandAppearance.of(rig.hand) if len(self._shape.faces) else None
 
     def placed(self, joint_positions: Mapping[str, float] | None) -> PlacedHand | None:
         """The hand with its joints there; None without shapes, or where a joint is missing."""
         joints = joint_positions or {}
-        if self._look is None or not joints.keys() >= {*self._shape.joints, *self._look.chains.joints}:
+        if self._appearance is None or not joints.keys() >= {
+            *self._shape.joints,
+            *self._appearance.chains.joints,
+        }:
             return None
-        return self._look.placed(joints, sigma_joint=self._sigma_joint)
+        return self._appearance.placed(joints, sigma_joint=self._sigma_joint)
 
-    def seen(
+    def detected(
         self,
         camera: PinholeCamera,
         depth: Depth,
@@ -56,10 +59,10 @@ class HandInImage:
         T_camera_palm: Array,
         sigmas: tuple[float, float],
     ) -> PalmDetection | PalmNotFound | None:
-        """As `seen`, from where the last picture has had the palm: searched only where it does not fit there."""
+        """As `detected`, from where the last picture has had the palm: searched only where it does not fit there."""
         hand = self.placed(joint_positions)
         found = None if hand is None else follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise)
-        return found or self.seen(camera, depth, joint_positions, T_camera_palm, sigmas)
+        return found or self.detected(camera, depth, joint_positions, T_camera_palm, sigmas)
 
     def mask(
         self,

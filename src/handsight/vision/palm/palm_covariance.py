@@ -20,7 +20,11 @@ PAIRED = 150
 
 
 def palm_covariance(
-    picture: Picture, hand: PlacedHand, look: NDArray[np.void], rung: tuple[Indices, float], noise: DepthNoise
+    picture: Picture,
+    hand: PlacedHand,
+    candidate: NDArray[np.void],
+    stage: tuple[Indices, float],
+    noise: DepthNoise,
 ) -> Array:
     """(6, 6) of LOOK (1,) by (δp, δθ) of the palm along the camera's axes.
 
@@ -28,10 +32,10 @@ def palm_covariance(
     with its neighbours, with all. On top of that come pixels' places and what constant errors of the joints do, to
     first order: how the weighted fit leans when a joint is off.
     """
-    rows, bound = rung
-    T, camera = poses_of(look)[0], picture.camera
+    rows, bound = stage
+    T, camera = poses_of(candidate)[0], picture.camera
     skin, out = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))
-    hand_term.rows_of(camera.record, picture.arrays, skin, look["pose"].copy(), bound, out)
+    hand_term.rows_of(camera.record, picture.arrays, skin, candidate["pose"].copy(), bound, out)
     used = out[:, 0] > 0
     weight, lines, rows = out[used, 0], out[used, 2:], rows[used]
     normals, arm = lines[:, :3].copy(), T[:3, :3] @ hand.middle
@@ -66,8 +70,8 @@ def _spread(pulls: Array, slopes: Array, error: Array) -> Array:
     """
     own, near, smooth, all_ = error[:4]
     total = pulls.sum(axis=0)
-    few, apart = pulls[:PAIRED], ((slopes[:PAIRED, None] - slopes[None, :PAIRED]) ** 2).sum(axis=-1)
-    shared = near * np.exp(-apart * error[4]) + smooth * np.exp(-apart * error[5])
+    few, distance2 = pulls[:PAIRED], ((slopes[:PAIRED, None] - slopes[None, :PAIRED]) ** 2).sum(axis=-1)
+    shared = near * np.exp(-distance2 * error[4]) + smooth * np.exp(-distance2 * error[5])
     np.fill_diagonal(shared, 0.0)
     pairs = len(pulls) * (len(pulls) - 1) / max(len(few) * (len(few) - 1), 1)
     S = (own + near + smooth) * pulls.T @ pulls + all_ * np.outer(total, total) + pairs * few.T @ shared @ few

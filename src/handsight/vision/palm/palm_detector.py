@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._kernels.image import hand_term
-from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.vision.camera import Depth, PinholeCamera
@@ -26,7 +26,7 @@ from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture
 
 LIMIT, ON_THE_WAY = 4.0, 2.5
 """Sigmas of the belief beyond which no answer is taken; times that, none goes on to become one."""
-RUNGS = ((300, (0.02, 0.010, 7, 0.015), 12, 0.010), (500, (0.012, 0.008, 6, 0.010), 5, 0.008))
+STAGES = ((300, (0.02, 0.010, 7, 0.015), 12, 0.010), (500, (0.012, 0.008, 6, 0.010), 5, 0.008))
 """Points; Tukey's bound at first and at last [m], steps, what is explained within [m]; how many poses go on, and how
 far they are apart [m]. A wide bound lets what is held pull the hand away."""
 LAST = (0.015, 0.006, 8, 0.010)
@@ -44,7 +44,7 @@ LEAST_SCORE, LEAST_PIXELS, LEAST_FIT = 2.0, 400.0, 0.25
 CONTINUED, MOST_CONTINUED = 0.3, 0.55
 """What all of the hand's outline weighs, against the pixels that it should fill, where what is seen goes on beside it;
 and of how much of it no answer is taken: the hand was laid into a table or a wall."""
-APART, AS_GOOD = 0.025, 0.85
+CANDIDATE_SPACING, AS_GOOD = 0.025, 0.85
 """Poses farther from each other than this [m] are others, and one whose score is so much of the best is as good."""
 
 Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
@@ -72,7 +72,7 @@ class PalmDetection:
     """(6, 6) of (δp [m], δθ [rad]) along the camera's axes."""
     fit: float
     """Of the pixels that the hand should fill, the share that it explains; what hides it takes from it."""
-    look: NDArray[np.void]
+    candidate: NDArray[np.void]
     """(1,) LOOK: what the image says of it, in pixels."""
 
 
@@ -98,18 +98,18 @@ def detect_palm(
     if picture is None:
         return PalmNotFound("outside")
     there = hand.visible_from(camera, T)
-    looks = searched(picture, belief, there)
-    if not len(looks):
+    candidates = searched(picture, belief, there)
+    if not len(candidates):
         return PalmNotFound("outside")
     rows = np.flatnonzero(there)
-    for count, rung, kept, apart in RUNGS:
-        looks = _laid(picture, hand, rows, (count, *rung), looks)
-        looks = distinct(hand, _believed(belief, looks, ON_THE_WAY * LIMIT), apart, kept)
-    looks = looks[looks["score"] > NEARLY * looks["score"].max(initial=0.0)]
-    looks = np.concatenate(
-        [looks[:0], *(_finished(picture, hand, looks[k : k + 1]) for k in range(len(looks)))]
+    for count, stage, kept, spacing in STAGES:
+        candidates = _laid(picture, hand, rows, (count, *stage), candidates)
+        candidates = distinct(hand, _believed(belief, candidates, ON_THE_WAY * LIMIT), spacing, kept)
+    candidates = candidates[candidates["score"] > NEARLY * candidates["score"].max(initial=0.0)]
+    candidates = np.concatenate(
+        [candidates[:0], *(_finished(picture, hand, candidates[k : k + 1]) for k in range(len(candidates)))]
     )
-    return _answer(picture, hand, _believed(belief, looks), noise)
+    return _answer(picture, hand, _believed(belief, candidates), noise)
 
 
 def follow_palm(
@@ -128,14 +128,14 @@ def follow_palm(
     picture = picture_of(camera, depth, hand, T, FOLLOWED[0])
     if picture is None:
         return PalmNotFound("outside")
-    look = np.zeros(1, dtype=LOOK)
-    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
-    look = _believed(Belief(hand, T, FOLLOWED), _finished(picture, hand, look, NEXT))
-    if len(look):
-        free = look["explained"] + look["passed"] + look["unexplained"]
-        if not (look["explained"] > FITS * free and look["passed"] < PASSED * free).all():
+    candidate = np.zeros(1, dtype=CANDIDATE)
+    candidate["pose"]["rotation"], candidate["pose"]["position"] = T[:3, :3], T[:3, 3]
+    candidate = _believed(Belief(hand, T, FOLLOWED), _finished(picture, hand, candidate, NEXT))
+    if len(candidate):
+        free = candidate["explained"] + candidate["passed"] + candidate["unexplained"]
+        if not (candidate["explained"] > FITS * free and candidate["passed"] < PASSED * free).all():
             return PalmNotFound("no_fit")
-    return _answer(picture, hand, look, noise)
+    return _answer(picture, hand, candidate, noise)
 
 
 def _checked(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> Array:
@@ -152,55 +152,55 @@ def _positive(value: float, name: str) -> float:
 
 
 def _laid(
-    picture: Picture, hand: PlacedHand, rows: Indices, rung: tuple[float, ...], looks: NDArray[np.void]
+    picture: Picture, hand: PlacedHand, rows: Indices, stage: tuple[float, ...], candidates: NDArray[np.void]
 ) -> NDArray[np.void]:
     """The looks moved to where points, some of `rows`, lie on the image, and judged by them; rung: see RUNGS."""
-    count, first, last, steps, bound = rung
+    count, first, last, steps, bound = stage
     few = rows[: int(count)]
     skin, camera = np.ascontiguousarray(hand.skin[:, few]), picture.camera.record
     limits = np.array([first, last, steps, hand.radius])
-    hand_term.settle_all(camera, picture.arrays, skin, hand.middle, limits, looks)
-    limits = np.array([hand.look.point_area * len(rows) / max(len(few), 1), bound])
-    hand_term.judge_all(camera, picture.arrays, skin, limits, looks)
-    return looks
+    hand_term.refine_hand(camera, picture.arrays, skin, hand.middle, limits, candidates)
+    limits = np.array([hand.appearance.point_area * len(rows) / max(len(few), 1), bound])
+    hand_term.score_hand(camera, picture.arrays, skin, limits, candidates)
+    return candidates
 
 
 def _finished(
-    picture: Picture, hand: PlacedHand, look: NDArray[np.void], rung: tuple[float, ...] = LAST
+    picture: Picture, hand: PlacedHand, candidate: NDArray[np.void], stage: tuple[float, ...] = LAST
 ) -> NDArray[np.void]:
     """A look (1,) laid on by all points that are seen; what goes on beside it is taken from its score."""
-    rows = np.flatnonzero(hand.visible_from(picture.camera, poses_of(look)[0]))
-    look = _laid(picture, hand, rows, (len(rows), *rung), look.copy())
+    rows = np.flatnonzero(hand.visible_from(picture.camera, poses_of(candidate)[0]))
+    candidate = _laid(picture, hand, rows, (len(rows), *stage), candidate.copy())
     expected, goes_on = (
-        look["expected"],
-        hand.outline_continued(picture.camera, picture.depth, poses_of(look)[0]),
+        candidate["expected"],
+        hand.outline_continued(picture.camera, picture.depth, poses_of(candidate)[0]),
     )
-    look["score"] -= (
+    candidate["score"] -= (
         CONTINUED * goes_on * expected / np.maximum(expected, hand_term.LEAST_EXPECTED) ** hand_term.POWER
     )
-    return look
+    return candidate
 
 
-def _believed(belief: Belief, looks: NDArray[np.void], limit: float = LIMIT) -> NDArray[np.void]:
+def _believed(belief: Belief, candidates: NDArray[np.void], limit: float = LIMIT) -> NDArray[np.void]:
     """Those that the belief can be off by, so many sigmas; the best first."""
     hand, T, sigmas = belief.hand, belief.T, belief.sigmas
-    Ts = poses_of(looks)
+    Ts = poses_of(candidates)
     off = np.linalg.norm(se3.apply(Ts, hand.middle[None])[:, 0] - se3.apply(T, hand.middle[None])[0], axis=1)
     turned = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ T[:3, :3].T), axis=1)
-    looks = looks[(off < limit * sigmas[0]) & (turned < limit * sigmas[1])]
-    return looks[np.argsort(-looks["score"], kind="stable")]
+    candidates = candidates[(off < limit * sigmas[0]) & (turned < limit * sigmas[1])]
+    return candidates[np.argsort(-candidates["score"], kind="stable")]
 
 
 def _answer(
-    picture: Picture, hand: PlacedHand, looks: NDArray[np.void], noise: DepthNoise
+    picture: Picture, hand: PlacedHand, candidates: NDArray[np.void], noise: DepthNoise
 ) -> PalmDetection | PalmNotFound:
     """The best, where it is good enough and no other is nearly as good."""
-    if not len(looks) or not looks["score"][0] > LEAST_SCORE:
+    if not len(candidates) or not candidates["score"][0] > LEAST_SCORE:
         return PalmNotFound("no_fit")
-    best, fits = looks[:1].copy(), looks["explained"] / np.maximum(looks["expected"], 1.0)
+    best, fits = candidates[:1].copy(), candidates["explained"] / np.maximum(candidates["expected"], 1.0)
     if best["explained"][0] < LEAST_PIXELS or fits[0] < LEAST_FIT:
         return PalmNotFound("hardly_seen")
-    others = distinct(hand, looks, APART, 2)[1:]
+    others = distinct(hand, candidates, CANDIDATE_SPACING, 2)[1:]
     if len(others) and others["score"][0] > AS_GOOD * best["score"][0]:
         return PalmNotFound("ambiguous")
     T = poses_of(best)[0]

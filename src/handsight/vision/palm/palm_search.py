@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import palm_scan
-from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.checks import Array, Indices, Mask
 from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.object.first_pose import poses_of
@@ -24,7 +24,7 @@ PRIOR = 0.01
 """What a squared sigma that a pose is off the belief takes from the share of points that agree."""
 BIN = 0.010
 """Distances that are told apart there [m]."""
-SCANNED, AROUND, KEPT, LOOKED_AT = 80, 48, 40, (300, 30)
+SCANNED, AROUND, KEPT, SAMPLED_POINTS = 80, 48, 40, (300, 30)
 """Points in the search; poses that are looked around of; that go on; how many of all, and around each, are compared."""
 COMPARED = 8
 """Points of the hand by which poses are told apart."""
@@ -88,14 +88,15 @@ def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
     air = hand.beside(picture.camera, belief.T, SCANNED)
     turns, shifts = _turns(WITHIN * belief.sigmas[1]), _shifts(WITHIN * belief.sigmas[0])
     points = _scanned(hand, rows[:SCANNED], air[: SCANNED // 2])
-    looks = _tried(picture, belief, points, belief.T, (turns, shifts), (BIN, LOOKED_AT[0]))
-    looks = distinct(hand, looks, SHIFT, AROUND)
+    candidates = _tried(picture, belief, points, belief.T, (turns, shifts), (BIN, SAMPLED_POINTS[0]))
+    candidates = distinct(hand, candidates, SHIFT, AROUND)
     points = _scanned(hand, rows[: 2 * SCANNED], air)
     finer = _turns(TURN / 2, TURN / 2), np.zeros((1, 3))
     around = [
-        _tried(picture, belief, points, near, finer, (BIN / 2, LOOKED_AT[1])) for near in poses_of(looks)
+        _tried(picture, belief, points, near, finer, (BIN / 2, SAMPLED_POINTS[1]))
+        for near in poses_of(candidates)
     ]
-    return distinct(hand, np.concatenate([looks[:0], *around]), SHIFT / 2, KEPT)
+    return distinct(hand, np.concatenate([candidates[:0], *around]), SHIFT / 2, KEPT)
 
 
 def _scanned(hand: PlacedHand, rows: Indices, air: Array) -> Array:
@@ -123,10 +124,10 @@ def _tried(
     best = np.argpartition(-scores, min(fine[1], len(scores) - 1))[: fine[1]]
     best = best[np.isfinite(scores[best])]
     r, s = np.divmod(best, len(middles))
-    looks = np.zeros(len(best), dtype=LOOK)
-    looks["score"], looks["pose"]["rotation"] = scores[best], rotations[r]
-    looks["pose"]["position"] = places[r, s] - rotations[r] @ hand.middle
-    return looks
+    candidates = np.zeros(len(best), dtype=CANDIDATE)
+    candidates["score"], candidates["pose"]["rotation"] = scores[best], rotations[r]
+    candidates["pose"]["position"] = places[r, s] - rotations[r] @ hand.middle
+    return candidates
 
 
 @lru_cache(maxsize=16)
@@ -149,18 +150,18 @@ def _shifts(reach: float, step: float = SHIFT) -> Array:
     return np.asarray(shifts[np.linalg.norm(nearest, axis=1) <= reach])
 
 
-def distinct(hand: PlacedHand, looks: NDArray[np.void], apart: float, most: int) -> NDArray[np.void]:
+def distinct(hand: PlacedHand, candidates: NDArray[np.void], spacing: float, most: int) -> NDArray[np.void]:
     """The best first, each at least so far [m] from all better ones, by its points' root mean square."""
-    looks = looks[np.argsort(-looks["score"], kind="stable")]
-    places = se3.apply(poses_of(looks), hand.skin[0, :COMPARED]).reshape(len(looks), 3 * COMPARED)
-    taken = np.zeros(len(looks), dtype=bool)
+    candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
+    places = se3.apply(poses_of(candidates), hand.skin[0, :COMPARED]).reshape(len(candidates), 3 * COMPARED)
+    taken = np.zeros(len(candidates), dtype=bool)
     kept = list[int]()
-    for k in range(len(looks)):
+    for k in range(len(candidates)):
         if taken[k]:
             continue
         kept.append(k)
         if len(kept) == most:
             break
         away = places - places[k]
-        taken |= np.einsum("ki,ki->k", away, away) < COMPARED * apart**2
-    return looks[kept]
+        taken |= np.einsum("ki,ki->k", away, away) < COMPARED * spacing**2
+    return candidates[kept]

@@ -87,14 +87,14 @@ def closed(surface: SurfacePoints, volume: Volume, table: bool) -> Reconstructed
     """An object's surface with guesses where no view showed it; `table`: it stands where z is 0, z up."""
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
-    for said, maps in _symmetries(surface, volume, table):
+    for description, maps in _symmetries(surface, volume, table):
         new = _filled(SurfacePoints(points, normals), maps, volume, table)
         if len(new.points) > 0.01 * count:
             points, normals = np.concatenate([points, new.points]), np.concatenate([normals, new.normals])
-            guesses.append(said)
+            guesses.append(description)
     if table and count:
-        foot = _foot(SurfacePoints(points, normals), volume.grid.cell)
-        points, normals = np.concatenate([points, foot.points]), np.concatenate([normals, foot.normals])
+        closest = _closest_point(SurfacePoints(points, normals), volume.grid.cell)
+        points, normals = np.concatenate([points, closest.points]), np.concatenate([normals, closest.normals])
         guesses.append("its foot, straight down to the table")
     return ReconstructedModel(points, normals, np.arange(len(points)) < count, tuple(guesses))
 
@@ -128,7 +128,7 @@ class _Judge:
         known = np.isfinite(distances)
         cost = np.where(known, np.minimum(np.abs(np.nan_to_num(distances)) / volume.bound, 1.0), UNKNOWN)
         self._cost = np.where(volume.clear(), 1.0, cost)
-        self._told = known | volume.clear()
+        self._known = known | volume.clear()
 
     def _at(self, maps: Array) -> Array:
         """(k, n, 3) places in the grid that maps (k, 4, 4) take the points to [cells]."""
@@ -145,9 +145,9 @@ class _Judge:
     def allows(self, maps: Array) -> bool:
         """Whether what maps (k, 4, 4) say fits to what is known, and enough is known."""
         at = np.moveaxis(self._at(maps), -1, 0)
-        told = map_coordinates(self._told.astype(np.float32), at, order=1) > 0.9
+        known_share = map_coordinates(self._known.astype(np.float32), at, order=1) > 0.9
         wrong = map_coordinates(self._cost, at, order=1) * self._volume.bound > OFF * self._volume.grid.cell
-        return bool(told.mean() > SHOWN and (wrong & told).sum() < WRONG * told.sum())
+        return bool(known_share.mean() > SHOWN and (wrong & known_share).sum() < WRONG * known_share.sum())
 
     def mirrors(self, surface: SurfacePoints, table: bool) -> list[Array]:
         """Mirrors (4, 4) that fit, the best first."""
@@ -164,10 +164,10 @@ class _Judge:
             costs = self.cost(np.stack([_mirror(np.append(side, d)) for d in offsets]))
             found.append((float(costs.min()), np.append(side, offsets[costs.argmin()])))
         found.sort(key=lambda each: each[0])
-        good = [self._settled(plane, table) for _, plane in found[: SIDES // 10]]
+        good = [self._refined(plane, table) for _, plane in found[: SIDES // 10]]
         return [mirror for mirror in good if self.allows(mirror[None])]
 
-    def _settled(self, plane: Array, table: bool) -> Array:
+    def _refined(self, plane: Array, table: bool) -> Array:
         """The mirror (4, 4) near a plane (4,) that fits best."""
         free = [0, 1, 3] if table else [0, 1, 2, 3]
 
@@ -212,10 +212,10 @@ def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) ->
     """Where maps (k, 4, 4) take a surface to that nothing is known of, one point a cell."""
     points = se3.apply(maps, surface.points).reshape(-1, 3)
     normals = np.concatenate([surface.normals @ T[:3, :3].T for T in maps])
-    told = volume.among(volume.known(1) | volume.clear(), points)
+    known_share = volume.among(volume.known(1) | volume.clear(), points)
     far = cKDTree(surface.points).query(points)[0] > FAR * volume.grid.cell
     low, high = volume.bounds_object
-    new = far & ~told & ((points > low) & (points < high)).all(axis=1)
+    new = far & ~known_share & ((points > low) & (points < high)).all(axis=1)
     if table:
         new &= points[:, 2] > CUT * volume.grid.cell
     cell = volume.grid.cell
@@ -225,7 +225,7 @@ def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) ->
     return SurfacePoints(at * cell, facing)
 
 
-def _foot(surface: SurfacePoints, cell: float) -> SurfacePoints:
+def _closest_point(surface: SurfacePoints, cell: float) -> SurfacePoints:
     """From the lowest that was seen straight down to the table, and what stands on it."""
     points, normals = surface
     lowest = (points[:, 2] < (CUT + BAND) * cell) & (np.abs(normals[:, 2]) < 0.5)

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_erosion
 from handsight import se3
 from handsight._kernels.image import depth_term
 from handsight._kernels.image.pose_score import OUT
-from handsight._kernels.image.vision_records import LOOK
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight._kernels.records import MODEL
 from handsight.checks import Array, Mask
 from handsight.objects.record import field_record
@@ -21,7 +21,7 @@ CELL, MOST_CELLS = 0.002, 160
 """Of the volume [m]: finer is below what depth cameras resolve; of a large one, so many along its longest side."""
 COARSE = 4
 """How much larger the cells are that a pose from farther away is laid on."""
-RUNGS = ((False, 1.0, 0.5, 6), (True, 1.0, 0.6, 8))
+STAGES = ((False, 1.0, 0.5, 6), (True, 1.0, 0.6, 8))
 """Whether on the fine volume, Tukey's bound at first and at last [bounds], and steps."""
 SPACING, MOST_POINTS = 0.003, 3000
 """Of the points that lay a view on the surface [m], and how many at most."""
@@ -78,11 +78,11 @@ class Reconstruction:
     def laid_on(self, view: View) -> View | None:
         """The view at the pose where its points lie on the surface so far; None where they do not."""
         surface = self._surface = self._surface or _Surface(self._coarse, self.volume)
-        seen, T = observed_points(self._scene(view), SPACING, MOST_POINTS), view.T_camera_object
-        for fine, first, last, steps in RUNGS:
+        points, T = observed_points(self._scene(view), SPACING, MOST_POINTS), view.T_camera_object
+        for fine, first, last, steps in STAGES:
             bound = (self.volume if fine else self._coarse).bound
-            known = seen[surface.tells(fine, se3.apply(se3.inverse(T), seen["point"]))]
-            T = surface.settled(known, T, np.array([fine, first * bound, last * bound, steps]))
+            known = points[surface.tells(fine, se3.apply(se3.inverse(T), points["point"]))]
+            T = surface.refined(known, T, np.array([fine, first * bound, last * bound, steps]))
         off = surface.distances(se3.apply(se3.inverse(T), known["point"]))
         fits = (np.abs(off) < NEAR * self.volume.bound).sum() > max(LEAST_FIT * len(known), LEAST_POINTS)
         return View(view.depth, T) if fits else None
@@ -108,7 +108,7 @@ class _Surface:
 
     def __init__(self, coarse: Volume, fine: Volume) -> None:
         self._volumes = {False: coarse, True: fine}
-        self._told = {scale: binary_erosion(volume.told()) for scale, volume in self._volumes.items()}
+        self._known = {scale: binary_erosion(volume.observed()) for scale, volume in self._volumes.items()}
         self._fine = fine.field()
         fields = [field_record(field) for field in (coarse.field(), self._fine)]
         self._model, self._nodes = np.zeros(1, dtype=MODEL), np.concatenate([nodes for _, nodes in fields])
@@ -119,18 +119,18 @@ class _Surface:
 
     def tells(self, fine: bool, points_object: Array) -> Mask:
         """(n,) whether any view told what is at points (n, 3): else what is new would be drawn onto what is known."""
-        return self._volumes[fine].among(self._told[fine], points_object)
+        return self._volumes[fine].among(self._known[fine], points_object)
 
     def distances(self, points_object: Array) -> Array:
         """(n,) [m] from the surface."""
         return self._fine.evaluate(points_object).distance
 
-    def settled(self, seen: NDArray[np.void], T: Array, rung: Array) -> Array:
-        """T_camera_object (4, 4) where SEEN (n,) lie on the surface, begun at T; rung: as of `settle_all`."""
-        look = np.zeros(1, dtype=LOOK)
-        look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
-        depth_term.settle_all(self._model, self._nodes, seen, rung, look)
-        return se3.compose(look["pose"]["rotation"][0], look["pose"]["position"][0])
+    def refined(self, points: NDArray[np.void], T: Array, stage: Array) -> Array:
+        """T_camera_object (4, 4) where SEEN (n,) lie on the surface, begun at T; rung: as of `refine_poses`."""
+        candidate = np.zeros(1, dtype=CANDIDATE)
+        candidate["pose"]["rotation"], candidate["pose"]["position"] = T[:3, :3], T[:3, 3]
+        depth_term.refine_poses(self._model, self._nodes, points, stage, candidate)
+        return se3.compose(candidate["pose"]["rotation"][0], candidate["pose"]["position"][0])
 
 
 def _has_moved(T_camera_object: Array, to: Array) -> bool:

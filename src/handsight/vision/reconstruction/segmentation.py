@@ -20,7 +20,7 @@ LEAST_PIXELS = 200
 """Of an object in its first view."""
 MARGIN, BELOW, LARGEST = 0.03, 0.02, 0.3
 """Around what the first view shows, and below a table [m]; nothing is taken to be larger than the last."""
-HELD_BOUNDS = LARGEST / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
+IN_HAND_BOUNDS = LARGEST / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
 """About the middle of the fingertips, of what a hand holds [m]."""
 SKIN = 12_000
 """Points of a hand, on its palm some four millimetres apart."""
@@ -58,7 +58,7 @@ def on_table(camera: PinholeCamera, depth: Depth) -> tuple[Array, Array] | None:
     return T, np.array([[-side, -side, -BELOW], [side, side, top]])
 
 
-class Held:
+class InHandView:
     """What a hand holds, in depth images of both."""
 
     def __init__(self, hand: Hand, sigma_joint: float) -> None:

@@ -89,8 +89,8 @@ class Volume:
         """(n, 3) the nodes nearest to points (n, 3) [m], some of them perhaps outside."""
         return np.asarray(np.rint((points_object - self.grid.origin) / self.grid.cell).astype(np.int64))
 
-    def told(self) -> Mask:
-        """(nx, ny, nz) whether any view said anything."""
+    def observed(self) -> Mask:
+        """Returns (nx, ny, nz) whether any view measured each node, as surface or as free space."""
         return np.asarray((self.voxels["views"] > 0) | (self.voxels["passed"] > 0))
 
     def clear(self) -> Mask:

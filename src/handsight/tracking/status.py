@@ -11,7 +11,7 @@ LOST_WITHOUT_FIT = 2.0
 """So long contacts may contradict every pose before the object counts as lost [s]."""
 CONTRADICTED = "the contacts do not fit the object where it is believed to be"
 SLIPS = "the object slips: every finger that holds it is at the limit of friction"
-SEEN_ALONE = "nothing is touched: the pose is vision's"
+VISION_ALONE = "nothing is touched: the pose is vision's"
 
 
 @dataclass(frozen=True, slots=True)

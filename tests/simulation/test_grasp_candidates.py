@@ -14,7 +14,7 @@ from handsight.simulation.grasp_candidates import (
     WIDEST,
     body_of,
     forces,
-    holds,
+    grasp_candidates,
     rests,
 )
 
@@ -65,7 +65,7 @@ def test_a_body_rests_on_sides_that_carry_its_weight(body):
 
 
 def test_holds_are_on_the_surface_from_opposite_sides_above_the_table(body):
-    found = holds(body)
+    found = grasp_candidates(body)
     assert found
     assert [h.merit for h in found] == sorted((h.merit for h in found), reverse=True)
     for hold in found[::7]:

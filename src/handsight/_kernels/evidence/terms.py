@@ -1,0 +1,79 @@
+"""All evidence of a correction: what it is made of, and every term named once, for all solvers.
+
+A term is of one kind, by how a solver has to treat it:
+
+* CONTACTS lie on the surface. Their covariance depends on the pose, and they alone may be rejected as outliers.
+* WALLS are one-sided: they cost where the object is beyond them, and say nothing of the way back.
+* LOADS are the object's weight, felt by touch, whose cost is nearly quadratic.
+* PRIOR is the pose known before touch.
+"""
+
+from typing import Any, NamedTuple
+
+from handsight._kernels.evidence.contact_term import Frame, Pose, add_contacts, contact_cost
+from handsight._kernels.evidence.outside_term import add_outside, outside_cost
+from handsight._kernels.evidence.plane_term import add_planes, plane_cost
+from handsight._kernels.evidence.prior_term import add_prior, prior_cost
+from handsight._kernels.evidence.weight_term import add_weight, weight_cost
+from handsight._kernels.math.vec3 import Vec3
+from handsight._kernels.runtime.compilation import inner
+
+CONTACTS, WALLS, LOADS, PRIOR = 1, 2, 4, 8
+ALL = CONTACTS | WALLS | LOADS | PRIOR
+
+
+class Evidence(NamedTuple):
+    """All that is known of a pose."""
+
+    model: Any
+    """MODEL."""
+    nodes: Any
+    """Nodes of the model's grids, float32."""
+    terms: Any
+    """(n,) TERM, the contacts."""
+    outside: Any
+    """(m,) OUTSIDE, points of the hand and planes."""
+    weight: Any
+    """OBJECT_WEIGHT."""
+    prior: Any
+    """PRIOR_TERM."""
+    center: Vec3
+    """Centroid of the contacts: about it shift and turn hardly disturb each other, and one damping serves both."""
+
+
+@inner
+def add_evidence(
+    evidence: Evidence, kinds: int, field: Any, pose: Pose, frame: Frame, rewhiten: bool, equations: Any
+) -> None:
+    """Adds the rows of all terms of some kinds at a pose to normal equations by a step (τ, radius ω) about a frame.
+
+    `rewhiten`: whether contacts are weighted by their covariance at this pose; else as they were last, so that the
+    costs of one descent compare.
+    """
+    if kinds & CONTACTS:
+        add_contacts(evidence, field, pose, frame, rewhiten, equations)
+    if kinds & WALLS:
+        add_outside(evidence, field, pose, frame, equations)
+    if kinds & WALLS:
+        add_planes(evidence, pose, frame, equations)
+    if kinds & PRIOR:
+        add_prior(evidence.prior, pose, frame, equations)
+    if kinds & LOADS:
+        add_weight(evidence.weight, pose, frame, equations)
+
+
+@inner
+def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
+    """Minus two log of the density of some kinds of evidence at a pose, up to a constant, on the fine field."""
+    total = 0.0
+    if kinds & WALLS:
+        total += outside_cost(evidence, evidence.model.fine, pose)
+    if kinds & WALLS:
+        total += plane_cost(evidence, pose)
+    if kinds & CONTACTS:
+        total += contact_cost(evidence, pose)
+    if kinds & PRIOR:
+        total += prior_cost(evidence.prior, pose)
+    if kinds & LOADS:
+        total += weight_cost(evidence.weight, pose)
+    return total

@@ -1,0 +1,41 @@
+"""How a correction searches: options of its two phases, and of what counts as a repeat."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class MatchOptions(NamedTuple):
+    """Phase 1: Gauss-Newton on nearest surface samples."""
+
+    max_steps: int = 8
+    tolerance: float = 0.02
+    """A step that moves no part of the object by more than this many radii ends the phase."""
+
+
+class DescentOptions(NamedTuple):
+    """Phase 2: Levenberg-Marquardt, first on the coarse and then on the fine distance field."""
+
+    max_turn: float = 0.7
+    """Longest turn of one step [rad]: beyond it the linearisation says nothing."""
+    short_step: float = 2e-5
+    """A step also counts as small when it moves no part of the object by more than this many radii."""
+    coarse: tuple[int, float] = (2, 0.3)
+    """Most steps, and the step that is small [standard deviations], on the coarse field, which is off by more
+    anyway."""
+    fine: tuple[int, float] = (50, 0.03)
+    """The same on the fine field."""
+
+
+class SearchOptions(NamedTuple):
+    """Which starts are worth a descent."""
+
+    single_start_width: float = 0.225
+    """A prior narrower than this part of the diameter needs one start."""
+    same_after_match: tuple[float, float] = (0.001, float(np.deg2rad(1.0)))
+    """Two poses after phase 1 that differ by less are one [m], [rad]."""
+    same_after_coarse: tuple[float, float] = (0.002, float(np.deg2rad(2.0)))
+    """Two descents on the coarse field that end nearer to each other are one [m], [rad]."""
+
+
+MATCH, DESCENT, SEARCH = MatchOptions(), DescentOptions(), SearchOptions()

@@ -1,0 +1,61 @@
+"""A pose with its covariance, and what frames, time and other measurements do to it.
+
+The covariance is 6 x 6, of the perturbation (δp [m], δθ [rad]) with `p + δp` and `exp(δθ) R`, both along the axes of
+the outer frame (ROS' PoseWithCovariance has the same convention).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks, se3
+from handsight.checks import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianPose:
+    """The pose of a frame b in a frame a, with its covariance; a variable's name says which frames they are."""
+
+    T_a_b: Array
+    """(4, 4)."""
+    covariance: Array
+    """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) of b's origin, along a's axes."""
+
+    @classmethod
+    def checked(cls, T_a_b: ArrayLike, covariance: ArrayLike, name: str) -> "GaussianPose":
+        """Returns a pose from a user's arrays; raises InvalidInput, which begins with `name`."""
+        T = se3.check(T_a_b, f"{name}.T_a_b")
+        return cls(T, checks.covariance(covariance, f"{name}.covariance", (6, 6)))
+
+    def transformed(self, T_c_a: Array) -> "GaussianPose":
+        """Returns the pose of b in another frame c, given a's exact pose in c (4, 4)."""
+        return GaussianPose(T_c_a @ self.T_a_b, se3.rotate_covariance(T_c_a[:3, :3], self.covariance))
+
+    def at_point(self, point_b: Array) -> "GaussianPose":
+        """Returns the pose of a frame with b's axes whose origin is a point (3,) of b [m].
+
+        With R the rotation, the point is off by `δp - [R point]ₓ δθ`: the turn acts over the lever arm.
+        """
+        arm = self.T_a_b[:3, :3] @ point_b
+        J = np.eye(6)
+        J[:3, 3:] = -se3.skew(arm)
+        return GaussianPose(
+            se3.compose(self.T_a_b[:3, :3], self.T_a_b[:3, 3] + arm), J @ self.covariance @ J.T
+        )
+
+    def inflated(self, variance: Array) -> "GaussianPose":
+        """Returns the pose where it may be off by `variance` (6,) more [m², rad²]: process noise, or doubt."""
+        return GaussianPose(self.T_a_b, self.covariance + np.diag(variance))
+
+    def fused(self, measurement: "GaussianPose") -> "GaussianPose":
+        """Returns the posterior after an independent measurement of the same pose: one Kalman update, linearised here.
+
+        At least one of the two covariances must be positive definite.
+        """
+        S = self.covariance + measurement.covariance
+        gain = np.linalg.solve(S, self.covariance).T
+        keep = np.eye(6) - gain
+        covariance = keep @ self.covariance @ keep.T + gain @ measurement.covariance @ gain.T
+        residual = se3.difference(measurement.T_a_b, self.T_a_b)
+        return GaussianPose(se3.moved(self.T_a_b, gain @ residual), covariance)

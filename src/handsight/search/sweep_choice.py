@@ -1,0 +1,103 @@
+"""The choice of the next sweep: the one whose outcome is least certain given the belief, so that it tells most."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handsight import checks, se3
+from handsight.checks import Array, Indices
+from handsight.errors import InvalidInput
+from handsight.search.belief import Belief
+from handsight.search.touch import Sweep, cast
+
+DISTANCE_BIN, NORMAL_BIN = 0.004, float(np.deg2rad(12.0))
+"""Widths of the bins in which outcomes are counted: of the distance [m] and of the normal's two angles [rad]."""
+MAX_NORMAL_BINS = 1000
+"""More bins than an angle of a normal has: it makes one number of three."""
+MAX_SWEEPS, MAX_POSES = 256, 512
+"""Sweeps that are compared, and particles on which they are cast."""
+MARGIN = 0.03
+"""Length of a sweep before the first and behind the last point at which the object may be met [m]."""
+
+
+def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> Array:
+    """Returns (s,) the entropy of each sweep's outcome under the belief [nat], for a tip of `radius` [m].
+
+    An outcome is a miss, or a distance in bins of 4 mm with a normal in bins of 12°. The information that a touch is
+    expected to give is this entropy less that of its own noise, which is about the same for all sweeps.
+    """
+    distances, normals = cast(belief.model, _some_poses(belief), sweeps, radius)
+    azimuth = np.arctan2(normals[..., 1], normals[..., 0])
+    elevation = np.arcsin(np.clip(normals[..., 2], -1, 1))
+    hit = np.isfinite(distances)
+    bins = np.stack(
+        [np.where(hit, distances, 0.0) / DISTANCE_BIN, azimuth / NORMAL_BIN, elevation / NORMAL_BIN]
+    )
+    i, j, k = np.floor(bins).astype(np.int64)
+    miss = -MAX_NORMAL_BINS * MAX_NORMAL_BINS
+    outcomes: Indices = np.where(hit, (i * MAX_NORMAL_BINS + j) * MAX_NORMAL_BINS + k, miss)
+    entropies = []
+    for row in outcomes:
+        _, counts = np.unique(row, return_counts=True)
+        share = counts / counts.sum()
+        entropies.append(float(-(share * np.log(share)).sum()))
+    return np.array(entropies)
+
+
+def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> list[Sweep]:
+    """Returns random level sweeps over the area in which the object may be, at `heights` above the table [m].
+
+    Each passes the middle of one particle's object at up to the object's radius. Raises InvalidInput.
+    """
+    levels = checks.finite(heights, "heights", (None,))
+    if not len(levels) or not (levels > 0).all():
+        raise InvalidInput(f"heights: expected some above 0, got {checks.brief(levels)}")
+    poses = _some_poses(belief)
+    middles = se3.apply(poses, belief.model.center_object[None])[:, 0]
+    reach = float(np.linalg.norm(belief.area.high - belief.area.low)) / 2 + belief.model.radius + MARGIN
+    center = (belief.area.low + belief.area.high) / 2
+    sweeps = []
+    for _ in range(MAX_SWEEPS):
+        angle, offset = rng.uniform(0, 2 * np.pi), belief.model.radius * rng.uniform(-1, 1)
+        along, lateral = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        through = middles[rng.integers(len(middles)), :2] + offset * lateral
+        height = belief.area.table.height + rng.choice(levels)
+        sweeps.append(level_sweep(center, reach, through, along, height))
+    return sweeps
+
+
+def level_sweep(center: Array, reach: float, through: Array, along: Array, height: float) -> Sweep:
+    """Returns the sweep at a height along the direction `along` (2,) through a point (2,) of the table.
+
+    It covers what is within `reach` of `center` (2,), measured along its direction [m].
+    """
+    start = through + ((center - through) @ along - reach) * along
+    return Sweep(np.array([*start, height]), np.array([*along, 0.0]), 2 * reach)
+
+
+def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
+    """Returns the part of a sweep in which the object may be met; all of it where no particle is met.
+
+    `radius` is the tip's [m].
+    """
+    distances, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
+    hits = distances[np.isfinite(distances)]
+    if not len(hits):
+        return sweep
+    return sweep.part(max(hits.min() - MARGIN, 0.0), min(hits.max() + MARGIN, sweep.length))
+
+
+def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
+    """Returns the sweep that is expected to give most information, as short as possible; the same for the same belief.
+
+    `heights` are those of the tip's middle above the table at which the hand can sweep [m], `radius` is the tip's [m].
+    Raises InvalidInput.
+    """
+    rng = np.random.default_rng((belief.seed, len(belief.touches), 1))
+    sweeps = candidates(belief, heights, rng)
+    information = expected_information(belief, sweeps, checks.positive(radius, "radius"))
+    return shortened(belief, sweeps[int(np.argmax(information))], radius)
+
+
+def _some_poses(belief: Belief) -> Array:
+    """Returns the poses (n, 4, 4) of at most about `MAX_POSES` particles."""
+    return belief.Ts_world_object[:: max(len(belief.placements) // MAX_POSES, 1)]

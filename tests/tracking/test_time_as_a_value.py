@@ -1,0 +1,122 @@
+"""A track's state is a value: steps are pure, and a tracker can be copied, pickled, resumed and replayed from any state."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from handsight.errors import InvalidInput
+from handsight.observation import check_observation
+from handsight.tracking import Tracker
+
+EVERY = 17
+
+
+def numbers(tracker):
+    """All that an answer says, as one array."""
+    estimate = tracker.estimate
+    pose = (
+        np.zeros(52)
+        if estimate is None
+        else np.r_[estimate.T_palm_object.ravel(), estimate.information.ravel()]
+    )
+    return np.r_[pose, tracker.sigma, tracker.corrections, tracker.late, tracker.undone]
+
+
+def said(tracker):
+    return tracker.state, tracker.reason, tracker.fingertips.fingers, tracker.unweighed
+
+
+def same(one, other):
+    np.testing.assert_array_equal(numbers(one), numbers(other))
+    assert said(one) == said(other)
+
+
+@pytest.fixture(params=["can", "box"])
+def grasp(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_a_step_is_pure(grasp):
+    """A state answers the same however often it is asked and whatever was asked in between, as its pickle does."""
+    tracker, observations = Tracker(grasp.rig, grasp.model), grasp.observations
+    step = tracker.follower.step
+    for k, observation in enumerate(observations[:-2]):
+        if k % EVERY == 0:
+            state, (clean, other) = tracker.track_state, map(check_observation, observations[k : k + 2])
+            stored = pickle.dumps(state)
+            first, _ = step(state, clean)
+            step(step(state, other)[0], check_observation(observations[k + 2]))
+            for again in (state, pickle.loads(stored)):
+                second, _ = step(again, clean)
+                assert (second.label, second.reason, second.stamp) == (first.label, first.reason, first.stamp)
+                assert (second.smoother is None) == (first.smoother is None)
+                if first.estimate is not None and first.smoother is not None:
+                    assert second.estimate.answer.tobytes() == first.estimate.answer.tobytes()
+                    for field in ("T_palm_object", "covariance"):
+                        here, there = (getattr(each.smoother.now, field) for each in (second, first))
+                        np.testing.assert_array_equal(here, there)
+        tracker.update(observation)
+
+
+def test_a_tracker_goes_on_from_a_copy_or_a_pickle_as_if_it_had_not_stopped(grasp):
+    tracker, observations = Tracker(grasp.rig, grasp.model), grasp.observations
+    others = []
+    for k, observation in enumerate(observations):
+        if k % (2 * EVERY) == 0:
+            others += [copy.copy(tracker), pickle.loads(pickle.dumps(tracker))]
+        for each in (tracker, *others):
+            each.update(observation)
+    assert len(others) >= 6
+    for other in others:
+        same(tracker, other)
+
+
+def test_copies_diverge(can):
+    tracker = Tracker(can.rig, can.model)
+    for observation in can.observations[:60]:
+        tracker.update(observation)
+    known, twin = numbers(tracker), copy.copy(tracker)
+    for observation in can.observations[60:]:
+        twin.update(observation)
+    np.testing.assert_array_equal(numbers(tracker), known)
+    assert (numbers(twin) != known).any()
+
+
+def test_a_track_is_replayed_from_any_of_its_states(grasp):
+    tracker = Tracker(grasp.rig, grasp.model)
+    states = [tracker.track_state]
+    for observation in grasp.observations:
+        tracker.update(observation)
+        states.append(tracker.track_state)
+    again = Tracker(grasp.rig, grasp.model)
+    for k in range(0, len(states) - 1, 2 * EVERY):
+        again.resume(states[k])
+        for observation in grasp.observations[k:]:
+            again.update(observation)
+        np.testing.assert_array_equal(numbers(again)[:-2], numbers(tracker)[:-2])
+        assert said(again) == said(tracker)
+    with pytest.raises(InvalidInput, match="track_state: expected a TrackState, got str"):
+        again.resume("tracking")
+
+
+def test_an_error_midway_leaves_the_tracker_as_it_was(can, monkeypatch):
+    tracker = Tracker(can.rig, can.model)
+    for observation in can.observations[:50]:
+        tracker.update(observation)
+    state, known = tracker.track_state, numbers(tracker)
+    with monkeypatch.context() as patch:
+        patch.setattr("handsight.tracking.follower.correct_pose", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.follower.refine_pose", lambda *_, **__: 1 / 0)
+        failed = False
+        for observation in can.observations[50:]:
+            state, known = tracker.track_state, numbers(tracker)
+            try:
+                tracker.update(observation)
+            except ZeroDivisionError:
+                failed = True
+                break
+    assert failed
+    assert tracker.track_state is state
+    np.testing.assert_array_equal(numbers(tracker), known)
