@@ -16,7 +16,7 @@ root = pytest.mark.skipif(getattr(os, "getuid", lambda: 1)() != 0, reason="only 
 
 
 @pytest.fixture(autouse=True)
-def nothing_said_yet(monkeypatch, tmp_path):
+def no_warning_yet(monkeypatch, tmp_path):
     cache_folder._warn_once.cache_clear()
     cache_folder._temporary_folder.cache_clear()
     monkeypatch.setattr(cache_folder.tempfile, "tempdir", str(tmp_path))
@@ -194,7 +194,7 @@ def test_a_file_is_read_as_it_was_written_under_its_name(tmp_path):
             cache_folder.read_entry(path, "name")
 
 
-def test_nothing_is_said_where_nothing_is_wrong(tmp_path, monkeypatch):
+def test_there_is_no_warning_where_nothing_is_wrong(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -131,7 +131,7 @@ def test_a_covariance_is_judged_in_its_own_units():
         checks.covariance(lopsided, "c", (6, 6))
 
 
-def test_stacks_of_covariances_pass_and_one_bad_one_is_seen():
+def test_stacks_of_covariances_pass_and_one_bad_one_is_found():
     stack = np.stack([np.eye(6), 2 * np.eye(6)])
     np.testing.assert_array_equal(checks.covariance(stack, "c", (None, 6, 6)), stack)
     stack[1, 0, 0] = -1
@@ -157,7 +157,7 @@ def test_a_variance_of_zero_allows_no_covariance_beside_it():
         ((6, 6), "finite numbers of shape (6, 6)"),
     ],
 )
-def test_a_shape_is_said_in_words(shape, words):
+def test_a_shape_is_described_in_words(shape, words):
     assert checks.describe_shape(shape) == words
 
 
@@ -213,7 +213,7 @@ def test_messages_say_no_addresses():
     assert str(InvalidInput("scan at 0x1f.ply: no")) == "scan at 0x1f.ply: no"
 
 
-def test_whole_numbers_are_bounded():
+def test_integers_are_bounded():
     assert checks.integer(np.int64(3), "samples", 10) == 3
     for value in (-1, 11, 1.0, True, "1", None, 10**5000):
         with pytest.raises(InvalidInput, match="samples: expected a whole number from 0 to 10, got"):

@@ -22,12 +22,14 @@ def test_every_dependency_is_on_the_page_with_who_asks_for_it(licences):
 
 
 def test_each_licence_is_the_one_of_the_metadata(licences):
-    said = {package: licence for package, (_, licence) in licences.known().items()}
-    installed = {package: licences.licence(package) for package in said}
+    listed = {package: licence for package, (_, licence) in licences.known().items()}
+    installed = {package: licences.licence(package) for package in listed}
     # Words change from version to version ("MIT License", "MIT"): their first one is what must stand.
     for package, licence in installed.items():
         if licence is not None:
-            assert licence.split()[0].rstrip(",").upper()[:3] == said[package].split()[0].upper()[:3], package
+            assert licence.split()[0].rstrip(",").upper()[:3] == listed[package].split()[0].upper()[:3], (
+                package
+            )
 
 
 def test_all_are_permissive(licences):

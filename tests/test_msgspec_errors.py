@@ -27,7 +27,7 @@ class Tree(msgspec.Struct, forbid_unknown_fields=True):
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         ({}, "leaf: expected, got nothing"),
         ({"leaf": 5}, "leaf: expected keys and values, got 5"),
@@ -45,11 +45,11 @@ class Tree(msgspec.Struct, forbid_unknown_fields=True):
         ({"leaf": {}, "notes": {"a": {"b": "c"}, "d": {"e": 1}}}, "notes.d.e: expected a text, got 1"),
     ],
 )  # fmt: skip
-def test_the_field_the_expectation_and_what_came_are_named(value, said):
+def test_the_field_the_expectation_and_what_came_are_named(value, message):
     with pytest.raises(msgspec.ValidationError) as error:
         msgspec.convert(value, Tree)
     path, sentence = explain(error.value, Tree, value)
-    assert f"{field_name(path)}: {sentence}" == said
+    assert f"{field_name(path)}: {sentence}" == message
 
 
 @pytest.mark.parametrize("key", ["x - at `$.foo", "x` - at `$.leaf`", "x - at `$.leaves[3]", "`", ""])

@@ -141,10 +141,10 @@ def test_pulls_straight_off_the_cap_are_off_cap():
 def test_a_wrench_whose_axis_misses_the_surface_is_off_cap():
     rng = np.random.default_rng(7)
     F = rng.normal(size=(3000, 3))
-    aside = np.cross(F, rng.normal(size=(3000, 3)))
-    aside *= 0.0121 * rng.uniform(1, 100, (3000, 1)) / np.linalg.norm(aside, axis=1, keepdims=True)
+    lateral = np.cross(F, rng.normal(size=(3000, 3)))
+    lateral *= 0.0121 * rng.uniform(1, 100, (3000, 1)) / np.linalg.norm(lateral, axis=1, keepdims=True)
     assert (
-        contacts_from_wrenches(F, np.cross(aside, F), TIP).reasons[np.linalg.norm(F, axis=1) > 0.1] == 2
+        contacts_from_wrenches(F, np.cross(lateral, F), TIP).reasons[np.linalg.norm(F, axis=1) > 0.1] == 2
     ).all()
 
 
@@ -190,17 +190,17 @@ def test_the_sensor_s_frame_changes_nothing_but_the_frame_of_the_wrench():
     T = se3.random(rng, spread=0.02)
     forces_sensor = truth.forces @ T[:3, :3]
     torques_sensor = (truth.torques - np.cross(T[:3, 3], truth.forces)) @ T[:3, :3]
-    seen = contacts_from_wrenches(forces_sensor, torques_sensor, Ellipsoid(PAPER_TIP, T_surface_sensor=T))
-    assert max(errors(seen, truth).values()) < 1e-12
+    sensed = contacts_from_wrenches(forces_sensor, torques_sensor, Ellipsoid(PAPER_TIP, T_surface_sensor=T))
+    assert max(errors(sensed, truth).values()) < 1e-12
     turned = T.copy()
     turned[:3, 3] = 0
     torques_turned = truth.torques @ T[:3, :3]
-    seen = contacts_from_wrenches(
+    sensed = contacts_from_wrenches(
         forces_sensor, torques_turned, Ellipsoid(PAPER_TIP, T_surface_sensor=turned)
     )
     plain = contacts_from_wrenches(truth.forces, truth.torques, TIP)
     # Noise alike on all axes does not know how the sensor is turned.
-    np.testing.assert_allclose(seen.covariances, plain.covariances, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(sensed.covariances, plain.covariances, rtol=1e-9, atol=1e-18)
 
 
 def readings(truth, T):
@@ -216,8 +216,8 @@ def test_the_covariance_is_the_derivative_s_by_central_differences():
         (force,), (torque,) = readings(touches(rng, tip, 1), T)
         steps = np.concatenate([np.eye(6), -np.eye(6)]) * 1e-4 * sigmas
         moved = contacts_from_wrenches(force + steps[:, :3], torque + steps[:, 3:], tip)
-        seen = np.hstack([moved.points, moved.normals])
-        jacobian = (seen[:6] - seen[6:]).T / 2e-4  # per sigma
+        sensed = np.hstack([moved.points, moved.normals])
+        jacobian = (sensed[:6] - sensed[6:]).T / 2e-4  # per sigma
         contact = contact_from_wrench(force, torque, tip, sigma_force=sigmas[:3], sigma_torque=sigmas[3:])
         expected = jacobian @ jacobian.T
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -238,10 +238,10 @@ def test_the_covariance_is_the_scatter_of_noisy_readings():
         M = scale * torque + 5e-5 * rng.normal(size=(50_000, 3))
         noisy = contacts_from_wrenches(F, M, tip)
         scatter = np.cov(np.hstack([noisy.points, noisy.normals]).T)
-        said = contact_from_wrench(scale * force, scale * torque, tip).covariance
-        deviation = np.sqrt(np.diag(said))
+        covariance = contact_from_wrench(scale * force, scale * torque, tip).covariance
+        deviation = np.sqrt(np.diag(covariance))
         np.testing.assert_allclose(
-            scatter / np.outer(deviation, deviation), said / np.outer(deviation, deviation), atol=0.03
+            scatter / np.outer(deviation, deviation), covariance / np.outer(deviation, deviation), atol=0.03
         )
 
 
@@ -261,8 +261,8 @@ def test_location_at_one_newton_is_as_good_as_the_sensor_s_noise_allows(tip, mos
     errors_mm = 1e3 * np.linalg.norm(batch.points - truth.points[batch.rows], axis=1)
     assert errors_mm.mean() < most_mm
     # And the answer knows: two tangent axes, each as uncertain as the covariance says.
-    said_mm = 1e3 * np.sqrt(np.trace(batch.covariances[:, :3, :3], axis1=1, axis2=2))
-    assert np.sqrt((errors_mm**2).mean()) == pytest.approx(np.sqrt((said_mm**2).mean()), rel=0.03)
+    sigma_mm = 1e3 * np.sqrt(np.trace(batch.covariances[:, :3, :3], axis1=1, axis2=2))
+    assert np.sqrt((errors_mm**2).mean()) == pytest.approx(np.sqrt((sigma_mm**2).mean()), rel=0.03)
 
 
 SIZES = st.floats(-1.7976931348623157e308, 1.7976931348623157e308, allow_subnormal=True)
@@ -340,12 +340,14 @@ def test_moving_a_contact_there_and_back_changes_nothing():
     truth = touches(rng, TIP, 1)
     contact = contact_from_wrench(truth.forces[0], truth.torques[0], TIP)
     T = se3.random(rng)
-    there = contact.moved(T)
-    np.testing.assert_allclose(there.point, T[:3, :3] @ contact.point + T[:3, 3])
-    np.testing.assert_allclose(there.normal @ there.force, there.force_normal)
-    np.testing.assert_allclose(there.covariance[:3, 3:], T[:3, :3] @ contact.covariance[:3, 3:] @ T[:3, :3].T)
-    np.testing.assert_array_equal(there.covariance, there.covariance.T)
-    back = there.moved(se3.inverse(T))
+    moved_contact = contact.moved(T)
+    np.testing.assert_allclose(moved_contact.point, T[:3, :3] @ contact.point + T[:3, 3])
+    np.testing.assert_allclose(moved_contact.normal @ moved_contact.force, moved_contact.force_normal)
+    np.testing.assert_allclose(
+        moved_contact.covariance[:3, 3:], T[:3, :3] @ contact.covariance[:3, 3:] @ T[:3, :3].T
+    )
+    np.testing.assert_array_equal(moved_contact.covariance, moved_contact.covariance.T)
+    back = moved_contact.moved(se3.inverse(T))
     np.testing.assert_allclose(back.point, contact.point, atol=1e-14)
     np.testing.assert_allclose(back.covariance, contact.covariance, atol=1e-16)
     assert back.torque == contact.torque

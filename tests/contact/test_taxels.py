@@ -121,7 +121,7 @@ def test_no_taxel_says_both(reading):
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "said"),
+    ("field", "value", "message"),
     [
         ("rows", 0, "rows: expected a whole number from 1 to 4096, got 0"),
         ("columns", 2.5, "columns: expected a whole number from 1 to 4096, got 2.5"),
@@ -136,17 +136,17 @@ def test_no_taxel_says_both(reading):
         ),
     ],
 )
-def test_what_is_no_array_is_told(field, value, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_what_is_no_array_is_reported(field, value, message):
+    with pytest.raises(InvalidInput, match=message):
         replace(ARRAY, **{field: value})
 
 
 @pytest.mark.parametrize("reading", [np.zeros((9, 6)), np.zeros(54), [[1, 2]], [[1, 2], [3]], "much", None])
-def test_readings_of_another_shape_are_told(reading):
+def test_readings_of_another_shape_are_reported(reading):
     with pytest.raises(InvalidInput, match="reading: expected 6 rows of 9 numbers, got"):
         ARRAY.touch(reading)
 
 
-def test_a_baseline_of_another_shape_is_told():
+def test_a_baseline_of_another_shape_is_reported():
     with pytest.raises(InvalidInput, match=r"baseline: expected a number or 6 rows of 9, got shape \(9,\)"):
         ARRAY.touch(block(), np.zeros(9))

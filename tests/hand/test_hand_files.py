@@ -84,12 +84,12 @@ def test_files_that_are_no_hands_are_refused(tmp_path, monkeypatch, text, messag
 
 def chain(links, joints):
     """A URDF of links, and of joints from a parent to a child."""
-    made = [f'<link name="{name}"/>' for name in links]
-    made += [
+    elements = [f'<link name="{name}"/>' for name in links]
+    elements += [
         f'<joint name="j{k}" type="fixed">\n<parent link="{parent}"/><child link="{child}"/></joint>'
         for k, (parent, child) in enumerate(joints)
     ]
-    return "\n".join(["<robot>", *made, "</robot>"])
+    return "\n".join(["<robot>", *elements, "</robot>"])
 
 
 MANY = [f"l{k}" for k in range(1001)]
@@ -224,7 +224,7 @@ def test_a_document_type_is_refused_in_any_encoding(tmp_path):
         ("package://a.b/none.xml", "got none called 'a.b'"),
     ],
 )
-def test_a_file_that_is_not_there_is_told(tmp_path, monkeypatch, name, message):
+def test_a_file_that_is_not_there_is_reported(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InvalidFile, match=re.escape(message) + "$"):
         Hand.from_file(name, palm="palm")
@@ -285,7 +285,7 @@ def test_missing_collision_meshes_are_warned_of_once(robot_file):
     assert hand.missing_meshes[2:] == ("box.stl", "ascii.stl")
 
 
-def test_a_mesh_that_mujoco_cannot_read_is_told(robot_file):
+def test_a_mesh_that_mujoco_cannot_read_is_reported(robot_file):
     robot_file.write_text(ROBOT.replace('<box size="0.06 0.04 0.02"/>', '<mesh filename="bad.obj"/>'))
     (robot_file.parent / "bad.obj").write_text("v 0 0 0\nf 1 2 9\n")
     with pytest.raises(InvalidFile, match=r"^two_fingers.urdf: MuJoCo cannot make a robot of it: "):
@@ -313,8 +313,8 @@ def test_the_name_of_the_file_stays_as_it_was_given(robot_file, robot):
 
 
 def test_no_file_of_the_allegro_hand_cut_short_is_taken_for_one(tmp_path):
-    whole = data_file("hands/allegro_hand/allegro_hand_right.urdf").read_bytes()
+    content = data_file("hands/allegro_hand/allegro_hand_right.urdf").read_bytes()
     for share in np.linspace(0.02, 0.98, 12):
-        (tmp_path / "cut.urdf").write_bytes(whole[: int(share * len(whole))])
+        (tmp_path / "cut.urdf").write_bytes(content[: int(share * len(content))])
         with pytest.raises(InvalidFile, match=r"^cut.urdf: expected XML"):
             Hand.from_file(tmp_path / "cut.urdf", palm="palm")

@@ -57,7 +57,7 @@ def test_the_allegro_hands_links_look_as_yourdfpy_has_them(rng):
         assert trimesh.Trimesh(*mesh).area == pytest.approx(expected[link], rel=1e-4)
 
 
-def test_a_link_looks_as_it_is_seen_else_as_it_touches(robot):
+def test_a_link_has_its_visual_shapes_else_its_collision_shapes(robot):
     meshes = robot.link_meshes()
     assert set(meshes) == {"mount", "turning", "sliding"}  # the palm's only mesh is not there
     sizes = {name: np.ptp(mesh.vertices, axis=0) for name, mesh in meshes.items()}
@@ -77,15 +77,15 @@ def test_links_on_joints_that_nobody_hears_of_are_left_out(robot, shadow_hand, r
     assert set(robot.link_poses({"knuckle": 0.3, "jaw": 0.01})) == {"mount", "palm", "turning", "sliding"}
     assert set(robot.link_poses({"knuckle": 0.3})) == {"mount", "palm", "turning"}
     positions = within_limits(shadow_hand, rng)
-    whole = shadow_hand.link_poses(positions)
+    all_poses = shadow_hand.link_poses(positions)
     del positions["robot0:LFJ4"]
     rest = shadow_hand.link_poses(positions)
-    assert {name[:9] for name in set(whole) - set(rest)} == {"robot0:lf"}
+    assert {name[:9] for name in set(all_poses) - set(rest)} == {"robot0:lf"}
     for name, T in rest.items():
-        np.testing.assert_array_equal(T, whole[name])
+        np.testing.assert_array_equal(T, all_poses[name])
 
 
 def test_positions_that_are_no_numbers_are_refused(robot):
-    said = "joint_positions['jaw']: expected a finite number, got nan"
-    with pytest.raises(InvalidInput, match=re.escape(said)):
+    message = "joint_positions['jaw']: expected a finite number, got nan"
+    with pytest.raises(InvalidInput, match=re.escape(message)):
         robot.link_poses({"knuckle": 0.3, "jaw": np.nan})

@@ -57,11 +57,11 @@ def raw(rng, finger, T_palm_tip):
     return sign * load + np.r_[known.bias_force, known.bias_torque]
 
 
-def felt_by(fingers, readings, Ts, jacobians, variance=0.0):
+def contacts_of(fingers, readings, Ts, jacobians, variance=0.0):
     records = np.array([finger_record(finger) for finger in fingers], dtype=FINGER)
-    felt = np.empty(len(fingers), dtype=PALM_CONTACT)
-    contacts_to_palm(records, readings, Ts, np.sqrt(variance) * jacobians, GRAVITY, felt)
-    return felt
+    contacts = np.empty(len(fingers), dtype=PALM_CONTACT)
+    contacts_to_palm(records, readings, Ts, np.sqrt(variance) * jacobians, GRAVITY, contacts)
+    return contacts
 
 
 @settings(deadline=None)
@@ -72,20 +72,20 @@ def test_contacts_in_the_palm_are_those_of_plain_steps(seed, count, joints):
     Ts = se3.random(rng, count)  # a metre apart: none is near another
     readings = np.array([raw(rng, finger, T) for finger, T in zip(fingers, Ts, strict=True)])
     jacobians = rng.normal(scale=0.1, size=(count, 6, joints))
-    felt = felt_by(fingers, readings, Ts, jacobians, 0.02)
+    contacts = contacts_of(fingers, readings, Ts, jacobians, 0.02)
     for i, finger in enumerate(fingers):
         expected = contact_in_palm(finger, readings[i], Ts[i], jacobians[i], GRAVITY, 0.02)
-        assert felt["reason"][i] == expected[0]
-        if expected[0] != Reason.CONTACT or felt["gap"][i] < 0.02:
+        assert contacts["reason"][i] == expected[0]
+        if expected[0] != Reason.CONTACT or contacts["gap"][i] < 0.02:
             continue
-        np.testing.assert_allclose(felt["point"][i], expected[1], atol=1e-12)
-        np.testing.assert_allclose(felt["normal"][i], expected[2], atol=1e-9)
-        np.testing.assert_allclose(felt["load"][i], expected[4], rtol=1e-8, atol=1e-9)
-        np.testing.assert_allclose(felt["covariance"][i], expected[3], rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(contacts["point"][i], expected[1], atol=1e-12)
+        np.testing.assert_allclose(contacts["normal"][i], expected[2], atol=1e-9)
+        np.testing.assert_allclose(contacts["load"][i], expected[4], rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(contacts["covariance"][i], expected[3], rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(
-            felt["covariance"][i][3:] @ np.r_[0, 0, 0, felt["normal"][i]], 0, atol=1e-12
+            contacts["covariance"][i][3:] @ np.r_[0, 0, 0, contacts["normal"][i]], 0, atol=1e-12
         )
-        assert np.linalg.eigvalsh(felt["covariance"][i]).min() > -1e-12
+        assert np.linalg.eigvalsh(contacts["covariance"][i]).min() > -1e-12
 
 
 def ball(radius=0.01):
@@ -101,7 +101,7 @@ def test_a_contact_near_another_tip_may_be_what_the_other_presses_as_well(gap, o
     down = np.array([0.0, 0, -1, 0, 0, 0])
     Ts = np.array([np.eye(4), se3.compose(np.eye(3), np.array([0.02 + gap, 0, 0]))])
     readings = np.array([down, other * down])
-    alone, near = (felt_by([ball()] * n, readings[:n], Ts[:n], np.zeros((n, 6, 0)))[0] for n in (1, 2))
+    alone, near = (contacts_of([ball()] * n, readings[:n], Ts[:n], np.zeros((n, 6, 0)))[0] for n in (1, 2))
     assert near["gap"] == pytest.approx(gap, abs=1e-15)
     chance = 0.5 * erfc(1.645 * gap / (np.sqrt(2) * TIP_TO_TIP.max_gap))
     # The other ball pushes this one to -x, so the object pushes it to +x as well, where the balls are nearest: no torque.
@@ -131,7 +131,7 @@ def test_a_contact_near_another_tip_may_be_what_the_other_presses_as_well(gap, o
 def test_a_tip_that_touches_nothing_else_presses_nothing():
     down, T = np.array([0.0, 0, -1, 0, 0, 0]), se3.compose(np.eye(3), np.array([0.02, 0, 0]))
     given = [ball()] * 2, np.array([down, np.zeros(6)]), np.array([np.eye(4), T]), np.zeros((2, 6, 0))
-    np.testing.assert_allclose(felt_by(*given)[0]["point"], [0, 0, 0.01], atol=1e-9)
+    np.testing.assert_allclose(contacts_of(*given)[0]["point"], [0, 0, 0.01], atol=1e-9)
 
 
 @settings(deadline=None)
@@ -142,7 +142,7 @@ def test_pressed_contacts_stay_contacts(seed, gap):
     fingers = [some_finger(rng) for _ in range(3)]
     Ts = se3.random(rng, 3, spread=0.01 + gap)
     readings = np.array([raw(rng, finger, T) for finger, T in zip(fingers, Ts, strict=True)])
-    for contact in felt_by(fingers, readings, Ts, rng.normal(scale=0.1, size=(3, 6, 4)), 0.02):
+    for contact in contacts_of(fingers, readings, Ts, rng.normal(scale=0.1, size=(3, 6, 4)), 0.02):
         if contact["reason"] == Reason.CONTACT:
             C, normal = contact["covariance"], contact["normal"]
             assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-12)
@@ -157,7 +157,7 @@ def test_the_gap_between_tips_is_at_most_their_distance_and_not_much_less(seed):
     rng = np.random.default_rng(seed)
     axes, Ts = rng.uniform(0.005, 0.015, size=(2, 3)), se3.random(rng, 2, spread=0.015)
     fingers = [replace(ball(), tip=Ellipsoid(a)) for a in axes]
-    one, other = felt_by(fingers, np.full((2, 6), np.nan), Ts, np.zeros((2, 6, 0)))["gap"]
+    one, other = contacts_of(fingers, np.full((2, 6), np.nan), Ts, np.zeros((2, 6, 0)))["gap"]
 
     def squared_cm(x):
         p, q = (se3.apply(T, (a * u)[None])[0] for T, a, u in zip(Ts, axes, x.reshape(2, 3), strict=True))
@@ -170,4 +170,4 @@ def test_the_gap_between_tips_is_at_most_their_distance_and_not_much_less(seed):
 
 
 def test_a_tip_alone_is_near_none():
-    assert felt_by([ball()], np.zeros((1, 6)), np.eye(4)[None], np.zeros((1, 6, 0)))["gap"] == np.inf
+    assert contacts_of([ball()], np.zeros((1, 6)), np.eye(4)[None], np.zeros((1, 6, 0)))["gap"] == np.inf

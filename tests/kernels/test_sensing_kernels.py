@@ -106,13 +106,13 @@ def test_one_wrench_has_the_answer_it_has_among_many_to_the_bit():
     for tip in tips(rng):
         F, M = any_wrenches(rng, tip, 131)
         batch = contacts_from_wrenches(F, M, tip, **OPTIONS)
-        for force, torque, among in zip(F, M, batch, strict=True):
+        for force, torque, one_of_many in zip(F, M, batch, strict=True):
             one = contact_from_wrench(force, torque, tip, **OPTIONS)
-            if isinstance(among, NoContact):
-                assert one == among
+            if isinstance(one_of_many, NoContact):
+                assert one == one_of_many
                 continue
             for name in Contact.__slots__:
-                np.testing.assert_array_equal(getattr(one, name), getattr(among, name))
+                np.testing.assert_array_equal(getattr(one, name), getattr(one_of_many, name))
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 31, 32, 33, 64, 95, 1000])
@@ -221,9 +221,9 @@ def test_any_array_of_numbers_is_read_and_none_compiles_the_kernels_again():
         np.testing.assert_array_equal(contacts_from_wrenches(same, M, TIP).points, expected.points)
         one = contact_from_wrench(same[3], M[3], TIP)
         np.testing.assert_array_equal(one.point, expected.points[3])
-    whole = contacts_from_wrenches([[0, 0, -1]], np.zeros((1, 3), dtype=np.int8), TIP)
-    np.testing.assert_array_equal(whole.points, [[0, 0, 0.012]])
-    _ = expected.covariances, pickle.loads(pickle.dumps(whole)).covariances
+    integers = contacts_from_wrenches([[0, 0, -1]], np.zeros((1, 3), dtype=np.int8), TIP)
+    np.testing.assert_array_equal(integers.points, [[0, 0, 0.012]])
+    _ = expected.covariances, pickle.loads(pickle.dumps(integers)).covariances
     for kernel in (kernels.sense, kernels.sense_one, kernels.covariances):
         assert len(kernel.signatures) == 1
 
@@ -241,7 +241,7 @@ def test_what_comes_in_is_neither_changed_nor_kept():
 
 @pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda tip: pickle.loads(pickle.dumps(tip))])
 @pytest.mark.parametrize("tip", [TIP, Sphere(0.01, T_surface_sensor=np.eye(4))], ids=["ellipsoid", "sphere"])
-def test_a_copied_fingertip_feels_the_same(tip, again):
+def test_a_copied_fingertip_senses_the_same(tip, again):
     one, other = (contact_from_wrench([0, 0, -1], [0, 0, 1e-4], t) for t in (tip, again(tip)))
     for name in Contact.__slots__:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))

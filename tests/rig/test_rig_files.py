@@ -52,9 +52,9 @@ def assert_same(a, b):
             assert b[path] == value, path
 
 
-def read(folder, said, name="rig.yaml"):
+def read(folder, content, name="rig.yaml"):
     path = Path(folder) / name
-    path.write_text(said, encoding="utf-8")
+    path.write_text(content, encoding="utf-8")
     return Rig.from_file(path)
 
 
@@ -133,9 +133,9 @@ fingers:
 def test_files_are_beside_the_rig_whatever_the_folder_one_is_in(tmp_path, monkeypatch):
     (tmp_path / "a" / "hands").mkdir(parents=True)
     (tmp_path / "a" / "hands" / "pinch.urdf").write_text(URDF)
-    said = rig_text(tmp_path).replace(f"{tmp_path}/pinch.urdf", "hands/pinch.urdf")
-    said = said.replace(f"{tmp_path}/mug.stl", "mug.stl")
-    (tmp_path / "a" / "rig.yaml").write_text(said)
+    content = rig_text(tmp_path).replace(f"{tmp_path}/pinch.urdf", "hands/pinch.urdf")
+    content = content.replace(f"{tmp_path}/mug.stl", "mug.stl")
+    (tmp_path / "a" / "rig.yaml").write_text(content)
     monkeypatch.chdir(tmp_path)
     rig = Rig.from_file("a/rig.yaml")
     assert rig.objects["mug"].mesh == Path("a/mug.stl")
@@ -158,15 +158,15 @@ def test_a_package_is_found_above_the_rig_file(tmp_path, monkeypatch):
     assert f'file: "{name}"' in text(rig)
 
 
-def test_a_rig_that_cannot_be_written_is_told(tmp_path):
+def test_a_rig_that_cannot_be_written_is_reported(tmp_path):
     with pytest.raises(InvalidFile, match=r"none/rig\.yaml: cannot be written: No such file"):
         write(full(tmp_path), tmp_path / "none" / "rig.yaml")
 
 
 def test_the_packages_that_read_it_are_named(tmp_path, monkeypatch):
-    said = rig_text(tmp_path)
+    content = rig_text(tmp_path)
     for module, needs in (("ruamel.yaml", "ruamel.yaml"), ("mujoco", "MuJoCo")):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)
             with pytest.raises(MissingExtra, match=rf"{needs}: pip install 'handsight\[robot\]'"):
-                read(tmp_path, said)
+                read(tmp_path, content)

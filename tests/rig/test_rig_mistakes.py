@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def said(folder):
+def text(folder):
     return rig_text(folder)
 
 
@@ -122,21 +122,21 @@ MISTAKES = [
 @pytest.mark.parametrize(
     ("old", "new", "expected"), MISTAKES, ids=[expected[:50] for *_, expected in MISTAKES]
 )
-def test_a_mistake_is_told_where_it_is(folder, said, old, new, expected):
-    assert old in said
-    line, message = refused(folder, said.replace(old, new, 1))
+def test_a_mistake_is_told_where_it_is(folder, text, old, new, expected):
+    assert old in text
+    line, message = refused(folder, text.replace(old, new, 1))
     assert message.startswith(expected.replace("{folder}", str(folder)))
-    at = said[: said.index(old)].count("\n") + 1
+    at = text[: text.index(old)].count("\n") + 1
     # A key and what is missing are told at the mapping they are in.
     assert at - 2 <= line <= at + 1
 
 
 @pytest.mark.parametrize("section", ["version", "hand", "fingers"])
 def test_what_cannot_be_left_out_is_named_where_its_name_is_misspelt_and_where_it_is_not_there(
-    folder, said, section
+    folder, text, section
 ):
-    line, message = refused(folder, said.replace(f"\n{section}:", f"\nx{section}:", 1))
-    assert line == said[: said.index(f"\n{section}:")].count("\n") + 2
+    line, message = refused(folder, text.replace(f"\n{section}:", f"\nx{section}:", 1))
+    assert line == text[: text.index(f"\n{section}:")].count("\n") + 2
     assert message == f"x{section}: unknown key; the nearest valid one is {section!r}"
     needed = {
         "version": "version: 1",
@@ -153,9 +153,9 @@ def test_two_tips_at_one_place_are_told_and_so_is_one_finger_twice_in_python(fol
     )
     (folder / "glued.urdf").write_text(urdf)
     finger = "{{frame: {}, tip: {{sphere: 0.01}}, sensor: {{reading: on_tip}}}}"
-    said = "version: 1\nhand: {file: glued.urdf, palm: palm}\nfingers:\n"
-    said += f"  a: {finger.format('index_tip')}\n  b: {finger.format('pad')}\n"
-    assert refused(folder, said) == (
+    text = "version: 1\nhand: {file: glued.urdf, palm: palm}\nfingers:\n"
+    text += f"  a: {finger.format('index_tip')}\n  b: {finger.format('pad')}\n"
+    assert refused(folder, text) == (
         5,
         "fingers.b.surface: expected a place of its own, got that of fingers.a",
     )
@@ -171,9 +171,9 @@ def test_two_tips_at_one_place_are_told_and_so_is_one_finger_twice_in_python(fol
         replace(index, sigma_point=-1.0)
 
 
-def test_a_rig_without_fingers_is_told(folder):
-    said = "version: 1\nhand: {file: pinch.urdf, palm: palm}\nfingers: {}\n"
-    assert refused(folder, said) == (3, "fingers: expected at least one finger, got none")
+def test_a_rig_without_fingers_is_reported(folder):
+    text = "version: 1\nhand: {file: pinch.urdf, palm: palm}\nfingers: {}\n"
+    assert refused(folder, text) == (3, "fingers: expected at least one finger, got none")
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_a_rig_without_fingers_is_told(folder):
         ("version: *a", "expected YAML, got: found undefined alias 'a'"),
     ],
 )
-def test_what_is_no_rig_is_told(folder, content, expected):
+def test_what_is_no_rig_is_reported(folder, content, expected):
     _, message = refused(folder, content)
     assert message.startswith(expected)
 
@@ -215,7 +215,7 @@ def test_a_few_lines_that_stand_for_billions_are_told_at_once(folder):
     assert message == TOO_MANY
 
 
-def test_no_file_is_told(folder):
+def test_no_file_is_reported(folder):
     with pytest.raises(InvalidFile, match=r"none\.yaml: cannot be read: No such file or directory$"):
         Rig.from_file(folder / "none.yaml")
     with pytest.raises(InvalidFile, match="expected a file, got a folder$"):
@@ -232,29 +232,29 @@ TOKENS = ["!!python/object:os.x ", "&a ", "*a", "<<: *a", "null", "true", "1e400
           "\x85", "\ufeff", "é", "'", '"', "\t", "\n", "#", "|", ">", "@", "`"]  # fmt: skip
 
 
-def mutated(said, rng):
+def mutated(text, rng):
     """The text with up to four things put in, left out or moved."""
     for _ in range(rng.randint(1, 4)):
-        lines, at = said.splitlines(keepends=True), rng.randrange(len(said))
+        lines, at = text.splitlines(keepends=True), rng.randrange(len(text))
         kind = rng.random()
         if kind < 0.6:
-            value = said.find(": ", at) + 2 if kind < 0.4 else at
-            said = said[:value] + rng.choice(TOKENS) + said[value + rng.choice([0, 1, 5]) :]
+            value = text.find(": ", at) + 2 if kind < 0.4 else at
+            text = text[:value] + rng.choice(TOKENS) + text[value + rng.choice([0, 1, 5]) :]
         elif kind < 0.75:
-            said = said[:at] + said[at + rng.randint(1, 30) :]
+            text = text[:at] + text[at + rng.randint(1, 30) :]
         elif kind < 0.9:
             lines.insert(rng.randrange(len(lines)), rng.choice(lines))
-            said = "".join(lines)
+            text = "".join(lines)
         else:
             del lines[rng.randrange(len(lines))]
-            said = "".join(lines)
-    return said
+            text = "".join(lines)
+    return text
 
 
-def test_no_text_brings_the_reader_down(folder, said):
+def test_no_text_brings_the_reader_down(folder, text):
     path, rng, was_read = folder / "spoilt.yaml", random.Random(0), 0
     for _ in range(150):
-        path.write_bytes(mutated(said, rng).encode("utf-8", "surrogatepass"))
+        path.write_bytes(mutated(text, rng).encode("utf-8", "surrogatepass"))
         try:
             Rig.from_file(path)
         except HandsightError:

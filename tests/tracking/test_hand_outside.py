@@ -65,7 +65,7 @@ def test_a_link_is_as_wrong_as_its_joints_and_its_skin(plate, larger):
 def test_how_far_links_move_by_their_joints_is_that_of_joints_drawn(box):
     surface = box.rig.hand.surface(100)
     joints, rng = dict(box.held[-1].joint_positions), np.random.default_rng(0)
-    _, levers = surface.placed(joints)
+    _, levers = surface.points_and_sensitivities(joints)
     still = surface.points_palm(joints)
     middles = [still[surface.body_of == k].mean(axis=0) for k in range(len(surface.bodies))]
     moved = np.zeros(len(middles))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handsight.errors import InvalidInput
-from handsight.observation import checked
+from handsight.observation import check_observation
 from handsight.tracking import Tracker
 
 EVERY = 17
@@ -44,10 +44,10 @@ def test_a_step_is_pure(grasp):
     step = tracker.follower.step
     for k, observation in enumerate(observations[:-2]):
         if k % EVERY == 0:
-            state, (clean, other) = tracker.track_state, map(checked, observations[k : k + 2])
+            state, (clean, other) = tracker.track_state, map(check_observation, observations[k : k + 2])
             stored = pickle.dumps(state)
             first, _ = step(state, clean)
-            step(step(state, other)[0], checked(observations[k + 2]))
+            step(step(state, other)[0], check_observation(observations[k + 2]))
             for again in (state, pickle.loads(stored)):
                 second, _ = step(again, clean)
                 assert (second.label, second.reason, second.stamp) == (first.label, first.reason, first.stamp)

@@ -150,11 +150,11 @@ class Reader:
 
     def _build(self, fields: ObjectFields) -> ObjectModel:
         kinds = ("mesh", "box", "cylinder", "name")
-        named = [kind for kind in kinds if getattr(fields, kind) is not None]
-        if len(named) != 1:
-            raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {named or 'none'}")
+        present = [kind for kind in kinds if getattr(fields, kind) is not None]
+        if len(present) != 1:
+            raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {present or 'none'}")
         if fields.scale is not None and fields.mesh is None:
-            raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {named[0]}")
+            raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {present[0]}")
         if fields.mesh is not None:
             scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
             try:
