@@ -202,7 +202,7 @@ camera = PinholeCamera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (6
 wall = np.full((48, 64), 0.5, dtype=np.float32)
 hand_mask(camera, wall, model.sample(3)[0], np.array([[0, 1, 2]]), T)
 camera.project([[0, 0, 1.0]])
-assert len(first_pose(model, scene_of(camera, wall, wanted=wall > 0)).looks)
+assert len(first_pose(model, scene_of(camera, wall, wanted=wall > 0)).candidates)
 from handsight.vision import DepthTracker
 T[2, 3] = 0.5
 follower = DepthTracker(model, camera, start=T)

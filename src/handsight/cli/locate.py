@@ -1,13 +1,13 @@
 """`handsight locate`: where an object is in depth images, without a guess."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from handsight.cli.locate_images import MOST_PANELS, Sought, draw, run
 from handsight.cli.options import (
-    DepthCameraKind,
+    DEPTH_CAMERAS,
     RigFile,
     by_name,
     library_objects,
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from handsight.objects import ObjectModel
     from handsight.recording.frames import Frames
     from handsight.recording.rgbd import Beside
-    from handsight.rig.rig import DepthCamera
     from handsight.vision import DepthNoise
 
 
@@ -75,9 +74,10 @@ def locate(
         ),
     ] = None,
     depth_camera: Annotated[
-        DepthCameraKind | None,
+        str | None,
         typer.Option(
-            help="How it measures depth; default: structured_light, of a recording as the rig has it."
+            metavar=DEPTH_CAMERAS,
+            help="How it measures depth; default: structured_light, of a recording as the rig has it.",
         ),
     ] = None,
     scale: Annotated[float, typer.Option(help="Metres per unit of a mesh file.")] = 1.0,
@@ -194,10 +194,15 @@ def _numbers(asked: Asked, models: "dict[str, ObjectModel]", library: str | None
 
 
 def _noise(kind: str | None) -> "DepthNoise":
-    """Returns the depth noise of a kind of camera; without one, of structured light."""
+    """Returns the depth noise of a kind of camera, without one of structured light; raises InvalidInput for others."""
+    from handsight.checks import suggestion
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
-    return STRUCTURED_LIGHT if kind is None else PRESETS[cast("DepthCamera", kind)]
+    found = {None: STRUCTURED_LIGHT, **PRESETS}.get(kind)
+    if found is None:
+        expected = f"expected one of {', '.join(PRESETS)}"
+        raise InvalidInput(f"--depth-camera: {expected}, got {kind!r:.80}{suggestion(str(kind), PRESETS)}")
+    return found
 
 
 def _is_csv(output: Path | None) -> bool:

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from itertools import islice
@@ -21,23 +20,6 @@ if TYPE_CHECKING:
     from handsight.rig import ObjectEntry, Rig
     from handsight.tracking import TrackerSettings
 
-
-class AnswerKind(StrEnum):
-    """Which pose of the best mode is answered, as `correct_pose` takes it."""
-
-    best = "best"
-    maximum = "maximum"
-    mean = "mean"
-
-
-class DepthCameraKind(StrEnum):
-    """How a camera measures depth, and so what is wrong with it (`handsight.vision.depth_noise`)."""
-
-    structured_light = "structured_light"
-    time_of_flight = "time_of_flight"
-    stereo = "stereo"
-
-
 MOST_WITHOUT_INFO = 1000
 """Observations of a recording in which a camera is looked for."""
 Recorded = Annotated[Path, typer.Argument(help="MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")]
@@ -47,6 +29,8 @@ RigFile = Annotated[
         "--rig", help="The robot; default: RECORDING.rig.yaml, else rig.yaml, beside the recording."
     ),
 ]
+DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
+"""How a camera measures depth, and so what is wrong with it: the names of `handsight.vision.depth_noise`."""
 ObjectName = Annotated[
     str | None,
     typer.Option(
@@ -58,8 +42,11 @@ Rate = Annotated[
     float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
 ]
 Answer = Annotated[
-    AnswerKind,
-    typer.Option(help="best: the mean where the posterior is not Gaussian, else the maximum."),
+    str,
+    typer.Option(
+        metavar="best|maximum|mean",
+        help="Pose of the best mode; best: the mean where the posterior is not Gaussian, else the maximum.",
+    ),
 ]
 Samples = Annotated[
     int, typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check.")
@@ -80,7 +67,7 @@ WithImages = Annotated[
 
 def _settings(
     rate: Rate = None,
-    answer: Answer = AnswerKind.best,
+    answer: Answer = "best",
     samples: Samples = 0,
     outside: OutsideCount = 200,
     images: WithImages = True,

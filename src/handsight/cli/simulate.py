@@ -2,13 +2,12 @@
 
 import dataclasses
 from collections.abc import Iterable
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.options import DepthCameraKind, own_rig
+from handsight.cli.options import DEPTH_CAMERAS, own_rig
 from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
@@ -24,17 +23,6 @@ MODELS_OWN = ("object_dent", "object_scan")
 """Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
 
 
-class MotionKind(StrEnum):
-    """What the simulated hand does, as `Scenario.motion` takes it."""
-
-    grasp = "grasp"
-    manipulate = "manipulate"
-    weigh = "weigh"
-    ramp = "ramp"
-    steps = "steps"
-    sine = "sine"
-
-
 def simulate(
     object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres.")],
     output: Annotated[
@@ -43,12 +31,13 @@ def simulate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
     motion: Annotated[
-        MotionKind,
+        str,
         typer.Option(
+            metavar="grasp|manipulate|weigh|ramp|steps|sine",
             help="grasp: close and hold; manipulate: then move, lift and turn the object; weigh: then lift and tilt "
-            "it; ramp, steps, sine: then lift it, and something pulls it until it slips."
+            "it; ramp, steps, sine: then lift it, and something pulls it until it slips.",
         ),
-    ] = MotionKind.manipulate,
+    ] = "manipulate",
     images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
     skin: Annotated[
         bool,
@@ -57,8 +46,8 @@ def simulate(
         ),
     ] = False,
     depth_camera: Annotated[
-        DepthCameraKind, typer.Option(help="How the camera measures depth.")
-    ] = DepthCameraKind.structured_light,
+        str, typer.Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
+    ] = "structured_light",
     nuisance: Annotated[
         list[str] | None,
         typer.Option(

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 class JointKind(IntEnum):
-    """A `JointKind` is one of MuJoCo's kinds of joints with one position."""
+    """A `JointKind` is one of MuJoCo's kinds of joints with one position, which it calls slide and hinge."""
 
-    SLIDE = 2
-    HINGE = 3
+    PRISMATIC = 2
+    REVOLUTE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,8 +112,8 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
     for joint, sign in (step for path in paths for step in path):
         T = Ts_base_body[model.jnt_bodyid[joint]]
         axis, point = sign * T[:3, :3] @ model.jnt_axis[joint], se3.apply(T, model.jnt_pos[joint][None])[0]
-        zero, slides = model.qpos0[model.jnt_qposadr[joint]], model.jnt_type[joint] == JointKind.SLIDE
-        rows.append((axis, point, zero, slides, on_path.index(joint)))
+        zero, kind = model.qpos0[model.jnt_qposadr[joint]], model.jnt_type[joint]
+        rows.append((axis, point, zero, kind == JointKind.PRISMATIC, on_path.index(joint)))
     return Chains(
         joints=tuple(str(model.joint(joint).name) for joint in on_path),
         starts=np.cumsum([0, *map(len, paths)]),
