@@ -198,11 +198,13 @@ def _noise(kind: str | None) -> "DepthNoise":
     from handsight.checks import suggestion
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
-    found = {None: STRUCTURED_LIGHT, **PRESETS}.get(kind)
-    if found is None:
-        expected = f"expected one of {', '.join(PRESETS)}"
-        raise InvalidInput(f"--depth-camera: {expected}, got {kind!r:.80}{suggestion(str(kind), PRESETS)}")
-    return found
+    for known, noise in PRESETS.items():
+        if kind == known:
+            return noise
+    if kind is None:
+        return STRUCTURED_LIGHT
+    expected = f"expected one of {', '.join(PRESETS)}"
+    raise InvalidInput(f"--depth-camera: {expected}, got {kind!r:.80}{suggestion(kind, PRESETS)}")
 
 
 def _is_csv(output: Path | None) -> bool:

@@ -20,8 +20,8 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching, serialize
 
-# Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of the
-# time to the first correction. What asks is answered, and who needs it imports it as usual.
+# Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of
+# the time to the first correction. What asks is answered, and who needs it imports it as usual.
 if "numba.np.arraymath" not in sys.modules and "scipy.linalg.cython_blas" not in sys.modules:
     sys.modules["scipy.linalg.cython_blas"] = ModuleType("scipy.linalg.cython_blas")
     try:
