@@ -10,6 +10,8 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint docs bench venv clean
 
+# Where the environment forbids it, every process would compile all that it imports anew: three seconds each.
+unexport PYTHONDONTWRITEBYTECODE
 PYTHON ?=
 # Of the tests: one more than two cores, for some do nothing but wait for other processes.
 WORKERS ?= 3
