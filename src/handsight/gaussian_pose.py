@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from handsight import checks, se3
 from handsight.checks import Array
+from handsight.representation import short_repr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +22,8 @@ class GaussianPose:
     """(4, 4)."""
     covariance: Array
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) of b's origin, along a's axes."""
+
+    __repr__ = short_repr
 
     @classmethod
     def checked(cls, T_a_b: ArrayLike, covariance: ArrayLike, name: str) -> "GaussianPose":

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
+from handsight.representation import short_repr
 
 VisionFrame = Literal["camera", "world", "palm"]
 MAX_STAMP = 1e11
@@ -32,6 +33,8 @@ class PoseMeasurement:
     """(6, 6) covariance of (δp [m], δθ [rad]) along the frame's axes; None: that of the rig's camera is used."""
     stamp: float | None = None
     """Time at which the image was taken [s], of the observation's clock; None: the observation's stamp."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
@@ -63,6 +66,8 @@ class ContactMeasurement:
     covariance: Array | None = None
     """(6, 6) covariance of point [m] and normal [rad] along the frame's axes, without the joints' errors; None: that of
     the rig's finger is used."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", checks.position(self.point, "contact.point", (3,)))
@@ -106,6 +111,8 @@ class Observation:
     from that finger's wrench."""
     skin: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has none."""
+
+    __repr__ = short_repr
 
 
 def check_observation(observation: Observation) -> Observation:

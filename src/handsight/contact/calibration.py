@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
+from handsight.representation import short_repr
 
 Reading = Literal["on_sensor", "on_tip"]
 
@@ -46,6 +47,8 @@ class WrenchCalibration:
     """Condition number of the worse of the two fits, by which noise is amplified; 1.4 at best."""
     reading: Reading = "on_sensor"
     """Whether readings are of the tip on the sensor, or of the sensor on the tip."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raises an InvalidInput that names the first wrong field."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact.fingertips import Fingertip
+from handsight.representation import short_repr
 
 ReasonName = Literal["free", "off_cap", "beyond_friction", "invalid"]
 
@@ -50,6 +51,8 @@ class Contact:
     covariance: Array
     """(6, 6) covariance of (point [m], normal) from the sensor's noise alone; of rank 2, because the point stays on the
     surface and the normal follows the point."""
+
+    __repr__ = short_repr
 
     @property
     def force_tangential(self) -> Array:
@@ -119,6 +122,8 @@ class ContactBatch:
     sigmas: Array
     """(6,) standard deviation per axis of a reading's force [N] and torque [N m]."""
     _covariances: Array | None = field(default=None, init=False, repr=False)
+
+    __repr__ = short_repr
 
     @property
     def points(self) -> Array:

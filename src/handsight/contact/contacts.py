@@ -12,6 +12,7 @@ from handsight._kernels.records import CONTACT
 from handsight.checks import Array, Mask
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
+from handsight.representation import short_repr
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -31,6 +32,8 @@ class Contacts:
     """(n,) whether the covariance is that of the residuals, with the model's error in it already."""
     record: NDArray[np.void]
     """(n,) the same values as records for the kernels."""
+
+    __repr__ = short_repr
 
     def __init__(
         self,

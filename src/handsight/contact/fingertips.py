@@ -16,6 +16,7 @@ from handsight import checks, se3
 from handsight._kernels.touch.sensing_records import FINGERTIP
 from handsight.checks import Array
 from handsight.errors import InvalidInput
+from handsight.representation import short_repr
 
 SMALLEST, LARGEST = 1e-5, 0.2
 """Range of a fingertip's semi-axes [m]; outside, the unit is wrong."""
@@ -37,6 +38,8 @@ class Ellipsoid:
     """(4, 4) pose of the sensor's frame in the surface's; None: wrenches are in the surface's frame."""
     record: NDArray[np.void] = field(repr=False)
     """(1,) the same values as a record for the kernels; must not be written to."""
+
+    __repr__ = short_repr
 
     def __init__(
         self,
@@ -82,6 +85,8 @@ class Sphere(Ellipsoid):
 
     radius: float
     """Radius [m]."""
+
+    __repr__ = short_repr
 
     def __init__(
         self,

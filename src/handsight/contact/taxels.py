@@ -14,6 +14,7 @@ from handsight import checks, se3
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.errors import InvalidInput
+from handsight.representation import short_repr
 
 MAX_CONTACTS = 32
 """Contacts of one array at most: the pressed taxels that are farthest from each other."""
@@ -44,6 +45,8 @@ class TaxelArray:
     """Standard deviation of a contact's normal [rad]."""
     sigma_mount: float = 5e-4
     """Standard deviation of the height of the array as a whole on its link [m]."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         se3.check(self.T_frame_grid, "T_frame_grid")

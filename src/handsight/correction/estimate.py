@@ -17,6 +17,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.observation import PoseMeasurement
+from handsight.representation import short_repr
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
 """(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
@@ -33,6 +34,8 @@ class PosePrior:
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) along the palm's axes."""
     record: NDArray[np.void] = field(init=False, repr=False, compare=False)
     """(1,) CONSTRAINTS: the same as kernels take it, without the object's weight."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "vision.T_palm_object"))
@@ -103,6 +106,8 @@ class Residuals:
     normal: Array
     """(n,) angle between the contact's normal and the surface's [rad]; NaN for a contact without a normal."""
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
@@ -118,6 +123,8 @@ class Hypothesis:
     """Posterior probability among the reported modes; they sum to 1."""
     cost: float
     """Minus two log of the density at the mode, up to a constant: the χ² of all evidence in use."""
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -16,6 +16,7 @@ from handsight.contact.taxels import SIGMA_CLEARANCE, SkinTouch
 from handsight.correction.problem import check_number
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
+from handsight.representation import short_repr
 
 POINT_SIGMA = (1.5, 1e-3)
 """Of a point of the hand that has none of its own: in sigmas of the contacts' points, and at least this [diameters]. It
@@ -36,6 +37,8 @@ class Plane:
     """(3,) to the side where the object is; of any length."""
     sigma: float
     """One standard deviation of where it is along its normal [m]."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point_palm", checks.position(self.point_palm, "plane.point_palm", (3,)))
@@ -63,6 +66,8 @@ class Outside:
     """(6,) of a tactile array whose untouched taxels are among the points: how far wrong it is as a whole, one standard
     deviation per axis of its shift [m] and turn [rad]. A face that lies on it ends where they begin, which is searched;
     and the answer is as uncertain as the array."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):

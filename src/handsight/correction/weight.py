@@ -13,6 +13,7 @@ from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.weight import check_kept, kept_center
+from handsight.representation import short_repr
 
 if TYPE_CHECKING:
     Records = NDArray[np.void]
@@ -35,6 +36,8 @@ class WeightEvidence:
     """(3,) [m]"""
     covariance: Array
     """(3, 3) of both together, along the palm's axes, positive definite [m²]."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raises InvalidInput."""

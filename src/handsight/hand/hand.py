@@ -85,6 +85,10 @@ class Hand:
         self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
         self._arm: Chains | None = None
 
+    def __repr__(self) -> str:
+        """Says which file it is of, and how many fingers and joints it has."""
+        return f"<Hand {self._name}: palm {self.palm}, {len(self.tips)} fingers, {len(self.moving)} joints>"
+
     @classmethod
     def from_file(cls, path: str | Path, *, palm: str, tips: Mapping[str, str] | None = None) -> "Hand":
         """Returns the hand of a URDF or MJCF file.

@@ -20,6 +20,7 @@ from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
 from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectModel
+from handsight.representation import short_repr
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
 """How a camera measures depth; `handsight.vision.depth_noise` has the errors of each."""
@@ -56,6 +57,8 @@ class Finger:
     full_scale: tuple[float, float] | None = None
     """Largest force [N] and torque [N m] that the sensor can read; such a reading is no measurement."""
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         """Raises InvalidInput for a wrong pose or standard deviation."""
         se3.check(self.T_frame_surface, "T_frame_surface")
@@ -88,6 +91,8 @@ class Camera:
     """Constant error of a detected pose's position, by a wrong extrinsic calibration [m]."""
     sigma_rotation_constant: float = np.deg2rad(6.0)
     """Constant error of its rotation [rad]."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for a wrong pose, standard deviation, lens or kind of depth camera."""
@@ -209,6 +214,8 @@ class Rig:
     """Objects by name."""
     skin: Mapping[str, TaxelArray] = field(default_factory=dict)
     """Tactile arrays on links, by name."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for a hand without a tip for each finger, and for two fingers or topics of one name."""

@@ -75,3 +75,8 @@ class TrackState:
     """When another pose was last searched for because contacts fitted none [s]."""
     links_checked_at: float = -math.inf
     """When links were last compared with the object [s]."""
+
+    def __repr__(self) -> str:
+        """Says when it is, the label and the reason."""
+        trust = f"{self.label} {self.reason}".strip()
+        return f"<TrackState at {self.stamp:.6g} s: {trust}, {self.corrections} corrections>"

@@ -88,6 +88,11 @@ class Tracker:
         """Why no further; empty while tracking."""
         self._left_out_in_a_row = 0
 
+    def __repr__(self) -> str:
+        """Says which object is tracked, and how well."""
+        trust = f"{self.state} {self.reason}".strip()
+        return f"<Tracker of {self.model.name}: {trust}, {self.corrections} corrections>"
+
     def update(self, observation: Observation) -> PoseEstimate | None:
         """Returns the pose in the palm now; None as long as there has been neither a start nor a pose from vision.
 

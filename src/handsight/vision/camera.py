@@ -12,6 +12,7 @@ from handsight._kernels.image import pinhole, raster
 from handsight._kernels.image.vision_records import CAMERA
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
+from handsight.representation import short_repr
 from handsight.rig import Camera
 from handsight.rig.rig import check_lens
 
@@ -40,6 +41,8 @@ class PinholeCamera:
     """(width, height) of its images [pixels]."""
     lens: Array = field(default_factory=lambda: np.zeros(0))
     """k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV and ROS' CameraInfo; none: images are rectified."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for what is no camera."""
