@@ -29,13 +29,14 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
+from handsight.camera import Camera
 from handsight.objects.symmetry import nearest
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking import TrackerSettings
-from handsight.vision import DepthTracker, PinholeCamera, hand_mask
+from handsight.vision import DepthTracker, hand_mask
 from shared import figures, report, scenes
 from shared.report import Array, Row, Rows
 
@@ -64,7 +65,7 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
     if not share:
         return samples
     rig, model = rig_of(scenario), model_of(scenario)
-    camera, out = PinholeCamera.of(rig.camera), []
+    camera, out = Camera.of(rig.camera), []
     T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(scenario.nuisances, int(scenario.seed))
     way = np.random.default_rng(int(scenario.seed)).uniform(0, 2 * np.pi)
     for sample in samples:
@@ -84,7 +85,7 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
 
 def calibrated(samples: tuple[Sample, ...], rig: Rig, model: hs.ObjectModel) -> Iterator[Observation]:
     """Observations with the pose that their images give, hand and object looked for where the calibration has them."""
-    camera, shape = PinholeCamera.of(rig.camera), rig.hand.shape()
+    camera, shape = Camera.of(rig.camera), rig.hand.shape()
     follower, T_camera_world = DepthTracker(model, camera), se3.inverse(BELIEVED_CAMERA)
     for sample in samples:
         seen = sample.observation

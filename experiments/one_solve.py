@@ -17,10 +17,11 @@ import numpy as np
 import handsight as hs
 from from_pictures import OBJECTS, RATE, errors, grasped
 from handsight import se3
+from handsight.camera import Camera
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.vision import PinholeCamera, depth_points
+from handsight.vision import depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import LEAST_PIXELS, LEAST_POINTS
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
@@ -55,7 +56,7 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     depth, T_world_palm = last.observation.depth, last.observation.T_world_palm
     if touched is None or depth is None or T_world_palm is None:
         return []
-    camera = PinholeCamera.of(rig.camera)
+    camera = Camera.of(rig.camera)
     T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(scenario.nuisances, int(scenario.seed))
     T_camera_palm = T_camera_world @ T_world_palm
     drawn = camera.draw(se3.apply(T_camera_palm @ T, model.vertices), model.faces).depth

@@ -18,17 +18,18 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
+from handsight.camera import Camera
 from handsight.cli.locate_images import Sought, warmed
 from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
 from handsight.viewer.detection_figures import draw_located
-from handsight.vision import PinholeCamera, read_depth
+from handsight.vision import read_depth
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from shared import report
 from shared.report import Array, Row, Rows
 
 FRAMES = (200, 201)
-CAMERA = PinholeCamera(np.array([[425.773, 0, 427.202], [0, 425.773, 237.662], [0, 0, 1]]), (848, 480))
+CAMERA = Camera(np.array([[425.773, 0, 427.202], [0, 425.773, 237.662], [0, 0, 1]]), (848, 480))
 T_COLOR_DEPTH = np.array(
     [
         [0.99985489, 0.00778240, 0.01509715, 0.01453388],

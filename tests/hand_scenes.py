@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from handsight import se3
-from handsight.vision.camera import PinholeCamera
+from handsight.camera import Camera
 from sight_scenes import noisy
 
-CAMERA = PinholeCamera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
+CAMERA = Camera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
 TABLE = 1.5 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
 HAND, OBJECT, ARM, PLANE = 0, 1, 2, 3

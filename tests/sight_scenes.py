@@ -14,10 +14,10 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
+from handsight.camera import Camera
 from handsight.hand.surface import HandShape
 from handsight.objects.symmetry import Symmetries, about
 from handsight.simulation.camera import spoil
-from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_mask import hand_mask
 
@@ -25,10 +25,10 @@ Array = np.ndarray
 Rng = np.random.Generator
 Pair = tuple[float, float]
 
-CAMERA = PinholeCamera(np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]]), (320, 240))
+CAMERA = Camera(np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]]), (320, 240))
 TABLE = np.array([[-0.4, -0.4, 0], [0.4, -0.4, 0], [0.4, 0.4, 0], [-0.4, 0.4, 0]])
 SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
-WIDE = PinholeCamera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
+WIDE = Camera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
 FAR: Pair = (0.5, 1.2)
 """From the camera to the object [m]."""
 LEAST = 400, 300

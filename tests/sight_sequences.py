@@ -8,13 +8,13 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
+from handsight.camera import Camera
 from handsight.hand.surface import HandShape
 from handsight.simulation.camera import spoil
-from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.palm.hand_mask import hand_mask
 
-CAMERA = PinholeCamera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
+CAMERA = Camera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
 RATE = 30.0
 FASTEST = 0.3, 1.5
 """Of the object [m/s, rad/s]."""

@@ -5,6 +5,8 @@ import importlib
 import pytest
 
 FORMER = {
+    "handsight": ["PinholeCamera"],
+    "handsight.rig": ["Camera"],
     "handsight.blind": ["Area", "Belief", "Sweep", "Touch", "best_sweep", "candidates", "cast", "resting"],
     "handsight.dynamics": [
         "Carried",
@@ -16,7 +18,16 @@ FORMER = {
         "slip_twist",
         "weigh",
     ],
-    "handsight.vision": ["Found", "HandLook", "HandNotSeen", "SeenHand", "followed_hand", "seen_hand"],
+    "handsight.vision": [
+        "Found",
+        "HandLook",
+        "HandNotSeen",
+        "SeenHand",
+        "followed_hand",
+        "seen_hand",
+        "Drawn",
+        "PinholeCamera",
+    ],
     "handsight.simulation": ["Found", "blind_rig", "looking", "simulate_blind"],
 }
 

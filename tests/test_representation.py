@@ -16,7 +16,7 @@ VISION = hs.PosePrior.from_sigmas(np.eye(4), 0.01, 0.1)
 def values():
     rig = rig_of(Scenario(object="can"))
     tracker, estimate = hs.Tracker(rig, CAN), hs.correct_pose(CAN, CONTACTS, vision=VISION)
-    camera = hs.PinholeCamera(np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), (640, 480))
+    camera = hs.Camera(np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), (640, 480))
     return [
         *(
             CAN,

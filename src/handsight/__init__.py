@@ -23,6 +23,7 @@ import importlib as _importlib
 import typing as _typing
 
 if _typing.TYPE_CHECKING:
+    from handsight.camera import Camera
     from handsight.contact import (
         Contact,
         Contacts,
@@ -50,9 +51,10 @@ if _typing.TYPE_CHECKING:
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
     from handsight.viewer import view
-    from handsight.vision import PinholeCamera, locate
+    from handsight.vision import locate
 
 __all__ = [
+    "Camera",
     "Contact",
     "Contacts",
     "Ellipsoid",
@@ -63,7 +65,6 @@ __all__ = [
     "Observation",
     "Outside",
     "PaperMethod",
-    "PinholeCamera",
     "Plane",
     "PoseEstimate",
     "PoseMeasurement",
@@ -85,6 +86,7 @@ __all__ = [
 ]
 
 _NAMES = {
+    "camera": ("Camera",),
     "contact": (
         "Contact",
         "Contacts",
@@ -112,12 +114,24 @@ _NAMES = {
     "rig": ("Rig",),
     "tracking": ("Tracker", "TrackerSettings"),
     "viewer": ("view",),
-    "vision": ("PinholeCamera", "locate"),
+    "vision": ("locate",),
 }
 # A name is loaded when it is first asked for: the command's help needs no NumPy.
 _ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
 _ROOMS = (
-    *("batch", "bridge", "checks", "contact", "correction", "errors", "evaluation", "forces", "hand", "live"),
+    *(
+        "batch",
+        "bridge",
+        "camera",
+        "checks",
+        "contact",
+        "correction",
+        "errors",
+        "evaluation",
+        "forces",
+        "hand",
+        "live",
+    ),
     *("messages", "objects", "observation", "recording", "rig", "se3", "search", "simulation", "tracking"),
     *("viewer", "vision"),
 )
@@ -132,7 +146,8 @@ def __getattr__(name: str) -> _typing.Any:
     elif name in _ROOM_OF:
         value = getattr(_importlib.import_module(f"handsight.{_ROOM_OF[name]}"), name)
     else:
-        raise AttributeError(f"module 'handsight' has no attribute {name!r}")
+        old = {"PinholeCamera": "handsight.camera.Camera"}
+        return _importlib.import_module("handsight._deprecated").renamed(__name__, old, stacklevel=3)(name)
     globals()[name] = value
     return value
 

@@ -9,7 +9,7 @@ import handsight as hs
 from handsight import se3
 from handsight.objects.files.ply import ply_shape, ply_sigmas
 from handsight.observation import Observation
-from handsight.rig import Camera
+from handsight.rig import MountedCamera
 from handsight.rig.save import write as write_rig
 
 pytest.importorskip("mujoco")
@@ -26,7 +26,7 @@ BEFORE_HAND = se3.compose(np.eye(3), np.array([0, 0, 1.0]))
 
 @pytest.fixture(scope="module")
 def rig():
-    camera = Camera(on="palm", T_mount_camera=BEFORE_HAND, intrinsics=CAMERA.matrix, size=CAMERA.size)
+    camera = MountedCamera(on="palm", T_mount_camera=BEFORE_HAND, intrinsics=CAMERA.matrix, size=CAMERA.size)
     return dataclasses.replace(rig_of(Scenario(images=True)), camera=camera)
 
 

@@ -16,7 +16,7 @@ from handsight.errors import HandsightError
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.recording import TrackRow
-from handsight.rig import Camera, Finger, Rig
+from handsight.rig import Finger, MountedCamera, Rig
 from handsight.tracking import TrackerSettings
 from handsight.tracking.camera_calibration import calibrate_camera
 from handsight.tracking.replay import Tally, replay
@@ -57,7 +57,7 @@ def gripper(world_from="tf"):
         for name, turn in towards.items()
     }
     return Rig(
-        hand=hand, fingers=fingers, camera=Camera(sigma_position_constant=0.003), world_from=world_from
+        hand=hand, fingers=fingers, camera=MountedCamera(sigma_position_constant=0.003), world_from=world_from
     )
 
 

@@ -194,11 +194,11 @@ mesh.evaluate(mesh.points_object)
 model.evaluate(model.points_object)
 hs.contacts_from_wrenches(np.eye(3), np.eye(3), hs.Ellipsoid((0.01, 0.01, 0.012)))
 hs.contact_from_wrench([0, 0, -1], [0, 0, 0], hs.Sphere(0.01))
-from handsight.vision.camera import PinholeCamera
+from handsight.camera import Camera
 from handsight.vision.object.first_pose import first_pose
 from handsight.vision.palm.hand_mask import hand_mask
 from handsight.vision.object.region import scene_of
-camera = PinholeCamera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
+camera = Camera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
 wall = np.full((48, 64), 0.5, dtype=np.float32)
 hand_mask(camera, wall, model.sample(3)[0], np.array([[0, 1, 2]]), T)
 camera.project([[0, 0, 1.0]])

@@ -8,7 +8,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from handsight import se3
 from handsight.contact import Sphere, WrenchCalibration
 from handsight.messages import ObservationStream, RawMessage
-from handsight.rig import Camera, Finger, Rig, Topics
+from handsight.rig import Finger, MountedCamera, Rig, Topics
 
 STORES = {2: get_typestore(Stores.ROS2_HUMBLE), 1: get_typestore(Stores.ROS1_NOETIC)}
 STORES[1].register(
@@ -53,7 +53,7 @@ def rig(full_scale=None, joints=JOINTS, **topics):
             Ts_palm_tip=lambda positions: apart,
         ),
         fingers=fingers,
-        camera=Camera(intrinsics=K, size=(640, 480)),
+        camera=MountedCamera(intrinsics=K, size=(640, 480)),
         topics=Topics(**(usual | topics)),
     )
 

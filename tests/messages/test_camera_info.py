@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handsight.vision import PinholeCamera
+from handsight.camera import Camera
 from messages.ros import START, Messages, heard, rig, touched
 
 M = Messages()
@@ -35,7 +35,7 @@ def info(*said, **cut):
 )
 def test_the_lens_is_that_of_the_message(lens, model, expected):
     stream = told(info(K, (640, 480), lens, model))
-    camera = PinholeCamera(*stream.intrinsics)
+    camera = stream.intrinsics
     np.testing.assert_array_equal(camera.lens, expected)
     np.testing.assert_array_equal(camera.matrix, K)
     assert camera.size == (640, 480)
@@ -66,9 +66,9 @@ def test_what_is_no_pinhole_is_told(said, reason):
 
 def test_images_that_are_cut_out_and_binned_see_the_same_points():
     """A pixel of what comes is the mean of those it was made of."""
-    whole = PinholeCamera(K, (640, 480))
+    whole = Camera(K, (640, 480))
     cut = info(K, (640, 480), x_offset=100, y_offset=60, width=400, height=300, binning_x=2, binning_y=3)
-    camera = PinholeCamera(*told(cut).intrinsics)
+    camera = told(cut).intrinsics
     assert camera.size == (200, 100)
     points = np.random.default_rng(0).uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2], (50, 3))
     u, v = whole.project(points).T

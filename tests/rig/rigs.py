@@ -7,7 +7,7 @@ import numpy as np
 from handsight import se3
 from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
 from handsight.hand import Hand
-from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight.rig import Finger, MountedCamera, ObjectEntry, Rig, Table, Topics
 from handsight.rig.save import text
 
 URDF = """<robot name="pinch">
@@ -70,7 +70,7 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
         fingers={name: finger(rng, name, numbers) for name in TIPS},
         sigma_joint_offset=a,
         sigma_joint=b,
-        camera=Camera(
+        camera=MountedCamera(
             on="palm",
             T_mount_camera=se3.random(rng),
             intrinsics=np.array([[500.5 + a, 0, 320.25], [0, 501.5 + b, 240.75], [0, 0, 1]]),

@@ -13,7 +13,7 @@ from cli.tracks import recorded
 from hand_scenes import CAMERA, hand_scene
 from handsight import se3
 from handsight.observation import Observation
-from handsight.rig import Camera
+from handsight.rig import MountedCamera
 from handsight.rig.save import write as write_rig
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
@@ -37,7 +37,7 @@ def pictures(rig, count, T_world_camera=TRUE):
 
 
 def rig_with(T_world_camera, **changes):
-    camera = Camera(
+    camera = MountedCamera(
         T_mount_camera=T_world_camera,
         intrinsics=CAMERA.matrix,
         size=CAMERA.size,

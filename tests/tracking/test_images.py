@@ -7,6 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
+from handsight.camera import Camera
 from handsight.errors import InvalidInput
 from handsight.live import LiveTracker
 from handsight.messages import ObservationStream
@@ -17,7 +18,6 @@ from handsight.recording.mcap import McapSource
 from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.tracking import TrackerSettings
 from handsight.tracking.replay import Tally, replay
-from handsight.vision import PinholeCamera
 from sight_scenes import SQUARE, TABLE
 from tests.live.recorded import answered, poses
 
@@ -41,7 +41,7 @@ def seen(can):
 
 def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stamp: np.zeros(3)):
     """Observations with drawn images; `way(stamp)`: where the hand, the object in it, has gone by then [m]."""
-    camera, shape = PinholeCamera.of(rig.camera), rig.hand.shape()
+    camera, shape = Camera.of(rig.camera), rig.hand.shape()
     T_camera_world = se3.inverse(BELIEVED_CAMERA) @ wrong
     rng, out, taken = np.random.default_rng(0), [], []
     for k, sample in enumerate(samples):

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handsight.camera import Camera
 from handsight.errors import InvalidInput
-from handsight.rig import Camera
+from handsight.rig import MountedCamera
 from handsight.rig.rig import DepthCamera
-from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import PRESETS
 
 MATRIX = np.array([[300.0, 0, 158.0], [0, 310, 121.0], [0, 0, 1]])
@@ -32,7 +32,7 @@ def opencv(camera, points):
 
 @pytest.mark.parametrize("lens", [(), BARREL[:4], BARREL, RATIONAL])
 def test_points_fall_on_the_pixels_of_their_rays(lens):
-    camera = PinholeCamera(MATRIX, (320, 240), np.array(lens))
+    camera = Camera(MATRIX, (320, 240), np.array(lens))
     z = np.random.default_rng(0).uniform(0.2, 3, camera.rays.shape[:2])
     points = np.concatenate([camera.rays * z[..., None], z[..., None]], axis=-1).reshape(-1, 3)
     columns, rows = np.meshgrid(np.arange(320), np.arange(240))
@@ -42,9 +42,9 @@ def test_points_fall_on_the_pixels_of_their_rays(lens):
 
 
 def test_what_is_behind_or_beyond_the_lens_is_not_seen():
-    camera = PinholeCamera(MATRIX, (320, 240), np.array(BARREL))
+    camera = Camera(MATRIX, (320, 240), np.array(BARREL))
     assert np.isnan(camera.project([[0, 0, -1], [0, 0, 0], [3.0, 0, 1]])).all()
-    assert np.isfinite(PinholeCamera(MATRIX, (320, 240)).project([[3.0, 0, 1]])).all()
+    assert np.isfinite(Camera(MATRIX, (320, 240)).project([[3.0, 0, 1]])).all()
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_what_is_behind_or_beyond_the_lens_is_not_seen():
 )
 def test_what_is_no_camera_is_said(changes, message):
     with pytest.raises(InvalidInput, match=message):
-        PinholeCamera(**({"matrix": MATRIX, "size": (320, 240)} | changes))
+        Camera(**({"matrix": MATRIX, "size": (320, 240)} | changes))
 
 
 @settings(max_examples=25, deadline=None)
@@ -68,7 +68,7 @@ def test_what_is_no_camera_is_said(changes, message):
 def test_drawings_are_what_rays_meet(seed):
     """Against trimesh's rays; triangles reach behind the camera, cross each other and leave the image."""
     rng = np.random.default_rng(seed)
-    camera = PinholeCamera(np.array([[40.0, 0, 19.5], [0, 40, 14.5], [0, 0, 1]]), (40, 30))
+    camera = Camera(np.array([[40.0, 0, 19.5], [0, 40, 14.5], [0, 0, 1]]), (40, 30))
     vertices = rng.normal(size=(12, 3)) * [0.5, 0.4, 0.5] + [0, 0, 0.6]
     faces = rng.permuted(np.tile(np.arange(12), (6, 1)), axis=1)[:, :3]
     depth, labels = camera.draw(vertices, faces, np.arange(6))
@@ -91,7 +91,7 @@ def test_drawings_are_what_rays_meet(seed):
 
 @pytest.mark.parametrize("lens", [(), BARREL, RATIONAL])
 def test_points_of_a_depth_image_fall_on_their_pixels_at_their_depth(lens):
-    camera = PinholeCamera(MATRIX, (320, 240), np.array(lens))
+    camera = Camera(MATRIX, (320, 240), np.array(lens))
     depth = np.random.default_rng(1).uniform(0.2, 3, (240, 320)).astype(np.float32)
     depth[::7, ::5], depth[1, 1], depth[2, 2], depth[3, 3] = np.nan, 0, np.inf, -1
     points = camera.points(depth)
@@ -116,26 +116,26 @@ def test_points_of_a_depth_image_fall_on_their_pixels_at_their_depth(lens):
 )
 def test_depth_of_another_size_or_kind_is_said(depth, message):
     with pytest.raises(InvalidInput, match=message):
-        PinholeCamera(MATRIX, (320, 240)).points(depth)
+        Camera(MATRIX, (320, 240)).points(depth)
 
 
 def test_a_rigs_camera_is_one_with_its_lens():
-    made = PinholeCamera.of(Camera(intrinsics=MATRIX, size=(320, 240), lens=np.array(BARREL)))
+    made = Camera.of(MountedCamera(intrinsics=MATRIX, size=(320, 240), lens=np.array(BARREL)))
     np.testing.assert_array_equal(made.matrix, MATRIX)
     np.testing.assert_array_equal(made.lens, BARREL)
     assert made.size == (320, 240)
     with pytest.raises(InvalidInput, match="^camera: expected one with intrinsics in the rig, got no camera"):
-        PinholeCamera.of(None)
+        Camera.of(None)
     with pytest.raises(
         InvalidInput, match="^camera: expected one with intrinsics in the rig, got one without"
     ):
-        PinholeCamera.of(Camera())
+        Camera.of(MountedCamera())
 
 
 def test_each_kind_of_depth_camera_that_a_rig_may_have_is_known():
     assert sorted(PRESETS) == sorted(get_args(DepthCamera))
     said = "depth_camera: expected one of structured_light, time_of_flight, stereo, got 'stero'; the nearest valid one is 'stereo'"
     with pytest.raises(InvalidInput, match=f"^{said}"):
-        Camera(depth_camera="stero")
+        MountedCamera(depth_camera="stero")
     with pytest.raises(InvalidInput, match="^lens: expected 0, 4, 5, 8 numbers, got 3"):
-        Camera(lens=np.zeros(3))
+        MountedCamera(lens=np.zeros(3))

@@ -8,14 +8,15 @@ import pytest
 from PIL import Image
 
 from hand.hands import data_file
+from handsight.camera import Camera
 from handsight.errors import InvalidFile, InvalidInput, MissingExtra
-from handsight.vision import PinholeCamera, read_camera, read_color, read_depth
+from handsight.vision import read_camera, read_color, read_depth
 
 RNG = np.random.default_rng(0)
 STEPS = RNG.integers(300, 9000, (6, 5)).astype(np.uint16)
 STEPS[2, 3] = 0
 INTRINSICS = {"fx": 300.5, "fy": 310, "cx": 2.25, "cy": 3, "width": 5, "height": 6}
-CAMERA = PinholeCamera(np.array([[300.5, 0, 2.25], [0, 310, 3], [0, 0, 1]]), (5, 6))
+CAMERA = Camera(np.array([[300.5, 0, 2.25], [0, 310, 3], [0, 0, 1]]), (5, 6))
 
 
 def saved(folder, content, name="d.png"):

@@ -12,7 +12,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.vision.camera import PinholeCamera
+from handsight.camera import Camera
 from handsight.vision.object.locate import locate
 
 NAMED = os.environ.get("HANDSIGHT_DATA")
@@ -21,7 +21,7 @@ if not DATA.is_dir():
     pytest.skip("the real frames are not here: set HANDSIGHT_DATA to their folder", allow_module_level=True)
 Image = pytest.importorskip("PIL.Image", reason="PNG files come with handsight[robot]")
 
-CAMERA = PinholeCamera(np.array([[425.773, 0, 427.202], [0, 425.773, 237.662], [0, 0, 1]]), (848, 480))
+CAMERA = Camera(np.array([[425.773, 0, 427.202], [0, 425.773, 237.662], [0, 0, 1]]), (848, 480))
 T_BODY_COLOR = np.array(
     [
         [0.607676, 0.408914, -0.680823, 0.297794],

@@ -5,11 +5,12 @@ import pytest
 
 import handsight as hs
 from handsight import se3
+from handsight.camera import Camera
 from handsight.errors import InvalidInput
-from handsight.vision import PinholeCamera, register_color
+from handsight.vision import register_color
 from sight_scenes import CAMERA, drawn, letter, looking, on_table
 
-COLOR_CAMERA = PinholeCamera(np.array([[560.0, 0, 322.0], [0, 565, 236.0], [0, 0, 1]]), (640, 480))
+COLOR_CAMERA = Camera(np.array([[560.0, 0, 322.0], [0, 565, 236.0], [0, 0, 1]]), (640, 480))
 LENS = np.array([-0.12, 0.03, 1e-3, -5e-4])
 
 
@@ -57,8 +58,8 @@ def test_what_both_cameras_see_has_its_colour_and_what_is_hidden_has_none(shift,
 @pytest.mark.parametrize("lens", [np.zeros(0), LENS])
 def test_colour_is_that_of_the_place_through_any_lens(lens):
     """A wall whose colour tells where it is, seen through lenses by both."""
-    camera = PinholeCamera(CAMERA.matrix, CAMERA.size, lens)
-    color_camera = PinholeCamera(COLOR_CAMERA.matrix, COLOR_CAMERA.size, -lens)
+    camera = Camera(CAMERA.matrix, CAMERA.size, lens)
+    color_camera = Camera(COLOR_CAMERA.matrix, COLOR_CAMERA.size, -lens)
     T_color_depth = se3.compose(
         se3.rotation_exp(np.array([0.01, -0.04, 0.02])), np.array([-0.05, 0.01, 0.004])
     )

@@ -224,7 +224,5 @@ def with_intrinsics(rig: "Rig", recording: "Recording") -> "Rig":
         return rig
     for _ in islice(recording.observations(), MOST_WITHOUT_INFO):
         if (info := recording.intrinsics) is not None:
-            return replace(
-                rig, camera=replace(camera, intrinsics=info.matrix, size=info.size, lens=info.lens)
-            )
+            return replace(rig, camera=camera.with_images_of(info))
     return rig

@@ -109,7 +109,8 @@ class Run:
         import numpy as np
 
         from handsight import se3
-        from handsight.recording.object_views import camera_of, in_hand_views, views_of
+        from handsight.camera import Camera
+        from handsight.recording.object_views import in_hand_views, views_of
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
         from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
 
@@ -117,7 +118,7 @@ class Run:
         first = next(with_depth, None)
         if first is None:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
-        camera = camera_of(rig, recording.intrinsics)
+        camera = recording.intrinsics or Camera.of(rig.camera)
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:

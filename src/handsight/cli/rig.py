@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from handsight.checks import Array
     from handsight.observation import Observation
-    from handsight.rig import Camera, Rig
+    from handsight.rig import MountedCamera, Rig
     from handsight.tracking.camera_calibration import CameraCalibration
     from handsight.tracking.hand_eye_calibration import HandCalibration
 
@@ -236,7 +236,7 @@ def _sensor(rig: "Rig", name: str) -> list[str]:
     ]
 
 
-def _images(camera: "Camera") -> str:
+def _images(camera: "MountedCamera") -> str:
     kind, lens = camera.depth_camera.replace("_", " "), len(camera.lens)
     width, height = camera.size or (0, 0)
     through = f"lens of {lens} numbers" if lens else "no lens"

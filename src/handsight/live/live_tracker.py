@@ -206,8 +206,7 @@ class LiveTracker:
         camera, info, topics = self.rig.camera, self._stream.intrinsics, self.rig.topics
         if camera is None or info is None or camera.intrinsics is not None or topics.depth is None:
             return
-        known = replace(camera, intrinsics=info.matrix, size=info.size, lens=info.lens)
-        self.rig = replace(self.rig, camera=known)
+        self.rig = replace(self.rig, camera=camera.with_images_of(info))
         self._follow(self.tracker.model, None)
 
     def _flush(self, arrived: bool) -> list[Observation]:

@@ -24,9 +24,8 @@ observations that are complete by then. What may be relied on:
 Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
 """
 
-from handsight.messages.camera_info import CameraIntrinsics
 from handsight.messages.report import Report
 from handsight.messages.stream import ObservationStream
 from handsight.messages.topics import RawMessage, TopicReport
 
-__all__ = ["CameraIntrinsics", "ObservationStream", "RawMessage", "Report", "TopicReport"]
+__all__ = ["Camera", "ObservationStream", "RawMessage", "Report", "TopicReport"]

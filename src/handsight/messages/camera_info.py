@@ -1,13 +1,13 @@
 """What a CameraInfo says of its camera."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.messages.topics import MessageRejected
-from handsight.vision import PinholeCamera
 
 LENSES = {"plumb_bob": 5, "rational_polynomial": 8}
 """Distortion models of CameraInfo that a pinhole behind a lens is, and how many numbers they have."""
@@ -15,19 +15,8 @@ MAX_PIXELS_ACROSS = 1e6
 """No focal length or principal point is larger [pixels]."""
 
 
-class CameraIntrinsics(NamedTuple):
-    """What a CameraInfo says."""
-
-    matrix: Array
-    """(3, 3) [pixels]."""
-    size: tuple[int, int]
-    """(width, height) [pixels]."""
-    lens: Array = np.zeros(0)
-    """k1, k2, p1, p2[, k3[, k4, k5, k6]]; none: images are rectified. `PinholeCamera(*intrinsics)` is the camera."""
-
-
-def intrinsics(message: Any) -> CameraIntrinsics:
-    """What a CameraInfo of ROS 1 or 2 says; raises MessageRejected."""
+def intrinsics(message: Any) -> Camera:
+    """Returns the camera of a CameraInfo of ROS 1 or 2; raises MessageRejected."""
     K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(K).all():
         raise MessageRejected("intrinsics are not finite", nan=True)
@@ -38,10 +27,9 @@ def intrinsics(message: Any) -> CameraIntrinsics:
         raise MessageRejected(f"expected intrinsics within {MAX_PIXELS_ACROSS:g} pixels, got {most:g}")
     K, size = _cut(K, message)
     try:
-        camera = PinholeCamera(K, size, _lens(message))
+        return Camera(K, size, _lens(message))
     except InvalidInput as error:
         raise MessageRejected(str(error)) from None
-    return CameraIntrinsics(camera.matrix, camera.size, camera.lens)
 
 
 def _lens(message: Any) -> Array:

@@ -36,7 +36,7 @@ class Measurement:
     """When it was recorded or received [s]."""
     value: Any
     """By role: dict of positions; (6,); ContactMeasurement or None; (rows, columns); PoseMeasurement; (4, 4); image;
-    CameraIntrinsics; parent, child and `T_parent_child` (4, 4)."""
+    Camera; parent, child and `T_parent_child` (4, 4)."""
 
     @property
     def size(self) -> int:

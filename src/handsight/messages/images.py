@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight.camera import Depth
 from handsight.errors import InvalidInput
 from handsight.messages.topics import MessageRejected
 from handsight.vision import pixels
-from handsight.vision.camera import Depth
 from handsight.vision.pixels import Color
 
 COMPRESSED_DEPTH = struct.Struct("<iff")

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping
 
+from handsight.camera import Camera
 from handsight.messages.assemble import ObservationAssembler
-from handsight.messages.camera_info import CameraIntrinsics
 from handsight.messages.clocks import ReorderBuffer
 from handsight.messages.decode import Measurement, decode
 from handsight.messages.fast import FastReaders
@@ -43,7 +43,7 @@ class ObservationStream:
         """What the rig listens to, by name; what is put in of others is passed over."""
         self.report = Report(rig.topics.joint_states) if report is None else report
         """Counts and sentences."""
-        self.intrinsics: CameraIntrinsics | None = None
+        self.intrinsics: Camera | None = None
         """What CameraInfo says; None: nothing was heard of it."""
         for name, topic in self.topics.items():
             if name in known:
@@ -112,27 +112,14 @@ class ObservationStream:
         return lacking + self._of_other_sizes()
 
     def _of_other_sizes(self) -> list[str]:
-        topics, camera, intrinsics = self._rig.topics, self._rig.camera, self.intrinsics
-        of_rig = None if camera is None else camera.size
+        topics = self._rig.topics
+        of_rig = None if self._rig.camera is None else self._rig.camera.size
+        of_info = None if self.intrinsics is None else self.intrinsics.size
+        depth, info = f"depth images on {topics.depth}", f"camera info on {topics.camera_info}"
         pairs = (
-            (
-                f"depth images on {topics.depth}",
-                self._depth_size,
-                intrinsics and intrinsics.size,
-                "CameraInfo says",
-            ),
-            (
-                f"depth images on {topics.depth}",
-                self._depth_size,
-                None if intrinsics else of_rig,
-                "the rig's camera has",
-            ),
-            (
-                f"camera info on {topics.camera_info}",
-                intrinsics and intrinsics.size,
-                of_rig,
-                "the rig's camera has",
-            ),
+            (depth, self._depth_size, of_info, "CameraInfo says"),
+            (depth, self._depth_size, of_rig if of_info is None else None, "the rig's camera has"),
+            (info, of_info, of_rig, "the rig's camera has"),
         )
         return [
             f"{what}: expected {expected[0]} x {expected[1]} pixels as {who}, got {came[0]} x {came[1]}"

@@ -12,13 +12,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from handsight.camera import Camera
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes
 from handsight.msgspec_errors import decode
 from handsight.objects.library.index import INFO
 from handsight.recording.frames import Frame, Frames, Unread
 from handsight.recording.rgbd import Beside, color_beside, mask_of, read_each
-from handsight.vision import PinholeCamera, read_color, read_depth
+from handsight.vision import read_color, read_depth
 from handsight.vision.pixels import MILLIMETRE
 
 CAMERAS = "scene_camera.json"
@@ -113,6 +114,6 @@ def _frame(file: Path, number: tuple[int, int], of: ImageCamera, beside: Beside)
 
 
 @lru_cache(maxsize=8)
-def _camera(K: tuple[float, ...], size: tuple[int, int]) -> PinholeCamera:
+def _camera(K: tuple[float, ...], size: tuple[int, int]) -> Camera:
     """Of one data set's images; its rays are worked out once."""
-    return PinholeCamera(np.array(K).reshape(3, 3), size)
+    return Camera(np.array(K).reshape(3, 3), size)

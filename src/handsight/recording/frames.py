@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight.camera import Camera, Depth
 from handsight.checks import Mask
 from handsight.errors import InvalidInput
-from handsight.vision import PinholeCamera
-from handsight.vision.camera import Depth
 from handsight.vision.pixels import Color
 
 Box = tuple[int, int, int, int]
@@ -23,7 +22,7 @@ class Frame:
 
     name: str
     """What messages and answers call it."""
-    camera: PinholeCamera
+    camera: Camera
     depth: Depth
     """(h, w) along the optical axis [m], NaN where there is none."""
     color: Color | None = None

@@ -10,17 +10,17 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from handsight import se3
+from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
-from handsight.vision import PinholeCamera
 from handsight.vision.reconstruction.reconstruct import View, within
 from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, LEAST_PIXELS, InHandView
 
 
-def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
+def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
     """The depth images among observations, the hand's pixels 0, by the pose of the world.
 
     Raises InvalidInput for images of another size than the camera's. Observations that do not say where the palm was,
@@ -41,7 +41,7 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: PinholeCamer
         yield View(depth, np.eye(4) if T is None else T)
 
 
-def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: PinholeCamera) -> Iterator[View]:
+def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
     """The depth images among observations, pixels near the hand 0, by the pose of what the hand holds.
 
     Its frame: the palm's axes about the middle that the fingertips had in the first of them. Observations without
@@ -81,8 +81,3 @@ def _world(rig: Rig, observation: Observation) -> Array | None:
     return (
         None if observation.T_world_palm is None else T_camera_mount @ se3.inverse(observation.T_world_palm)
     )
-
-
-def camera_of(rig: Rig, intrinsics: tuple[Array, tuple[int, int], Array] | None) -> PinholeCamera:
-    """The camera of a recording, by its CameraInfo or else its rig; raises InvalidInput where neither tells."""
-    return PinholeCamera.of(rig.camera) if intrinsics is None else PinholeCamera(*intrinsics)

@@ -8,9 +8,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Self
 
+from handsight.camera import Camera
 from handsight.errors import InvalidFile, printable
 from handsight.files import read_bytes
-from handsight.messages import CameraIntrinsics, ObservationStream, Report
+from handsight.messages import ObservationStream, Report
 from handsight.observation import Observation
 from handsight.recording.chunks import Source, unpack_file
 from handsight.recording.mcap import McapSource
@@ -85,7 +86,7 @@ class Recording:
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
 
     @property
-    def intrinsics(self) -> CameraIntrinsics | None:
+    def intrinsics(self) -> Camera | None:
         """Of the camera's images; None where no CameraInfo was met."""
         return self._stream.intrinsics
 

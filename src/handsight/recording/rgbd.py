@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from handsight.camera import Camera
 from handsight.checks import Mask
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.recording.frames import Frame, Frames, Unread
-from handsight.vision import PinholeCamera, read_camera, read_color, read_depth
+from handsight.vision import read_camera, read_color, read_depth
 from handsight.vision.pixels import MILLIMETRE, Color
 
 CAMERA = "camera.json"
@@ -78,7 +79,7 @@ def color_beside(folder: Path, stem: str, folders: tuple[str, ...]) -> Path | No
     return next((place for place in places if place.exists()), None)
 
 
-def mask_of(mask: Path | None, stem: str, camera: PinholeCamera) -> Mask | None:
+def mask_of(mask: Path | None, stem: str, camera: Camera) -> Mask | None:
     """Where the object may be in the picture of that name; raises InvalidFile, MissingExtra."""
     if mask is None:
         return None
@@ -86,7 +87,7 @@ def mask_of(mask: Path | None, stem: str, camera: PinholeCamera) -> Mask | None:
     return np.asarray(shown.any(axis=2))
 
 
-def _frame(depth: Path, camera: PinholeCamera, color: Path | None, beside: Beside) -> Frame:
+def _frame(depth: Path, camera: Camera, color: Path | None, beside: Beside) -> Frame:
     return Frame(
         name=depth.name,
         camera=camera,

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.observation import Observation
 from handsight.recording.frames import Frame, Frames
-from handsight.recording.open import Recording, open_recording
+from handsight.recording.open import open_recording
 from handsight.rig import Rig
-from handsight.vision import PalmDetection, PinholeCamera
-from handsight.vision.camera import Depth
+from handsight.vision import PalmDetection
 from handsight.vision.palm.hand_in_image import HandInImage
 
 KNOWN = 0.01, float(np.deg2rad(2))
@@ -41,14 +41,14 @@ class HandPixels:
         # Of the palm in the camera, as constant as the calibration's error.
         self._T_measured_believed: Array | None = None
 
-    def mask(self, camera: PinholeCamera, depth: Depth, detected: Observation) -> Mask | None:
+    def mask(self, camera: Camera, depth: Depth, detected: Observation) -> Mask | None:
         """(h, w); None where nobody knows of a hand."""
         T_camera_palm = self.palm(camera, depth, detected)
         if T_camera_palm is None:
             return None
         return self._hand.mask(camera, depth, detected.joint_positions, T_camera_palm)
 
-    def palm(self, camera: PinholeCamera, depth: Depth, detected: Observation) -> Array | None:
+    def palm(self, camera: Camera, depth: Depth, detected: Observation) -> Array | None:
         """T_camera_palm (4, 4) as the hand is seen; else as believed, by what it was off when it was last seen."""
         believed, joints, of = believed_palm(self._rig, detected), detected.joint_positions, self._rig.camera
         if believed is None or of is None:
@@ -70,7 +70,7 @@ def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
         for detected in recording.observations():
             if detected.depth is None:
                 continue
-            camera = camera or _camera(recording, rig)
+            camera = camera or recording.intrinsics or Camera.of(rig.camera)
             if detected.depth.shape != camera.size[::-1]:
                 (width, height), (h, w) = camera.size, detected.depth.shape
                 message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
@@ -85,13 +85,6 @@ def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
             )
     if camera is None:
         raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
-
-
-def _camera(recording: Recording, rig: Rig) -> PinholeCamera:
-    """What the images are of: as CameraInfo says, else the rig."""
-    if recording.intrinsics is not None:
-        return PinholeCamera(*recording.intrinsics)
-    return PinholeCamera.of(rig.camera)
 
 
 def believed_palm(rig: Rig, detected: Observation) -> Array | None:

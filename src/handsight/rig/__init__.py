@@ -1,5 +1,8 @@
 """A rig is a robot as one value, read from `rig.yaml`: hand, fingertips with sensors, camera, table and topics."""
 
-from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight._deprecated import renamed
+from handsight.rig.rig import Finger, MountedCamera, ObjectEntry, Rig, Table, Topics
 
-__all__ = ["Camera", "Finger", "ObjectEntry", "Rig", "Table", "Topics"]
+__all__ = ["Finger", "MountedCamera", "ObjectEntry", "Rig", "Table", "Topics"]
+
+__getattr__ = renamed(__name__, {"Camera": "handsight.rig.MountedCamera"})

@@ -14,13 +14,14 @@ import numpy as np
 from msgspec import Meta, field
 
 from handsight import checks, se3
+from handsight.camera import check_lens
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
 from handsight.contact.taxels import TaxelArray
 from handsight.errors import HandsightError
 from handsight.msgspec_errors import alternatives
-from handsight.rig.rig import Camera, DepthCamera, Finger, ObjectEntry, check_lens
+from handsight.rig.rig import DepthCamera, Finger, MountedCamera, ObjectEntry
 
 VERSION = 1
 Values = dict[str, Any]
@@ -278,10 +279,10 @@ class CameraForm(Section):
         if self.lens and self.intrinsics is None:
             raise ValueError("lens: expected intrinsics beside it, got none")
 
-    def camera(self) -> Camera:
+    def camera(self) -> MountedCamera:
         """Returns the part of the rig."""
         constant, k = (self.constant_error or VisionNoiseForm()).sigmas(), self.intrinsics
-        return Camera(
+        return MountedCamera(
             on=self.fixed_to,
             T_mount_camera=(self.pose or PoseForm()).matrix(),
             intrinsics=None if k is None else np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]]),

@@ -4,15 +4,15 @@ Every sigma is one standard deviation per axis.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from handsight import checks, se3
+from handsight.camera import Camera, check_lens
 from handsight.checks import Array
 from handsight.contact import Fingertip, TaxelArray, WrenchCalibration
 from handsight.errors import InvalidInput
@@ -68,8 +68,8 @@ class Finger:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Camera:
-    """A `Camera` is the camera that observes the object, with its pose and its errors."""
+class MountedCamera:
+    """A `MountedCamera` is the camera that observes the object, with its pose and its errors."""
 
     on: Literal["world", "palm"] = "world"
     """What the camera is fixed to."""
@@ -102,7 +102,11 @@ class Camera:
         if self.depth_camera not in kinds:
             came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
-        _check_sigmas(self, *(name for name in Camera.__slots__ if name.startswith("sigma")))
+        _check_sigmas(self, *(name for name in MountedCamera.__slots__ if name.startswith("sigma")))
+
+    def with_images_of(self, camera: Camera) -> "MountedCamera":
+        """Returns the same camera with these intrinsics, as a CameraInfo has them."""
+        return replace(self, intrinsics=camera.matrix, size=camera.size, lens=camera.lens)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,7 +202,7 @@ class Rig:
     """Constant error of each joint angle [rad]."""
     sigma_joint: float = np.deg2rad(0.1)
     """Noise of each joint angle [rad]."""
-    camera: Camera | None = None
+    camera: MountedCamera | None = None
     table: Table | None = None
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     """(3,) gravity in the world [m/s²]."""
@@ -243,17 +247,6 @@ class Rig:
         if not isinstance(path, str | Path):
             raise InvalidInput(f"path: expected a path, got {checks.brief(path)}")
         return load(Path(path))
-
-
-def check_lens(value: ArrayLike, name: str) -> Array:
-    """Returns the coefficients of a lens (n,); raises InvalidInput for another number of them.
-
-    They are none, plumb_bob without and with k3, or a rational polynomial.
-    """
-    lens = checks.finite(value, name, (None,))
-    if len(lens) not in (0, 4, 5, 8):
-        raise InvalidInput(f"{name}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
-    return lens
 
 
 def _check_unique(rig: Rig) -> None:

@@ -14,7 +14,7 @@ from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
 from handsight.rig import form
 from handsight.rig.form import Form, Section, Values, keys
-from handsight.rig.rig import Camera, Finger, ObjectEntry, Rig
+from handsight.rig.rig import Finger, MountedCamera, ObjectEntry, Rig
 
 
 def write(rig: Rig, path: Path) -> None:
@@ -80,7 +80,7 @@ def _finger(finger: Finger) -> Values:
     return _values(form.FingerForm, finger, surface=_pose(finger.T_frame_surface), tip=shape, sensor=sensor)
 
 
-def _camera(camera: Camera) -> Values:
+def _camera(camera: MountedCamera) -> Values:
     values = _values(
         form.CameraForm,
         camera,

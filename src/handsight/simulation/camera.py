@@ -8,11 +8,11 @@ from scipy.fft import fftfreq, irfft2, rfft2
 from scipy.special import ndtri
 
 from handsight import checks, se3
+from handsight.camera import Depth
 from handsight.checks import Array, Mask
 from handsight.simulation.scenario import Nuisances
 from handsight.simulation.scene import FOCAL_LENGTH, IMAGE_SIZE
 from handsight.vision import DepthNoise
-from handsight.vision.camera import Depth
 
 EYE, TARGET = np.array([-0.45, 0.50, 0.60]), np.array([0.0, 0.02, 0.07])
 """In the world [m]; what it looks at is the scene's middle too."""

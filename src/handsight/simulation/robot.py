@@ -10,7 +10,7 @@ from handsight.checks import Array
 from handsight.contact import Ellipsoid, WrenchCalibration
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
-from handsight.rig import Camera, Finger, ObjectEntry, Rig, Table, Topics
+from handsight.rig import Finger, MountedCamera, ObjectEntry, Rig, Table, Topics
 from handsight.simulation.camera import BELIEVED_CAMERA, INTRINSICS
 from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import (
@@ -52,7 +52,7 @@ def rig_of(scenario: Scenario) -> Rig:
         },
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
-        camera=Camera(
+        camera=MountedCamera(
             T_mount_camera=BELIEVED_CAMERA,
             intrinsics=INTRINSICS,
             size=IMAGE_SIZE,

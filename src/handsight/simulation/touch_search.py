@@ -10,7 +10,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import PoseMeasurement
-from handsight.rig import Camera, Rig, Table
+from handsight.rig import MountedCamera, Rig, Table
 from handsight.search import Area, Belief, best_sweep
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
@@ -36,7 +36,7 @@ def touch_search_rig(scenario: Scenario) -> Rig:
 
     Its camera stands for the search, whose pose comes in the world and has no constant error of its own.
     """
-    search = Camera(sigma_position_constant=0.0, sigma_rotation_constant=0.0)
+    search = MountedCamera(sigma_position_constant=0.0, sigma_rotation_constant=0.0)
     return replace(rig_of(scenario), camera=search)
 
 

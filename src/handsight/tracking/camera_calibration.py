@@ -11,7 +11,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.rig import Camera, Rig
+from handsight.rig import MountedCamera, Rig
 from handsight.tracking.replay import Tally, replay
 from handsight.tracking.tracker import Tracker
 
@@ -73,7 +73,7 @@ def calibrations(
 
 
 def _calibration(
-    camera: Camera, pivot: Array, wrong: Array, covariance: Array, turned: float
+    camera: MountedCamera, pivot: Array, wrong: Array, covariance: Array, turned: float
 ) -> CameraCalibration:
     """The camera's pose, given vision's bias (6,) about the pivot and its covariance (6, 6)."""
     # Vision is off by that, so the camera is where it took it from.

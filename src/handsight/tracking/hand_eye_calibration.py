@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import se3
+from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.camera_calibration import corrected, correction_between
-from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm
@@ -49,11 +49,11 @@ class HandViews:
         """The rig as it is believed; without intrinsics, or shapes of the hand, nothing is gathered."""
         self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
         self._last, self.images, self.refusals = -np.inf, 0, dict[str, int]()
-        self._camera: PinholeCamera | None = None
+        self._camera: Camera | None = None
         self._hand = HandInImage(rig)
         camera = rig.camera
         if camera is not None and camera.intrinsics is not None and camera.size is not None:
-            self._camera = PinholeCamera.of(camera)
+            self._camera = Camera.of(camera)
 
     def watched(self, observations: Iterable[Observation]) -> Iterator[Observation]:
         """The same observations; their depth images are looked at as they pass."""

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handsight import se3
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.copies import shallow_copy
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
-from handsight.rig import Camera, Rig
+from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
 from handsight.tracking.history import History, Instant
-from handsight.vision import PalmDetection, PinholeCamera
-from handsight.vision.camera import Depth
+from handsight.vision import PalmDetection
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
 from handsight.vision.palm.hand_in_image import HandInImage
@@ -95,10 +95,10 @@ class ImageVision:
 class Eye:
     """Looks at depth images."""
 
-    def __init__(self, rig: Rig, camera: Camera, model: ObjectModel) -> None:
+    def __init__(self, rig: Rig, camera: MountedCamera, model: ObjectModel) -> None:
         """The rig's camera must have intrinsics."""
         self._mounted = camera
-        self._camera = PinholeCamera.of(camera)
+        self._camera = Camera.of(camera)
         self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
         self._hand = HandInImage(rig)
         sizes = camera.sigma_position_constant, camera.sigma_rotation_constant

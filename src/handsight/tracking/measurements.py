@@ -9,7 +9,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
-from handsight.rig import Camera, Rig, Table
+from handsight.rig import MountedCamera, Rig, Table
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
@@ -36,7 +36,7 @@ class VisionUpdate:
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """`rig.camera` may be None: then poses come in the world or the palm."""
         self._rig, self._model = rig, model
-        self.camera = c = rig.camera or Camera()
+        self.camera = c = rig.camera or MountedCamera()
         self._usual_covariance = invertible(np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3))
         """Of a measurement that does not say its own."""
         self.mount: Mount | None = None

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from handsight import se3
+from handsight.camera import Depth
 from handsight.checks import Array
 from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
 from handsight.viewer.correction_figures import require_matplotlib, save
 from handsight.viewer.shapes import creases
 from handsight.viewer.silhouette import silhouette
-from handsight.vision.camera import Depth
 
 BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
 MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))

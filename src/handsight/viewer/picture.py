@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.viewer.silhouette import silhouette
-from handsight.vision import PinholeCamera, pixels
-from handsight.vision.camera import Depth
+from handsight.vision import pixels
 from handsight.vision.pixels import Color
 
 WIDEST = 320
@@ -35,7 +35,7 @@ GREY = 110
 class Picture:
     """An image of the rig's camera."""
 
-    camera: PinholeCamera | None
+    camera: Camera | None
     """Of these pixels; None: nobody knows."""
     image: Color | bytes
     """(h, w, 3) colour, else depth in grey, near ones light; or that as a JPEG."""
@@ -128,15 +128,15 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
     return np.asarray(se3.inverse(mounted.T_mount_camera) @ T_mount_palm)
 
 
-def _camera_of(rig: Rig, shape: tuple[int, ...]) -> PinholeCamera | None:
+def _camera_of(rig: Rig, shape: tuple[int, ...]) -> Camera | None:
     """The rig's camera, if images of that shape (h, w) are its."""
     mounted = rig.camera
     if mounted is None or mounted.intrinsics is None or mounted.size != (shape[1], shape[0]):
         return None
-    return PinholeCamera.of(mounted)
+    return Camera.of(mounted)
 
 
-def _window(camera: PinholeCamera | None, T_camera_palm: Array | None, image: Color) -> tuple[slice, slice]:
+def _window(camera: Camera | None, T_camera_palm: Array | None, image: Color) -> tuple[slice, slice]:
     """The rows and columns that are shown: around the hand where it is in the image, and not too many."""
     rows, columns = slice(0, image.shape[0]), slice(0, image.shape[1])
     if camera is not None and T_camera_palm is not None:
@@ -151,13 +151,13 @@ def _window(camera: PinholeCamera | None, T_camera_palm: Array | None, image: Co
     return slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step)
 
 
-def _within(camera: PinholeCamera, shown: tuple[slice, slice], image: Color) -> PinholeCamera:
+def _within(camera: Camera, shown: tuple[slice, slice], image: Color) -> Camera:
     """Of some of its rows and columns."""
     rows, columns = shown
     matrix = camera.matrix.copy()
     matrix[:2, 2] -= columns.start, rows.start
     matrix[:2] /= columns.step
-    return PinholeCamera(matrix, (image.shape[1], image.shape[0]), camera.lens)
+    return Camera(matrix, (image.shape[1], image.shape[0]), camera.lens)
 
 
 def _grey(depth: Depth) -> Color:
@@ -168,7 +168,7 @@ def _grey(depth: Depth) -> Color:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
 
 
-def _cloud(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[np.float32], Indices]:
+def _cloud(camera: Camera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[np.float32], Indices]:
     """Points in the palm (n, 3) around it, and their places among the pixels (n,)."""
     points = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
     center = T_camera_palm[:3, 3].astype(np.float32)

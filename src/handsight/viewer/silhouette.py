@@ -4,16 +4,15 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from handsight import se3
+from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision import PinholeCamera
-from handsight.vision.camera import Depth
 
 CLOUD, DOT = 6000, 2
 """Points by which an object without triangles is drawn, and pixels around each."""
 
 
-def silhouette(camera: PinholeCamera, model: ObjectModel, T_camera_object: Array) -> Depth:
+def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> Depth:
     """What the camera would see of the object alone: depth (h, w) [m], infinite where it is not."""
     if len(model.faces):
         return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth

@@ -1,7 +1,6 @@
 """Vision: depth cameras, and the poses of object and palm in their images."""
 
 from handsight._deprecated import renamed
-from handsight.vision.camera import Drawn, PinholeCamera
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.files import read_camera, read_color, read_depth
 from handsight.vision.object.depth_points import depth_points
@@ -17,12 +16,10 @@ from handsight.vision.registration import register_color
 __all__ = [
     "DepthNoise",
     "DepthTracker",
-    "Drawn",
     "HandAppearance",
     "ObjectDetection",
     "PalmDetection",
     "PalmNotFound",
-    "PinholeCamera",
     "PlacedHand",
     "Recognition",
     "Sighting",
@@ -44,6 +41,8 @@ __getattr__ = renamed(
         "Found": "handsight.vision.ObjectDetection",
         "HandLook": "handsight.vision.HandAppearance",
         "HandNotSeen": "handsight.vision.PalmNotFound",
+        "Drawn": "handsight.camera.DrawnTriangles",
+        "PinholeCamera": "handsight.camera.Camera",
         "SeenHand": "handsight.vision.PalmDetection",
         "followed_hand": "handsight.vision.follow_palm",
         "seen_hand": "handsight.vision.detect_palm",

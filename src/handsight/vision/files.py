@@ -9,12 +9,11 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from handsight import checks
+from handsight.camera import MAX_PIXELS, Camera, Depth, check_lens
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes
 from handsight.msgspec_errors import decode
-from handsight.rig.rig import check_lens
 from handsight.vision import pixels
-from handsight.vision.camera import MOST_PIXELS, Depth, PinholeCamera
 from handsight.vision.pixels import MILLIMETRE, Color
 
 LARGEST_IMAGE, LARGEST_CAMERA = 200_000_000, 100_000
@@ -22,7 +21,7 @@ LARGEST_IMAGE, LARGEST_CAMERA = 200_000_000, 100_000
 FINEST_SCALE, COARSEST_SCALE = 1e-7, 1.0
 """Metres that one step of a depth image can be."""
 Pixels = Annotated[float, Meta(gt=0, le=1e6)]
-Side = Annotated[int, Meta(gt=0, le=MOST_PIXELS)]
+Side = Annotated[int, Meta(gt=0, le=MAX_PIXELS)]
 
 
 class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
@@ -40,7 +39,7 @@ class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
         check_lens(self.lens, "lens")
 
 
-def read_camera(path: str | Path) -> PinholeCamera:
+def read_camera(path: str | Path) -> Camera:
     """The camera of a JSON file: fx, fy, cx, cy, width, height [pixels], and `lens` where images are not rectified.
 
     `lens`: k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV. Raises InvalidFile with the file's name and the key.
@@ -48,12 +47,12 @@ def read_camera(path: str | Path) -> PinholeCamera:
     form = decode(read_bytes(path, LARGEST_CAMERA), CameraForm, str(path))
     K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
     try:
-        return PinholeCamera(K, (form.width, form.height), np.array(form.lens))
+        return Camera(K, (form.width, form.height), np.array(form.lens))
     except InvalidInput as error:
         raise InvalidFile(f"{path}: {error}") from None
 
 
-def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: PinholeCamera | None = None) -> Depth:
+def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | None = None) -> Depth:
     """Depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
 
     `scale`: metres of a step; of a BOP scene a thousandth of its `depth_scale`. `camera`: that the image must be of the
@@ -74,7 +73,7 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: PinholeCa
     return depth
 
 
-def read_color(path: str | Path, *, camera: PinholeCamera | None = None) -> Color:
+def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
     """Red, green, blue (h, w, 3) of a PNG or JPEG; `camera`: that it must be of the size of.
 
     Raises InvalidFile, MissingExtra.
@@ -86,7 +85,7 @@ def read_color(path: str | Path, *, camera: PinholeCamera | None = None) -> Colo
         raise InvalidFile(f"{path}: {error}") from None
 
 
-def _of_size(image: NDArray[Any], camera: PinholeCamera | None) -> NDArray[Any]:
+def _of_size(image: NDArray[Any], camera: Camera | None) -> NDArray[Any]:
     height, width = image.shape[:2]
     if camera is not None and (width, height) != camera.size:
         expected, across = camera.size

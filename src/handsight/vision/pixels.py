@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight.camera import Depth
 from handsight.checks import MAX_DISTANCE
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.vision.camera import Depth
 
 Color = NDArray[np.uint8]
 

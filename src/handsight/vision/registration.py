@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import se3
+from handsight.camera import Camera
 from handsight.checks import Indices, Mask
 from handsight.errors import InvalidInput
-from handsight.vision.camera import PinholeCamera
 from handsight.vision.pixels import Color
 
 BEHIND = 0.01
@@ -26,9 +26,9 @@ class Registered(NamedTuple):
 
 def register_color(
     depth: ArrayLike,
-    camera: PinholeCamera,
+    camera: Camera,
     color: Color,
-    color_camera: PinholeCamera,
+    color_camera: Camera,
     T_color_depth: ArrayLike,
 ) -> Registered:
     """The colour of each pixel of a depth image (h, w) [m] of `camera`.

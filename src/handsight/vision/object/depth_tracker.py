@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from handsight import checks, se3
 from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_covariance import UNKNOWN
@@ -90,7 +90,7 @@ class DepthTracker:
     def __init__(
         self,
         model: ObjectModel,
-        camera: PinholeCamera,
+        camera: Camera,
         *,
         noise: DepthNoise = STRUCTURED_LIGHT,
         start: Array | None = None,

@@ -3,10 +3,10 @@
 import numpy as np
 
 from handsight._kernels.image.vision_records import CANDIDATE
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.region import Scene, scene_of, table_plane
@@ -22,7 +22,7 @@ FARTHEST = 20.0
 
 def locate(
     model: ObjectModel,
-    camera: PinholeCamera,
+    camera: Camera,
     depth: Depth,
     *,
     wanted: Mask | None = None,
@@ -52,7 +52,7 @@ def locate(
 
 
 def scene_in(
-    camera: PinholeCamera,
+    camera: Camera,
     depth: Depth,
     extent: float,
     *,

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels.image import depth_term
+from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision.camera import PinholeCamera
 from handsight.vision.depth_noise import DepthNoise
 
 PIXEL = 12**-0.5
@@ -17,7 +17,7 @@ UNKNOWN = 0.5, 0.9
 
 def pose_covariances(
     model: ObjectModel,
-    camera: PinholeCamera,
+    camera: Camera,
     points: NDArray[np.void],
     candidates: NDArray[np.void],
     noise: DepthNoise,
@@ -35,7 +35,7 @@ def pose_covariances(
     return pulls[:, 2]
 
 
-def errors_of(camera: PinholeCamera, noise: DepthNoise, z: Array) -> Array:
+def errors_of(camera: Camera, noise: DepthNoise, z: Array) -> Array:
     """(k, 6) as kernels take them, of points at depths z (k,) [m]: variances [m²], and lengths by 1/slope²."""
     variance, slope = noise.sigma(z) ** 2, camera.matrix[0, 0]
     lengths = [(slope / length) ** 2 for length in (noise.correlation, noise.smooth_length)]
@@ -44,7 +44,7 @@ def errors_of(camera: PinholeCamera, noise: DepthNoise, z: Array) -> Array:
     return np.stack(np.broadcast_arrays(*columns), axis=1)
 
 
-def _errors(model: ObjectModel, camera: PinholeCamera, noise: DepthNoise, z: Array) -> Array:
+def _errors(model: ObjectModel, camera: Camera, noise: DepthNoise, z: Array) -> Array:
     """(k, 11): those of the points, and what the object and the image add."""
     errors = np.zeros((len(z), 11))
     errors[:, :6] = errors_of(camera, noise, z)

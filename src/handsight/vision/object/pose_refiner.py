@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from handsight import se3
 from handsight._kernels.image import depth_term, near_points, pinhole, pose_score
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT, WINDOW
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import BOUND, SIGMAS, depths, poses_of
@@ -44,7 +44,7 @@ class RefinedPose(NamedTuple):
 class PoseRefiner:
     """Looks at one object, image by image; it keeps room for the part of an image that it looks at."""
 
-    def __init__(self, model: ObjectModel, camera: PinholeCamera, noise: DepthNoise) -> None:
+    def __init__(self, model: ObjectModel, camera: Camera, noise: DepthNoise) -> None:
         """`noise`: of the camera's depth."""
         self.model, self.camera, self.noise = model, camera, noise
         self._appearance = appearance_of(model)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.locate import WIDER_THAN_OBJECT, nothing_in, scene_in
@@ -37,7 +37,7 @@ class Recognition:
 
 def recognise(
     models: Mapping[str, ObjectModel],
-    camera: PinholeCamera,
+    camera: Camera,
     depth: Depth,
     *,
     wanted: Mask | None = None,

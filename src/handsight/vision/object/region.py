@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from handsight._kernels.image import depth_image
 from handsight._kernels.image.vision_records import DEPTH_POINT
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.vision.camera import Depth, PinholeCamera
 
 TABLE_WITHIN = 0.010
 """What is nearer to a table's plane is the table's [m]."""
@@ -24,7 +24,7 @@ LEAST_PART = 40
 class Scene:
     """A depth image, and what of it may be the object."""
 
-    camera: PinholeCamera
+    camera: Camera
     depth: Depth
     """(h, w) [m]; 0 where there is none."""
     labels: NDArray[np.int32]
@@ -34,7 +34,7 @@ class Scene:
 
 
 def scene_of(
-    camera: PinholeCamera, depth: Depth, *, wanted: Mask, hand: Mask | None = None, table: Array | None = None
+    camera: Camera, depth: Depth, *, wanted: Mask, hand: Mask | None = None, table: Array | None = None
 ) -> Scene:
     """The parts of an image's wanted pixels (h, w) that are neither hand nor table (4: normal, offset)."""
     known, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
@@ -47,9 +47,7 @@ def scene_of(
     return Scene(camera, known, labels, sizes[:count].copy())
 
 
-def table_plane(
-    camera: PinholeCamera, depth: Depth, wanted: Mask, *, extent: float, seed: int = 0
-) -> Array | None:
+def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, seed: int = 0) -> Array | None:
     """The plane (4,) that most of the wanted pixels lie on and that is wider than `extent` [m]; None: there is none.
 
     Normal towards the camera, `n·P + offset = 0` on it (random sample consensus).

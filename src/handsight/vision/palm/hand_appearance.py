@@ -9,12 +9,12 @@ from scipy.ndimage import minimum_filter
 
 from handsight import se3
 from handsight._kernels.math import chain
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains
 from handsight.hand.surface import HandShape, sample_by_area
-from handsight.vision.camera import Depth, PinholeCamera
 
 POINTS = 1200
 """By which a hand is laid onto an image."""
@@ -105,7 +105,7 @@ class PlacedHand:
         bodies = self.appearance.skin[2][rows]
         return self.appearance.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
 
-    def outline_continued(self, camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> float:
+    def outline_continued(self, camera: Camera, depth: Depth, T_camera_palm: Array) -> float:
         """Share of the pixels around the hand, as it would be drawn there, in which what is seen goes on as near as it.
 
         Around a hand in the air most are far behind; a hand that was laid onto a table has none that are. Where
@@ -120,7 +120,7 @@ class PlacedHand:
         counts = (observed > 0) & (observed > hand - GOES_ON)
         return float((observed[counts] < hand[counts] + GOES_ON).mean()) if counts.any() else 1.0
 
-    def beside(self, camera: PinholeCamera, T_camera_palm: Array, most: int) -> Array:
+    def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
         """(k, 3) points in the air, in the palm's axes, `BESIDE` off the hand's outline and as near as it [m]."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], BESIDE)
@@ -133,7 +133,7 @@ class PlacedHand:
         points = np.c_[small.rays[rows, columns] * z[:, None], z]
         return se3.apply(se3.inverse(T_camera_palm), points)
 
-    def visible_from(self, camera: PinholeCamera, T_camera_palm: Array) -> Mask:
+    def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
         """(m,) which points a camera there sees of the hand alone; out of its image all that face it."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
@@ -148,15 +148,15 @@ class PlacedHand:
 
 
 @lru_cache(maxsize=8)
-def _smaller(camera: PinholeCamera) -> PinholeCamera:
+def _smaller(camera: Camera) -> Camera:
     K = camera.matrix.copy()
     K[:2] /= FINER
     K[:2, 2] -= 0.5 - 0.5 / FINER
-    return PinholeCamera(K, (-(-camera.size[0] // FINER), -(-camera.size[1] // FINER)), camera.lens)
+    return Camera(K, (-(-camera.size[0] // FINER), -(-camera.size[1] // FINER)), camera.lens)
 
 
 @lru_cache(maxsize=4)  # where a hand comes to lie it is drawn for its outline and for what is seen of it
-def _drawn(hand: PlacedHand, camera: PinholeCamera, T_camera_palm: bytes) -> Depth:
+def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
     """The depth of its coarse triangles at a quarter of the size; inf beside them."""
     T = np.frombuffer(T_camera_palm).reshape(4, 4)
     return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.appearance.coarse[2]).depth

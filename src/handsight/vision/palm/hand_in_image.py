@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.rig import Rig
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_mask import hand_mask
@@ -31,7 +31,7 @@ class HandInImage:
 
     def detected(
         self,
-        camera: PinholeCamera,
+        camera: Camera,
         depth: Depth,
         joint_positions: Mapping[str, float] | None,
         T_camera_palm: Array,
@@ -53,7 +53,7 @@ class HandInImage:
 
     def followed(
         self,
-        camera: PinholeCamera,
+        camera: Camera,
         depth: Depth,
         joint_positions: Mapping[str, float] | None,
         T_camera_palm: Array,
@@ -66,7 +66,7 @@ class HandInImage:
 
     def mask(
         self,
-        camera: PinholeCamera,
+        camera: Camera,
         depth: Depth,
         joint_positions: Mapping[str, float] | None,
         T_camera_palm: Array,

@@ -4,15 +4,15 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from handsight import se3
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
-from handsight.vision.camera import Depth, PinholeCamera
 
 AROUND, SLACK = 3, 0.012
 """How far joints wrong by a degree move a link: around what is drawn [pixels], before and behind it [m]."""
 
 
 def hand_mask(
-    camera: PinholeCamera,
+    camera: Camera,
     depth: Depth,
     vertices_palm: Array,
     faces: Indices,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from handsight import checks, se3
 from handsight._kernels.image import hand_term
 from handsight._kernels.image.vision_records import CANDIDATE
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import poses_of
 from handsight.vision.palm.hand_appearance import PlacedHand
@@ -77,7 +77,7 @@ class PalmDetection:
 
 
 def detect_palm(
-    camera: PinholeCamera,
+    camera: Camera,
     depth: Depth,
     hand: PlacedHand,
     T_camera_palm: Array,
@@ -113,7 +113,7 @@ def detect_palm(
 
 
 def follow_palm(
-    camera: PinholeCamera,
+    camera: Camera,
     depth: Depth,
     hand: PlacedHand,
     T_camera_palm: Array,
@@ -138,7 +138,7 @@ def follow_palm(
     return _answer(picture, hand, candidate, noise)
 
 
-def _checked(camera: PinholeCamera, depth: Depth, T_camera_palm: Array) -> Array:
+def _checked(camera: Camera, depth: Depth, T_camera_palm: Array) -> Array:
     T = se3.check(T_camera_palm, "T_camera_palm")
     camera.check_size(depth, "depth")
     return T

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from handsight import se3
 from handsight._kernels.image import palm_scan
 from handsight._kernels.image.vision_records import CANDIDATE
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.object.first_pose import poses_of
 from handsight.vision.palm.hand_appearance import PlacedHand
 
@@ -34,7 +34,7 @@ COMPARED = 8
 class Picture:
     """A depth image as the kernels take it, with the cells around where the hand may be."""
 
-    camera: PinholeCamera
+    camera: Camera
     depth: Depth
     cells: NDArray[np.float32]
     corner: Array
@@ -44,9 +44,7 @@ class Picture:
         return self.depth, self.camera.rays, self.cells, self.corner
 
 
-def picture_of(
-    camera: PinholeCamera, depth: Depth, hand: PlacedHand, T: Array, sigma: float
-) -> Picture | None:
+def picture_of(camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigma: float) -> Picture | None:
     """None where the hand cannot be in the image."""
     middle, reach = se3.apply(T, hand.middle[None])[0], WITHIN * sigma + hand.radius
     nearest = max(middle[2] - reach, 0.1)

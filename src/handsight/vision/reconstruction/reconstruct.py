@@ -11,9 +11,9 @@ from handsight._kernels.image import depth_term
 from handsight._kernels.image.pose_score import OUT
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight._kernels.records import MODEL
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.objects.record import field_record
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.reconstruction.volume import Volume
 
@@ -47,7 +47,7 @@ class View:
 class Reconstruction:
     """A surface that grows view by view."""
 
-    def __init__(self, camera: PinholeCamera, bounds_object: Array) -> None:
+    def __init__(self, camera: Camera, bounds_object: Array) -> None:
         """`bounds_object` (2, 3): the least and the largest coordinates of what is looked at [m]."""
         self.camera, self.bounds_object = camera, bounds_object
         cell = max(CELL, float((bounds_object[1] - bounds_object[0]).max()) / MOST_CELLS)
@@ -94,7 +94,7 @@ class Reconstruction:
         return Scene(self.camera, view.depth, labels, np.array([float(inside.sum())]))
 
 
-def within(camera: PinholeCamera, view: View, bounds_object: Array) -> Mask:
+def within(camera: Camera, view: View, bounds_object: Array) -> Mask:
     """(h, w) which pixels of a view show what lies in bounds (2, 3) [m]."""
     points_camera = camera.points(view.depth).reshape(-1, 3).astype(np.float64)
     points = se3.apply(se3.inverse(view.T_camera_object), points_camera).reshape(*view.depth.shape, 3)

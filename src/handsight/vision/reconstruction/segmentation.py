@@ -7,11 +7,11 @@ from scipy.spatial import cKDTree
 
 from handsight import se3
 from handsight._kernels.math import chain
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.surface import sample_by_area
-from handsight.vision.camera import Depth, PinholeCamera
 from handsight.vision.object.region import scene_of, table_plane
 
 TABLE_EXTENT = 0.15
@@ -29,7 +29,7 @@ CLOSE, DEVIATIONS, AMONG = 0.005, 3.0, 8
 deviations; how many of its points are asked."""
 
 
-def on_table(camera: PinholeCamera, depth: Depth) -> tuple[Array, Array] | None:
+def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     """T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle.
 
     Its frame: z up from the table, the origin on it. None where no table is seen, or nothing on it.
@@ -86,7 +86,7 @@ class InHandView:
 
     def without_hand(
         self,
-        camera: PinholeCamera,
+        camera: Camera,
         depth: Depth,
         joint_positions: Mapping[str, float],
         T_camera_palm: Array,

@@ -6,9 +6,9 @@ import numpy as np
 
 from handsight._kernels.image import volume as kernel
 from handsight._kernels.image.vision_records import VOXEL
+from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, GridField
-from handsight.vision.camera import Depth, PinholeCamera
 
 BOUND = 3.0
 """How far from the surface its distance is kept [cells]."""
@@ -47,7 +47,7 @@ class Volume:
             [self.grid.origin, self.grid.origin + self.grid.cell * (np.array(self.grid.shape) - 1)]
         )
 
-    def fuse(self, camera: PinholeCamera, depth: Depth, T_camera_object: Array) -> None:
+    def fuse(self, camera: Camera, depth: Depth, T_camera_object: Array) -> None:
         """Adds what a depth image (h, w) [m] says, 0 where it says nothing."""
         R, p = T_camera_object[:3, :3], T_camera_object[:3, 3]
         to_camera = np.column_stack([R * self.grid.cell, R @ self.grid.origin + p])

@@ -1,8 +1,8 @@
-"""A depth camera: which ray each pixel looks along, and which pixel a point falls on."""
+"""A camera: the ray of each pixel, and the pixel on which a point falls."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,17 +13,29 @@ from handsight._kernels.image.vision_records import CAMERA
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
-from handsight.rig import Camera
-from handsight.rig.rig import check_lens
 
-MOST_PIXELS = 50_000_000
-STEEPER = 1.1
-"""A lens is believed so much beyond the steepest ray of the image; its polynomials may lead others back into it."""
+MAX_PIXELS = 50_000_000
 Depth = NDArray[np.float32]
 
 
-class Drawn(NamedTuple):
-    """A picture of triangles."""
+class ImageSource(Protocol):
+    """An `ImageSource` may know the intrinsics of its images, as a rig's camera does."""
+
+    @property
+    def intrinsics(self) -> Array | None:
+        """(3, 3) camera matrix [pixels]."""
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) [pixels]."""
+
+    @property
+    def lens(self) -> Array:
+        """Distortion, as `Camera.lens`."""
+
+
+class DrawnTriangles(NamedTuple):
+    """`DrawnTriangles` are a depth image of triangles, with the triangle in each pixel."""
 
     depth: Depth
     """(h, w) along the optical axis [m], infinite where there is none."""
@@ -32,8 +44,11 @@ class Drawn(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PinholeCamera:
-    """A camera's intrinsics. Optical frame: x right, y down, z forward; pixel centres at whole numbers."""
+class Camera:
+    """A `Camera` is a pinhole camera behind a lens, as its intrinsics say.
+
+    Its optical frame has x right, y down and z forward; pixel centres are at whole numbers.
+    """
 
     matrix: Array
     """(3, 3) focal lengths and principal point [pixels]."""
@@ -51,16 +66,16 @@ class PinholeCamera:
             raise InvalidInput(
                 f"matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {checks.brief(K)}"
             )
-        width, height = (checks.integer(n, "size", MOST_PIXELS) for n in self.size)
-        if not 0 < width * height <= MOST_PIXELS:
+        width, height = (checks.integer(n, "size", MAX_PIXELS) for n in self.size)
+        if not 0 < width * height <= MAX_PIXELS:
             raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
         lens = check_lens(self.lens, "lens")
         for name, value in (("matrix", K), ("size", (width, height)), ("lens", lens)):
             object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, camera: Camera | None) -> "PinholeCamera":
-        """A rig's camera; raises InvalidInput where the rig has none, or none of which images are known."""
+    def of(cls, camera: ImageSource | None) -> "Camera":
+        """Returns the camera of a rig's images; raises InvalidInput where the rig has none, or no intrinsics of it."""
         if camera is None or camera.intrinsics is None or camera.size is None:
             came = "no camera" if camera is None else "one without"
             raise InvalidInput(f"camera: expected one with intrinsics in the rig, got {came}")
@@ -74,7 +89,8 @@ class PinholeCamera:
         row["cx"], row["cy"] = self.matrix[0, 2], self.matrix[1, 2]
         row["lens"][: len(self.lens)] = self.lens
         steepest = pinhole.rays(record, rays)
-        row["reach2"] = STEEPER**2 * steepest if self.lens.any() else np.inf
+        # Beyond the image a lens is believed a tenth farther: its polynomials may lead steeper rays back into it.
+        row["reach2"] = 1.1**2 * steepest if self.lens.any() else np.inf
         rays.setflags(write=False)
         return record, rays
 
@@ -85,7 +101,7 @@ class PinholeCamera:
 
     @property
     def rays(self) -> NDArray[np.float32]:
-        """(h, w, 2) x/z and y/z of each pixel; NaN where the lens leads no ray."""
+        """(h, w, 2) x/z and y/z of the ray of each pixel; NaN where the lens lets none through."""
         return self._optics[1]
 
     def check_size(self, image: ArrayLike, name: str) -> None:
@@ -95,7 +111,7 @@ class PinholeCamera:
             raise InvalidInput(f"{name}: expected {expected} pixels, got {came or 'a number'}")
 
     def check_depth(self, depth: ArrayLike, name: str = "depth") -> Depth:
-        """A depth image (h, w) [m] of this camera as float32; raises InvalidInput for another size or whole numbers."""
+        """Returns a depth image (h, w) [m] of this camera as float32; raises InvalidInput for other sizes, integers."""
         image = np.asarray(depth)
         self.check_size(image, name)
         if image.dtype.kind != "f":
@@ -103,7 +119,7 @@ class PinholeCamera:
         return image.astype(np.float32, copy=False)
 
     def points(self, depth: ArrayLike) -> NDArray[np.float32]:
-        """(h, w, 3) points in the camera [m] of a depth image (h, w) [m], NaN where it has none."""
+        """Returns the points (h, w, 3) [m] in the camera of a depth image (h, w) [m], NaN where it has none."""
         z = self.check_depth(depth)
         points = np.empty((*z.shape, 3), dtype=np.float32)
         with np.errstate(invalid="ignore"):
@@ -114,16 +130,27 @@ class PinholeCamera:
         return points
 
     def project(self, points_camera: ArrayLike) -> Array:
-        """(n, 2) column and row of points (n, 3) [m] in the camera; NaN where they are not seen."""
+        """Returns column and row (n, 2) of points (n, 3) [m] in the camera; NaN of those out of view."""
         points = checks.finite(points_camera, "points_camera", (None, 3))
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.record, points, pixels)
         return pixels
 
-    def draw(self, vertices_camera: Array, faces: Indices, labels: Indices | None = None) -> Drawn:
-        """What the triangles `faces` (m, 3) of vertices (k, 3) [m] look like; `labels` (m,): of each."""
+    def draw(self, vertices_camera: Array, faces: Indices, labels: Indices | None = None) -> DrawnTriangles:
+        """Returns the image of triangles `faces` (m, 3) of vertices (k, 3) [m]; `labels` (m,) are drawn for each."""
         depth = np.full(self.size[::-1], np.inf, dtype=np.float32)
         drawn = np.full(self.size[::-1], -1, dtype=np.int32)
         named = np.zeros(len(faces), dtype=np.int64) if labels is None else labels
         raster.draw(self.record, vertices_camera, faces, named, depth, drawn)
-        return Drawn(depth, drawn)
+        return DrawnTriangles(depth, drawn)
+
+
+def check_lens(value: ArrayLike, name: str) -> Array:
+    """Returns the coefficients of a lens (n,); raises InvalidInput for another number of them.
+
+    They are none, plumb_bob without and with k3, or a rational polynomial.
+    """
+    lens = checks.finite(value, name, (None,))
+    if len(lens) not in (0, 4, 5, 8):
+        raise InvalidInput(f"{name}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
+    return lens
