@@ -39,7 +39,11 @@ def _farthest(features: Any, columns: Any, chosen: Any) -> None:
             middle[0, k] += features[i, k] / len(features)
     _gaps2(columns, middle, 0, gap)
     for j in range(len(chosen)):
-        chosen[j] = features[np.argmax(gap)]
+        farthest = np.argmax(gap)
+        for k in range(
+            WIDE
+        ):  # a row at once would take two seconds to compile, for what it says of another shape
+            chosen[j, k] = features[farthest, k]
         _gaps2(columns, chosen, j, now)
         for i in range(len(features)):
             # The middle itself was not chosen.

@@ -63,16 +63,23 @@ def choose(evidence: Evidence, pose: Pose, flat: Any, u: Any) -> None:
             ):
                 widest = k
         if widest >= 0:
-            flat.along[:, n] = u.vectors[:, widest]
+            _copy_column(u.vectors, widest, flat.along, n)
             flat.spacing[n] = min(1 / np.sqrt(max(slopes[widest], 1 / radius**2)), radius / 2)
             flat.count, rises[widest] = n + 1, -np.inf
     blind, flat.proper = evidence.prior.kind == WEAK_PRIOR, True
     for k in range(6):
         flat.proper = flat.proper and not (blind and slopes[k] * (CALIBRATION.open_sigma * radius) ** 2 < 1)
         if rises[k] >= 0:
-            flat.across[:, flat.count_across] = u.vectors[:, k]
+            _copy_column(u.vectors, k, flat.across, flat.count_across)
             flat.stretch[flat.count_across] = np.sqrt(slopes[k] / calibrated[k]) if slopes[k] > 0 else 1.0
             flat.count_across += 1
+
+
+@inner
+def _copy_column(source: Any, k: int, out: Any, n: int) -> None:
+    """Copies a column; a slice would take two seconds to compile, for what it says of another shape."""
+    for i in range(6):
+        out[i, n] = source[i, k]
 
 
 @inner

@@ -29,7 +29,7 @@ def information_by_contact(
     """
     terms, pose, field = np.empty(len(contacts), TERM), pose_of(descent[0].pose), model[0].fine
     load_terms(contacts, terms)
-    A, r = np.zeros((4, 6)), np.empty(4)
+    A, r, weighted = np.zeros((4, 6)), np.empty(4), np.empty(4)
     for k in range(len(contacts)):
         term = terms[k]
         surface = surface_at(nodes, field, vector(term.contact.point), pose)
@@ -44,8 +44,19 @@ def information_by_contact(
             for j in range(3):
                 A[1 + i, j] = N[i][j]
             A[1 + i, 3 + i] = -1.0
-        information[k] = A.T @ term.weight @ A
-        gradient[k] = A.T @ term.weight @ r
+        # Loops: NumPy's products of matrices would take four seconds to compile, most for what they say of wrong shapes.
+        for i in range(6):
+            for row in range(4):
+                weighted[row] = 0.0
+                for j in range(4):
+                    weighted[row] += A[j, i] * term.weight[j, row]
+            gradient[k, i] = 0.0
+            for row in range(4):
+                gradient[k, i] += weighted[row] * r[row]
+            for j in range(6):
+                information[k, i, j] = 0.0
+                for row in range(4):
+                    information[k, i, j] += weighted[row] * A[row, j]
 
 
 def warm(model: Any, nodes: Any) -> None:
