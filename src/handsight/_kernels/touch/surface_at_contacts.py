@@ -44,7 +44,7 @@ def information_by_contact(
             for j in range(3):
                 A[1 + i, j] = N[i][j]
             A[1 + i, 3 + i] = -1.0
-        # Loops: NumPy's products of matrices would take four seconds to compile, most for what they say of wrong shapes.
+        # Loops: NumPy's matrix products take four seconds to compile, most of it for what they say of wrong shapes.
         for i in range(6):
             for row in range(4):
                 weighted[row] = 0.0
