@@ -32,7 +32,7 @@ from handsight.viewer import Viewer
 from handsight.viewer.curves import curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
-from handsight.viewer.player import FRAME, PLOT_EVERY, Timeline
+from handsight.viewer.player import PLAYER, Timeline
 from handsight.viewer.replay_moments import follow
 from handsight.viewer.viewer_process import Frame
 from shared import report
@@ -94,10 +94,10 @@ def frames(name: str, seen: Tracked) -> list[str]:
         for moment in seen.timeline.moments[1:]:
             begin = time.monotonic()
             page.draw(moment)
-            if begin - plotted > PLOT_EVERY:
+            if begin - plotted > PLAYER.plot_period:
                 plotted = begin
                 page.draw_curves(shown, moment.stamp)
-            time.sleep(max(0.0, FRAME - (time.monotonic() - begin)))
+            time.sleep(max(0.0, PLAYER.frame - (time.monotonic() - begin)))
         count = len(seen.timeline.moments) - 1
         return [name, str(count), f"{1e3 * (time.process_time() - began) / count:.1f}"]
 

@@ -26,10 +26,10 @@ from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
 from handsight.search.sweep_choice import level_sweep, shortened
 from handsight.simulation import Scenario, model_of
-from handsight.simulation.motion import AT_REST, WEIGH_LEGS
-from handsight.simulation.probe import RADIUS
+from handsight.simulation.motion import MOTION, WEIGH_LEGS
+from handsight.simulation.probe import PROBE
 from handsight.simulation.touch_search import (
-    TABLE_SIDE,
+    TOUCH_SEARCH,
     simulate_touch_search,
     start_search,
     touch_search_rig,
@@ -41,10 +41,14 @@ OBJECTS = ("can", "box")
 TOUCHES = 6
 SHIFT, TURN = 0.008, float(np.deg2rad(8.0))
 """Errors of what is located [m], [rad]."""
-REACH = TABLE_SIDE
+REACH = TOUCH_SEARCH.area_side
 """Half the length of a line through the area [m]."""
 STAGES = dict(
-    zip(("gripped", "lifted", "weighed"), AT_REST + np.cumsum(WEIGH_LEGS[:, 0])[[0, 2, 12]], strict=True)
+    zip(
+        ("gripped", "lifted", "weighed"),
+        MOTION.at_rest + np.cumsum(WEIGH_LEGS[:, 0])[[0, 2, 12]],
+        strict=True,
+    )
 )
 """When a stage of the whole task ends, after the fingers began to close [s]."""
 
@@ -55,7 +59,7 @@ def through(belief: Belief, point: Array, heights: Any, rng: np.random.Generator
     way = np.array([np.cos(angle), np.sin(angle)])
     height = belief.area.table.height + rng.choice(heights)
     center = (belief.area.low + belief.area.high) / 2
-    return shortened(belief, level_sweep(center, REACH, point, way, height), RADIUS)
+    return shortened(belief, level_sweep(center, REACH, point, way, height), PROBE.radius)
 
 
 def at_random(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
@@ -70,7 +74,7 @@ def through_mean(belief: Belief, heights: Any, rng: np.random.Generator) -> Swee
 
 def by_information(belief: Belief, heights: Any, _: np.random.Generator) -> Sweep:
     """The best of many."""
-    return best_sweep(belief, heights, RADIUS)
+    return best_sweep(belief, heights, PROBE.radius)
 
 
 POLICIES: dict[str, Callable[[Belief, Any, np.random.Generator], Sweep]] = {

@@ -23,7 +23,7 @@ from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.vision import depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.object.depth_tracker import LEAST_PIXELS, LEAST_POINTS
+from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.palm.hand_in_image import HandInImage
 from shared import report
@@ -73,7 +73,10 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
         seen = candidate.at(T_seen @ expected.T_palm_object, np.diag(EXPECTED**-2.0), image, None, None)
         points = camera.points(image).reshape(-1, 3)
         points_palm = se3.apply(T_palm_camera, points[np.isfinite(points).all(axis=1)].astype(np.float64))
-        enough = seen.points >= LEAST_POINTS and seen.candidate["explained"][0] >= LEAST_PIXELS
+        enough = (
+            seen.points >= DEPTH_TRACKER.min_points
+            and seen.candidate["explained"][0] >= DEPTH_TRACKER.min_pixels
+        )
         answers = fused(
             model, touched, expected, in_palm(seen, T_palm_camera) if enough else None, points_palm
         )

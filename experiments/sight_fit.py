@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from handsight.vision.object.first_pose import first_pose, scores
-from handsight.vision.object.locate import WIDER_THAN_OBJECT, scene_in
+from handsight.vision.object.locate import LOCATE, scene_in
 from handsight.vision.object.presence import EVIDENCE, evidence_of
 from shared import report, sight, ycb
 from shared import sight_scenes as scenes
@@ -25,7 +25,7 @@ def looked_for(name: str, k: int, seed: int) -> tuple[str, dict[str, Array], Arr
     """Which object it is, each one's best LOOK (1,), and of that one's modes worth (m, 2) and which are right."""
     of, picture = sight.picture(name, k, seed)
     models = sight.objects()
-    extent = WIDER_THAN_OBJECT * max(model.diameter for model in models.values())
+    extent = LOCATE.max_plane * max(model.diameter for model in models.values())
     scene = scene_in(scenes.WIDE, picture.depth, extent, wanted=picture.wanted, hand=picture.hand)
     found = {each: first_pose(model, scene) for each, model in models.items()}
     right = scenes.mssd(picture.model, picture.T_camera_object, found[of].Ts_camera_object) < RIGHT

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.vision.object.locate import LEAST_PROBABILITY
+from handsight.vision.object.locate import LOCATE
 from handsight.vision.object.presence import log_odds, probabilities
 from handsight.vision.object.recognition import recognise
 from shared import figures, report, sight, ycb
@@ -87,7 +87,7 @@ def show_thresholds(rows: report.Rows) -> None:
     """Prints what `locate` keeps and claims."""
     cells = []
     for threshold in THRESHOLDS:
-        mine = "default" if threshold == LEAST_PROBABILITY else ""
+        mine = "default" if threshold == LOCATE.min_probability else ""
         cells.append([threshold, *(f"{share:.3f}" for share in kept_and_claimed(rows, threshold)), mine])
     columns = ("probability", "kept, there", "claimed, another there", "")
     report.print_table("One object looked for: there, or another kind in its place", columns, cells)

@@ -28,8 +28,8 @@ from scipy.special import chdtri
 import handsight as hs
 from handsight import se3
 from handsight.vision import DepthTracker
-from handsight.vision.object.depth_tracker import GOES_ON
-from handsight.vision.object.pose_refiner import WITHIN
+from handsight.vision.object.depth_tracker import DEPTH_TRACKER
+from handsight.vision.object.pose_refiner import REFINER
 from shared import figures, report, scenes, ycb
 from shared.report import Array, Row, Rows
 from shared.sequences import drawn
@@ -97,7 +97,9 @@ class SmallGicp:
         """As `Followed.step`."""
         center = se3.compose(np.eye(3), self._model.center_object)
         here, before = self.T @ center, self._before @ center
-        expected = se3.moved(here, GOES_ON * se3.difference(here, before)) @ se3.inverse(center)
+        expected = se3.moved(here, DEPTH_TRACKER.velocity_share * se3.difference(here, before)) @ se3.inverse(
+            center
+        )
         points = self._points(image, expected)
         self._before = self.T
         if len(points) < 20:
@@ -134,7 +136,7 @@ class SmallGicp:
         points = np.concatenate([rays * z[..., None], z[..., None]], axis=2)[there]
         points = points[:: max(len(points) // (2 * POINTS), 1)]
         distance = self._model.evaluate(se3.apply(se3.inverse(T), points), fine=False).distance
-        points = points[np.abs(distance) < WITHIN * self._model.diameter]
+        points = points[np.abs(distance) < REFINER.within * self._model.diameter]
         return np.asarray(points[np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)])
 
 

@@ -22,7 +22,7 @@ import handsight as hs
 from handsight import se3
 from handsight.correction import Outside
 from handsight.simulation import Scenario, model_of, rig_of, simulate
-from handsight.simulation.skin import RUBBER
+from handsight.simulation.skin import SKIN
 from shared import figures, report, scenes, skin_scenes
 from shared.report import Array, Row, Rows
 
@@ -32,7 +32,7 @@ HELD_OUT = 14
 COLOURS = dict(zip(WITH, (figures.INITIAL, figures.RESULT, figures.TRUTH), strict=True))
 SCENES: dict[str, Any] = {
     "box, an edge on it": skin_scenes.box_on_skin,
-    "the same, hard skin": lambda rng, array: skin_scenes.box_on_skin(rng, array, springs=RUBBER),
+    "the same, hard skin": lambda rng, array: skin_scenes.box_on_skin(rng, array, springs=SKIN.rubber),
     "can, an end on it": skin_scenes.can_on_skin,
     "can, both ends off": lambda rng, array: skin_scenes.can_on_skin(rng, array, end=False),
 }

@@ -29,9 +29,9 @@ from scipy.special import chdtri
 import handsight as hs
 from handsight import se3
 from handsight.forces import SlipDetector, slip_twist
-from handsight.forces.friction import PATCH
+from handsight.forces.friction import FRICTION
 from handsight.simulation import Sample, Scenario, model_of, rig_of, simulate
-from handsight.simulation.scenario import OBJECT_MASS
+from handsight.simulation.scenario import SCENARIO
 from handsight.tracking import FingertipSensors
 from shared import figures, report, scenes, slips
 from shared.report import Array, Row, Rows
@@ -84,8 +84,8 @@ def off_by(sample: Sample, twist: Array | None) -> float:
     for touch in sample.touches.values():
         n, v = touch.normal_palm, touch.velocity_palm
         mine = twist[:3] + np.cross(twist[3:], touch.point_palm)
-        said.append([*(mine - (mine @ n) * n), PATCH * (n @ twist[3:])])
-        true.append([*(v[:3] - (v[:3] @ n) * n), PATCH * (n @ v[3:])])
+        said.append([*(mine - (mine @ n) * n), FRICTION.torsion * (n @ twist[3:])])
+        true.append([*(v[:3] - (v[:3] @ n) * n), FRICTION.torsion * (n @ v[3:])])
     a, b = np.ravel(said), np.ravel(true)
     return float(np.rad2deg(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)), -1, 1))))
 
@@ -107,7 +107,7 @@ def pull_row(name: str, seed: int) -> tuple[Row, Felt | None]:
     row |= slips.counted(felt.alarms > 0, felt.speeds, 1 / RATE) | tracked(
         samples, model_of(Scenario(object=name))
     )
-    known = model_of(Scenario(object=name)).with_weight(mass=OBJECT_MASS, center_of_mass=np.zeros(3))
+    known = model_of(Scenario(object=name)).with_weight(mass=SCENARIO.object_mass, center_of_mass=np.zeros(3))
     return row | {f"weighed {key}": value for key, value in tracked(samples, known).items()}, felt
 
 

@@ -31,7 +31,7 @@ from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, simulate
-from handsight.simulation.motion import AT_REST, WEIGH_LEGS
+from handsight.simulation.motion import MOTION, WEIGH_LEGS
 from handsight.simulation.payload import Payload, center_of_mass
 from handsight.tracking import JointOffsets
 from handsight.tracking.shared_errors import together
@@ -40,7 +40,7 @@ from shared.grasp_trials import exact_model, fingertips, rig, trial_of
 from shared.report import Array, Row, Rows
 from shared.weight_tables import show
 
-ENDS = AT_REST + np.cumsum(WEIGH_LEGS[:, 0])
+ENDS = MOTION.at_rest + np.cumsum(WEIGH_LEGS[:, 0])
 LIFTED, HOLDS, MOVES = ENDS[1], ENDS[[2, 4, 6, 8, 10]], ENDS[10]
 """When it is lifted, when the holds of the five orientations end, and when it begins to be shaken [s]."""
 SIGMA = 1e-3

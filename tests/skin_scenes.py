@@ -8,7 +8,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight.contact.taxels import SkinTouch, TaxelArray
-from handsight.simulation.skin import FLOOR, FOAM, Solid, taxel_forces
+from handsight.simulation.skin import SKIN, Solid, taxel_forces
 
 VISION = (0.03 * np.sqrt(3), np.deg2rad(6) * np.sqrt(3))
 """Root mean square length and angle of vision's error: 30 mm and 6° per axis."""
@@ -48,7 +48,7 @@ def palm_array(pitch: float = 0.004) -> TaxelArray:
     )  # fmt: skip
 
 
-def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float = FOAM) -> SkinScene:
+def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float = SKIN.foam) -> SkinScene:
     """The box lies flat, one of its long edges on the array, the ends of which may be beyond it."""
     size = np.array(scenes.BOX)
     yaw, edge = np.deg2rad(rng.uniform(-25, 25)) + np.pi * rng.integers(2), rng.uniform(-0.015, 0.015)
@@ -94,13 +94,13 @@ def _measured(
     array: TaxelArray,
     across: np.ndarray,
     rng: np.random.Generator,
-    springs: float = FOAM,
+    springs: float = SKIN.foam,
 ) -> SkinScene:
     contacts = scenes.touched(T, tips, (1.2e-3, np.deg2rad(2)), rng)
     sigma = np.repeat(np.asarray(VISION) / np.sqrt(3), 3)
     vision = hs.PosePrior(se3.moved(T, sigma * rng.normal(size=6)), np.diag(sigma**2))
     true = taxel_forces(array, solid, T, rng.uniform(*FORCE), UNEVEN * rng.normal(size=array.shape), springs)
-    readings = true * (1 + NOISE * rng.normal(size=true.shape)) + FLOOR * rng.normal(size=true.shape)
+    readings = true * (1 + NOISE * rng.normal(size=true.shape)) + SKIN.sigma * rng.normal(size=true.shape)
     # The rig has the array elsewhere: as if all else were off.
     wrong = se3.compose(np.eye(3), np.array([0.0, 0, MOUNT * rng.normal()]))
     moved = hs.PosePrior(wrong @ vision.T_palm_object, vision.covariance)

@@ -132,7 +132,7 @@ def test_chunks_are_small_at_first_and_grow_while_they_are_quick():
     workers = Prompt(size=1)
     answered(Run(source(range(5000)), workers))
     assert workers.begun[:5] == [1, 2, 4, 8, 16]
-    assert max(workers.begun) == batch.CHUNK_LINES
+    assert max(workers.begun) == batch.BATCH.chunk_lines
 
 
 def test_slow_lines_go_one_by_one():
@@ -153,7 +153,7 @@ class Endless(io.BufferedIOBase):
 
 
 def test_a_line_that_takes_forever_does_not_let_the_reader_run_ahead(monkeypatch):
-    monkeypatch.setattr(batch, "MAX_PENDING_BYTES", 4_000_000)
+    monkeypatch.setattr(batch, "BATCH", batch.BATCH._replace(max_pending_bytes=4_000_000))
     lines = Endless()
 
     class Stuck(Prompt):

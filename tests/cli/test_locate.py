@@ -11,7 +11,7 @@ from PIL import Image
 import handsight.vision
 from cli.commands import called, run
 from handsight import se3
-from handsight.vision.object.locate import LEAST_PROBABILITY
+from handsight.vision.object.locate import LOCATE
 from pictures import (
     INTRINSICS,
     bop_of,
@@ -64,7 +64,7 @@ def test_an_object_is_found_in_a_folder_of_pictures_and_not_where_it_is_not(fram
         assert best["position"] == answer["position"]
         assert best["weight"] == max(each["weight"] for each in answer["hypotheses"])
         assert sum(each["weight"] for each in answer["hypotheses"]) == pytest.approx(1)
-        assert LEAST_PROBABILITY <= answer["probability"] <= 1
+        assert LOCATE.min_probability <= answer["probability"] <= 1
         assert answer["seconds"] > 0
     assert set(third) == {"frame", "object", "found", "reason", "seconds"}
     assert third["found"] is False

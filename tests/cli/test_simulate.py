@@ -48,4 +48,4 @@ def test_where_no_grasp_holds_what_was_tried_is_said(tmp_path, monkeypatch, caps
         "(slipped when lifted: 20, slipped when turned: 4)" in said
     )
     assert read_grasp(tmp_path / "b.grasp.json").height == CAN.height
-    assert grasp_search.MOST_TRIALS == 24
+    assert grasp_search.GRASP_SEARCH.max_trials == 24

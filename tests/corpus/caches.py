@@ -21,7 +21,7 @@ from handsight.objects import model as making
 from handsight.objects.geometry import Geometry
 from handsight.objects.surface import Triangles
 from handsight.simulation import Nuisances, Scenario
-from handsight.simulation.scenario import STEPS_PER_SECOND
+from handsight.simulation.scenario import SCENARIO
 from tests.corpus.door import STRANGE, Case, Door, check_pose, spoilt_bytes, spoilt_value
 
 NAME = "0" * 64
@@ -120,7 +120,7 @@ def scenario(rng: random.Random) -> None:
         else:
             given[key] = spoilt_value(given[key], rng)
     taken = Scenario(**{**given, "nuisances": Nuisances(**off)})
-    assert 1 <= STEPS_PER_SECOND / taken.rate < 1e6
+    assert 1 <= SCENARIO.steps_per_second / taken.rate < 1e6
     assert all(0 <= getattr(taken.nuisances, name) <= 100 for name in off)
 
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from handsight.forces.friction import PATCH
+from handsight.forces.friction import FRICTION
 
 RATE = 500.0
 FINGERS = ("ff", "mf", "th")
@@ -19,7 +19,7 @@ def load(ratio, normal=2.0, angle=0.0, twist=0.0):
     """(5,) of a contact with normal z: `ratio` of sideways to normal load, a share `twist` of it as torque."""
     along = ratio * normal * np.sqrt(1 - twist**2)
     return np.array(
-        [along * np.cos(angle), along * np.sin(angle), 0.0, normal, ratio * normal * twist * PATCH]
+        [along * np.cos(angle), along * np.sin(angle), 0.0, normal, ratio * normal * twist * FRICTION.torsion]
     )
 
 
@@ -49,6 +49,8 @@ class Clock:
         said = []
         for loads in arrays:
             self.now += 1 / self.rate
-            noise = 0.0 if rng is None else sigma * rng.normal(size=loads.shape) * [1, 1, 1, 1, PATCH]
+            noise = (
+                0.0 if rng is None else sigma * rng.normal(size=loads.shape) * [1, 1, 1, 1, FRICTION.torsion]
+            )
             said.append(self.detector.update(self.now, self.fingers, loads + noise))
         return said

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from forces.loads import FINGERS, Clock, load, rig, sliding, steady
 from handsight.forces import SlipDetector
-from handsight.forces.slip import GAP, LASTS
+from handsight.forces.slip import SLIP
 
 MUS = st.floats(0.2, 1.5)
 
@@ -103,11 +103,13 @@ def test_a_spike_above_the_cone_does_not_raise_it():
 def test_on_the_brink_it_goes_on_and_well_below_it_ends_at_once():
     mu, clock = 0.7, knowing(0.7)
     assert clock.run(steady([load(mu)] * 3, 0.1))[-1].slipping
-    brink = [steady([load(ratio * mu)] * 3, LASTS / 2) for ratio in (0.95, 0.91, 0.97, 0.89, 0.96) * 2]
+    brink = [
+        steady([load(ratio * mu)] * 3, SLIP.min_hold / 2) for ratio in (0.95, 0.91, 0.97, 0.89, 0.96) * 2
+    ]
     assert all(each.slipping for each in clock.run(itertools.chain(*brink)))
     began = clock.detector.now.began
-    said = clock.run(steady([load(0.85 * mu)] * 3, 3 * LASTS))
-    assert said[int(0.8 * LASTS * clock.rate)].slipping
+    said = clock.run(steady([load(0.85 * mu)] * 3, 3 * SLIP.min_hold))
+    assert said[int(0.8 * SLIP.min_hold * clock.rate)].slipping
     assert not said[-1].slipping
     assert said[-1].ended > said[-1].began == began
     clock.run(steady([load(mu)] * 3, 0.1))
@@ -163,7 +165,7 @@ def test_the_order_of_fingers_does_not_matter():
 def test_after_a_pause_the_loads_begin_anew():
     clock = knowing(0.7)
     clock.run(steady([load(0.7)] * 3, 0.1))
-    clock.now += 2 * GAP
+    clock.now += 2 * SLIP.max_gap
     assert not clock.run(steady([load(0.1)] * 3, 0.002))[-1].slipping
 
 

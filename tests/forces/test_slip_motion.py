@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.contact import Contacts
 from handsight.forces import slip_twist
-from handsight.forces.friction import PATCH
+from handsight.forces.friction import FRICTION
 from handsight.forces.slip_motion import LENGTH
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -18,11 +18,11 @@ def slid(points, normals, twist, origin, rng, mu=0.7):
     """Loads (n, 5) of contacts whose object moves by a twist about the origin: each on its cone, along the velocity."""
     velocity = twist[:3] + np.cross(twist[3:], points - origin)
     velocity -= np.sum(velocity * normals, axis=1, keepdims=True) * normals
-    turn = PATCH * normals @ twist[3:]
+    turn = FRICTION.torsion * normals @ twist[3:]
     speed = np.sqrt((velocity**2).sum(axis=1) + turn**2)
     normal = rng.uniform(0.5, 3, len(points))
     along = np.column_stack([velocity, turn]) * (mu * normal / speed)[:, None]
-    return np.column_stack([along[:, :3], normal, PATCH * along[:, 3]]), speed
+    return np.column_stack([along[:, :3], normal, FRICTION.torsion * along[:, 3]]), speed
 
 
 def touched(rng, n=3):
@@ -59,8 +59,8 @@ def test_it_goes_the_way_the_object_does(seed):
     found, about_zero = (slip_twist(contacts, loads, at) for at in (origin, np.zeros(3)))
     assume(found is not None)
     moves, true = (each[:3] + np.cross(each[3:], points - origin) for each in (found, twist))
-    turns, truly = (PATCH * normals @ each[3:] for each in (found, twist))
-    said = np.sum(moves * loads[:, :3], axis=1) + turns * loads[:, 4] / PATCH
+    turns, truly = (FRICTION.torsion * normals @ each[3:] for each in (found, twist))
+    said = np.sum(moves * loads[:, :3], axis=1) + turns * loads[:, 4] / FRICTION.torsion
     assert said.sum() > 0
     flat = true - np.sum(true * normals, axis=1, keepdims=True) * normals
     assert np.sum(moves * flat) + turns @ truly > 0
@@ -74,7 +74,7 @@ def test_a_twist_between_two_tips_is_a_turn_about_their_normal():
     points, normals = np.array([[0.03, 0, 0], [-0.03, 0, 0]]), np.array([[-1.0, 0, 0], [1.0, 0, 0]])
     loads, _ = slid(points, normals, np.array([0, 0, 0, 5.0, 0, 0]), np.zeros(3), np.random.default_rng(0))
     found = slip_twist(Contacts(points, normals), loads, np.zeros(3))
-    np.testing.assert_allclose(found, [0, 0, 0, 1 / np.hypot(PATCH, LENGTH), 0, 0], atol=1e-6)
+    np.testing.assert_allclose(found, [0, 0, 0, 1 / np.hypot(FRICTION.torsion, LENGTH), 0, 0], atol=1e-6)
 
 
 def test_loads_that_agree_on_nothing_say_nothing():

@@ -10,7 +10,7 @@ from forces.weighed import CENTER, MASS, TILTS, Held, rig, touched
 from handsight import se3
 from handsight.forces import Carried, Unknowns, weigh
 from handsight.forces.loads import accelerations, load_sum
-from handsight.forces.weigher import CREEP, SIGMA_GRAVITY
+from handsight.forces.weigher import WEIGHER
 from handsight.forces.weight import _chance
 
 JOINTS = len(rig().hand.moving)
@@ -20,7 +20,7 @@ STAY = np.zeros(JOINTS)
 def unknowns():
     sigma = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig().fingers.values()]
     root = rig().sigma_joint_offset * np.eye(JOINTS)
-    return Unknowns(root, np.ravel(sigma), CREEP, rig().gravity, SIGMA_GRAVITY)
+    return Unknowns(root, np.ravel(sigma), WEIGHER.creep, rig().gravity, WEIGHER.sigma_gravity)
 
 
 def carried(held, tilts, **how):
@@ -133,7 +133,7 @@ def test_what_is_said_of_the_uncertainty_is_so(count):
         held = Held(
             offsets=rig().sigma_joint_offset * rng.normal(size=JOINTS),
             biases=sigma * rng.normal(size=(5, 6)),
-            plumb=SIGMA_GRAVITY * rng.normal(size=3),
+            plumb=WEIGHER.sigma_gravity * rng.normal(size=3),
             noise=1.0,
             rng=rng,
         )
@@ -194,5 +194,7 @@ def test_joints_and_centre_are_told_together():
     found = weigh(instants, unknowns())
     shared, joints = found.joint_covariance[1:4, 4:], found.joint_covariance[4:, 4:]
     given = found.covariance_center - shared @ np.linalg.solve(joints, shared.T)
-    exact = Unknowns(np.zeros((JOINTS, JOINTS)), unknowns().biases, CREEP, rig().gravity, SIGMA_GRAVITY)
+    exact = Unknowns(
+        np.zeros((JOINTS, JOINTS)), unknowns().biases, WEIGHER.creep, rig().gravity, WEIGHER.sigma_gravity
+    )
     np.testing.assert_allclose(given, weigh(instants, exact).covariance_center, rtol=0.02, atol=1e-9)

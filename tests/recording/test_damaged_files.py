@@ -196,7 +196,7 @@ def test_a_chunk_that_says_it_is_huge_is_not_unpacked(tmp_path, compression):
     packed = (bombs() | {"": b"x"})[compression]
     data, fault = chunks.unpacked(packed, compression, 1 << 62)
     assert data == b""
-    assert fault == f"says it unpacks to {1 << 62} bytes, at most {chunks.MAX_UNPACKED} are read"
+    assert fault == f"says it unpacks to {1 << 62} bytes, at most {chunks.CHUNKS.max_unpacked} are read"
     with pytest.raises(InvalidFile, match="expected joint states"):
         open_recording(mcap_with_chunk(tmp_path / "a.mcap", packed, 1 << 62, compression), rig())
 
@@ -272,7 +272,7 @@ def test_random_bytes_behind_the_magic_are_no_recording(tmp_path_factory, tail):
 
 @pytest.mark.parametrize("kind", ["mcap", "db3"])
 def test_a_file_packed_from_next_to_nothing_is_refused_before_the_disk_is_full(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(chunks, "SPARE_UNPACKED", 1 << 20)
+    monkeypatch.setattr(chunks, "CHUNKS", chunks.CHUNKS._replace(spare_unpacked=1 << 20))
     path = save(tmp_path, touched(), kind, compression="FILE")
     (file,) = path.glob("*.zstd")
     compress = chunks.rosbags_module(chunks.UNPACKERS["zstd"][0]).compress

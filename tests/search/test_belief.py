@@ -11,7 +11,7 @@ from handsight.errors import InvalidInput
 from handsight.rig import Table
 from handsight.search import Belief, Touch, best_sweep, candidates, expected_information
 from handsight.search.belief import PARTICLES, contact_log_likelihoods, free_log_likelihood
-from handsight.search.sweep_choice import MAX_POSES
+from handsight.search.sweep_choice import SWEEPS
 
 HEIGHTS = (0.09, 0.11)
 
@@ -41,7 +41,7 @@ def test_a_sweep_that_no_pose_meets_tells_nothing_and_none_tells_more_than_there
     told = expected_information(belief, sweeps, RADIUS)
     assert (told[:2] == 0).all()
     assert (told >= 0).all()
-    assert told.max() <= np.log(MAX_POSES) + 1e-12
+    assert told.max() <= np.log(SWEEPS.max_poses) + 1e-12
     assert told[2:].min() > 0
 
 

@@ -6,17 +6,7 @@ import trimesh
 from scipy.optimize import linprog
 
 from handsight import se3
-from handsight.simulation.grasp_candidates import (
-    EDGES,
-    FRICTION,
-    LEVER,
-    TIP_RADIUS,
-    WIDEST,
-    body_of,
-    forces,
-    grasp_candidates,
-    rests,
-)
+from handsight.simulation.grasp_candidates import GRASP, body_of, forces, grasp_candidates, rests
 
 
 def shapes():
@@ -77,9 +67,9 @@ def test_holds_are_on_the_surface_from_opposite_sides_above_the_table(body):
             assert (at.normals @ point - at.offsets).max() == pytest.approx(0, abs=1e-9)
             sense = -1 if finger == "th" else 1
             assert sense * hold.normals[finger][0] > 0.7
-            assert point[2] > TIP_RADIUS - 0.0021
+            assert point[2] > GRASP.tip_radius - 0.0021
         width = np.mean([p[0] for f, p in hold.points.items() if f != "th"]) - hold.points["th"][0]
-        assert 0 < width <= WIDEST
+        assert 0 < width <= GRASP.max_width
 
 
 def random_contacts(rng):
@@ -99,8 +89,10 @@ def balance_by_linear_program(points, normals, most):
         a /= np.linalg.norm(a)
         b = np.cross(normal, a)
         for turn in 2 * np.pi * np.arange(32) / 32:
-            force = -normal + FRICTION * (np.cos(turn) * a + np.sin(turn) * b)
-            columns.append(np.concatenate([force, np.cross(point - points.mean(axis=0), force) / LEVER]))
+            force = -normal + GRASP.friction * (np.cos(turn) * a + np.sin(turn) * b)
+            columns.append(
+                np.concatenate([force, np.cross(point - points.mean(axis=0), force) / GRASP.lever])
+            )
             owner.append(k)
     each = (np.arange(len(points))[:, None] == np.array(owner)).astype(float)
     done = linprog(-np.ones(len(owner)), A_eq=np.array(columns).T, b_eq=np.zeros(6), A_ub=each, b_ub=most)
@@ -115,8 +107,10 @@ def test_forces_are_within_friction_and_balanced_exactly_where_a_linear_program_
         found, left = forces(points, normals, wished)
         pressed = -(found * normals).sum(axis=1)
         aside = np.linalg.norm(found + pressed[:, None] * normals, axis=1)
-        assert (aside <= FRICTION * pressed + 1e-9).all()
-        wrench = np.r_[found.sum(axis=0), np.cross((points - points.mean(axis=0)) / LEVER, found).sum(axis=0)]
+        assert (aside <= GRASP.friction * pressed + 1e-9).all()
+        wrench = np.r_[
+            found.sum(axis=0), np.cross((points - points.mean(axis=0)) / GRASP.lever, found).sum(axis=0)
+        ]
         assert left == pytest.approx(np.linalg.norm(wrench), abs=1e-9)
         possible = balance_by_linear_program(points, normals, wished)
         if possible < 1e-6:
@@ -129,4 +123,4 @@ def test_forces_are_within_friction_and_balanced_exactly_where_a_linear_program_
             assert left < 0.15
             seen[True] += 1
     assert min(seen.values()) > 8
-    assert EDGES == 8
+    assert GRASP.cone_edges == 8

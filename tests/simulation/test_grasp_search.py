@@ -12,7 +12,7 @@ from handsight.errors import InvalidFile, InvalidObject
 from handsight.simulation import Scenario, find_grasp, grasp_search, read_grasp, simulate, write_grasp
 from handsight.simulation.grasp_candidates import body_of, grasp_candidates
 from handsight.simulation.motion import CAN
-from handsight.simulation.posture import FAR, Posture
+from handsight.simulation.posture import POSTURE, Posture
 from handsight.simulation.scene import convex_hull, mujoco_module, scene, tip_shape
 from handsight.simulation.world import World
 
@@ -53,7 +53,7 @@ def test_the_open_hand_is_clear_of_the_object_and_its_tips_are_ready(block, fitt
     world = World(Scenario(object=block), grasp)
     tips = distances(world, lambda name: name.endswith("_tip"))
     for finger in hold.points:
-        assert tips[f"{finger}_tip"] == pytest.approx(FAR, abs=0.008)
+        assert tips[f"{finger}_tip"] == pytest.approx(POSTURE.tip_clearance, abs=0.008)
     assert min(distances(world, lambda name: name.startswith("robot0:C_")).values()) > 0.001
     lowest = {name: d for name, d in distances(world, lambda name: True).items() if d < 0}
     assert not lowest
@@ -108,7 +108,7 @@ def test_where_nothing_holds_the_longest_is_taken_and_all_failures_are_counted(b
         return next(lasted)
 
     monkeypatch.setattr(grasp_search, "_trial", trial)
-    monkeypatch.setattr(grasp_search, "MOST_TRIALS", 8)
+    monkeypatch.setattr(grasp_search, "GRASP_SEARCH", grasp_search.GRASP_SEARCH._replace(max_trials=8))
     found = find_grasp(Scenario(object=block, motion="grasp"))
     assert (found.succeeded, found.trials) == (False, 8)
     assert found.grasp is tried[1]

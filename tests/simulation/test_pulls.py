@@ -10,8 +10,8 @@ from handsight import se3
 from handsight.cli.simulate import write_slips
 from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
-from handsight.simulation.pull import BEGINS, LASTS, STEP, Pull, height
-from handsight.simulation.scenario import PATCH, STEPS_PER_SECOND
+from handsight.simulation.pull import PULL, Pull, height
+from handsight.simulation.scenario import SCENARIO
 from simulation.simulated import only, sensed
 
 FRICTION = 0.6
@@ -26,39 +26,42 @@ def pull(motion="ramp", seed=0, **strength):
 
 @pytest.mark.parametrize("motion", ["ramp", "steps", "sine"])
 def test_a_pull_grows_to_its_height_and_is_nothing_before_and_after(motion):
-    times = np.arange(0, LASTS, 0.001)
+    times = np.arange(0, PULL.duration, 0.001)
     heights = np.array([height(motion, t) for t in times])
     assert heights.min() >= 0
     assert 0.9 < heights.max() <= 1
     assert np.abs(np.diff(heights)).max() < 0.01
     run = pull(motion, pull_force=6.0, pull_torque=0.05)
-    forces = np.array([run.wrench(BEGINS + t, 0.0, 0.0) for t in times])
+    forces = np.array([run.wrench(PULL.begin + t, 0.0, 0.0) for t in times])
     np.testing.assert_allclose(np.linalg.norm(forces[:, :3], axis=1), 6 * heights, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(forces[:, 3:], axis=1), 0.05 * heights, atol=1e-12)
-    assert not run.wrench(BEGINS - 0.01, 0.0, 0.0).any()
-    assert not run.wrench(BEGINS + LASTS + 0.01, 0.0, 0.0).any()
+    assert not run.wrench(PULL.begin - 0.01, 0.0, 0.0).any()
+    assert not run.wrench(PULL.begin + PULL.duration + 0.01, 0.0, 0.0).any()
 
 
 def test_steps_rest_and_a_sine_comes_back():
-    assert height("steps", 1.9 * STEP) == height("steps", 1.5 * STEP)
+    assert height("steps", 1.9 * PULL.step) == height("steps", 1.5 * PULL.step)
     assert height("sine", 2 / 1.5) == pytest.approx(0, abs=1e-12)
 
 
 def test_a_pull_lets_go_of_what_has_slipped_and_does_not_follow_what_flies():
     run = pull(pull_force=6.0)
-    still = np.linalg.norm(run.wrench(BEGINS + 1, 0.0, 0.0))
-    assert np.linalg.norm(run.wrench(BEGINS + 1, 0.01, 0.01)) == pytest.approx(still, rel=0.02)
-    assert not run.wrench(BEGINS + 1, 0.2, 0.2).any()
-    assert not run.wrench(BEGINS + 1, 0.0, 1.0).any()
-    slipped, time = 0.0, BEGINS + 1
+    still = np.linalg.norm(run.wrench(PULL.begin + 1, 0.0, 0.0))
+    assert np.linalg.norm(run.wrench(PULL.begin + 1, 0.01, 0.01)) == pytest.approx(still, rel=0.02)
+    assert not run.wrench(PULL.begin + 1, 0.2, 0.2).any()
+    assert not run.wrench(PULL.begin + 1, 0.0, 1.0).any()
+    slipped, time = 0.0, PULL.begin + 1
     while run.wrench(time, 0.02, 0.02).any():
-        time, slipped = time + 1 / STEPS_PER_SECOND, slipped + 0.02 / STEPS_PER_SECOND
+        time, slipped = time + 1 / SCENARIO.steps_per_second, slipped + 0.02 / SCENARIO.steps_per_second
     assert 0.003 < slipped < 0.021
 
 
 def test_it_pulls_along_what_the_tips_press_on():
     directions = np.array(
-        [pull(seed=seed, pull_force=1.0).wrench(BEGINS + 0.999 * LASTS, 0, 0)[:3] for seed in range(200)]
+        [
+            pull(seed=seed, pull_force=1.0).wrench(PULL.begin + 0.999 * PULL.duration, 0, 0)[:3]
+            for seed in range(200)
+        ]
     )
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 0.999, atol=1e-9)
     across = np.abs(directions[:, 1])
@@ -112,7 +115,7 @@ def test_what_slips_is_on_the_cone_and_nothing_is_outside():
                 continue
             along = np.linalg.norm(contact.force_palm - normal * contact.normal_palm)
             ratios.append(along / normal)
-            turns = PATCH * abs(contact.velocity_palm[3:] @ contact.normal_palm)
+            turns = SCENARIO.torsion * abs(contact.velocity_palm[3:] @ contact.normal_palm)
             if contact.speed > 0.01 and turns < 0.1 * contact.speed:
                 sliding.append(along / normal)
     assert max(ratios) < 1.02 * FRICTION

@@ -20,7 +20,7 @@ if find_spec("gymnasium_robotics") is None:  # it is not imported: only its file
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
 
 from handsight.simulation import Scenario, rig_of
-from handsight.tracking.hand_eye_calibration import EVERY, LEAST_VIEWS, HandViews
+from handsight.tracking.hand_eye_calibration import HAND_VIEWS, HandViews
 
 TRUE = se3.compose(se3.rotation_exp(np.array([0.3, 1.2, -0.4])), np.array([0.4, -0.3, 0.5]))
 OFF = se3.compose(se3.rotation_exp(np.deg2rad([2.0, -3.0, 1.5])), np.array([0.02, -0.015, 0.03]))
@@ -33,7 +33,9 @@ def pictures(rig, count, T_world_camera=TRUE):
     for k in range(count):
         scene = hand_scene(rig.hand, shapes, np.random.default_rng(k), sigma_joint=0.0)
         T = T_world_camera @ scene.T_camera_palm
-        yield Observation(k * EVERY, joint_positions=scene.joints, T_world_palm=T, depth=scene.depth)
+        yield Observation(
+            k * HAND_VIEWS.period, joint_positions=scene.joints, T_world_palm=T, depth=scene.depth
+        )
 
 
 def rig_with(T_world_camera, **changes):
@@ -56,7 +58,7 @@ def test_a_camera_is_where_the_hand_is_seen_from():
     passed = list(views.watched(pictures(rig, 7)))
     assert len(passed) == views.images == 7
     found = views.calibration()
-    assert found.views >= LEAST_VIEWS
+    assert found.views >= HAND_VIEWS.min_views
     E = found.T_mount_camera @ se3.inverse(TRUE)
     assert np.linalg.norm(se3.apply(E, found.pivot[None])[0] - found.pivot) < 0.003
     assert np.linalg.norm(se3.rotation_log(E[:3, :3])) < np.deg2rad(1)
@@ -71,11 +73,11 @@ def test_a_camera_is_where_the_hand_is_seen_from():
 def test_the_command_reads_it_off_a_recordings_images(tmp_path, monkeypatch, capsys):
     rig = rig_with(OFF @ TRUE)
     write_rig(rig, tmp_path / "rig.yaml")
-    recorded(tmp_path / "hand.mcap", pictures(rig, LEAST_VIEWS), rig)
+    recorded(tmp_path / "hand.mcap", pictures(rig, HAND_VIEWS.min_views), rig)
     command = "calibrate", "camera", "hand.mcap", "--rig", "rig.yaml", "--object", "can"
     assert called(monkeypatch, tmp_path, *command) == 0
     out = capsys.readouterr().out
-    assert f"# from the hand seen in {LEAST_VIEWS} of {LEAST_VIEWS} pictures" in out
+    assert f"# from the hand seen in {HAND_VIEWS.min_views} of {HAND_VIEWS.min_views} pictures" in out
     assert "touch says" not in out
     place = np.array(re.search(r"position: \[([^]]+)\]", out)[1].split(","), dtype=float)
     # The hand is up to 1.1 m off, and the turn known to some tenths of a degree.

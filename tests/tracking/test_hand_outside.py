@@ -12,7 +12,7 @@ from handsight import se3
 from handsight.hand import Hand
 from handsight.rig import Rig
 from handsight.tracking import Tracker
-from handsight.tracking.hand_outside import ENOUGH_NOTES, NOTE_EVERY, SKIN, HandOutside, LinkMargins
+from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside, LinkMargins
 
 PLATE = """<mujoco><worldbody><body name="palm"><geom type="box" size=".05 .06 {half}" pos="0 0 {middle}"/>
   <body name="far" pos="0 0 -.3"><joint name="turn" axis="1 0 0"/><geom type="sphere" size=".02" pos="0 .2 0"/></body>
@@ -58,8 +58,10 @@ def test_a_link_is_as_wrong_as_its_joints_and_its_skin(plate, larger):
     rig_sigma = np.hypot(np.deg2rad(1.0), np.deg2rad(0.1))
     sigmas = dict(zip(outside.links.tolist(), outside.sigmas.tolist(), strict=True))
     # The palm hangs on no joint; the sphere on a lever of 0.2 m, which moves along one of three axes.
-    assert sigmas[0] == pytest.approx(SKIN)
-    assert sigmas[1] == pytest.approx(np.hypot(SKIN, 0.2 * rig_sigma / np.sqrt(3)), rel=0.02)
+    assert sigmas[0] == pytest.approx(HAND_OUTSIDE.sigma_surface)
+    assert sigmas[1] == pytest.approx(
+        np.hypot(HAND_OUTSIDE.sigma_surface, 0.2 * rig_sigma / np.sqrt(3)), rel=0.02
+    )
 
 
 def test_how_far_links_move_by_their_joints_is_that_of_joints_drawn(box):
@@ -102,10 +104,10 @@ def test_a_margin_once_known_is_taken_off(plate):
     hand, margins = plate(0.01), LinkMargins()
     contacts, T = on_plate((scenes.BOX_POINTS, scenes.BOX_NORMALS), 0)
     vision = hs.PosePrior.from_sigmas(T, 0.02, 0.1)
-    for k in range(ENOUGH_NOTES):
+    for k in range(HAND_OUTSIDE.min_notes):
         assert not margins.known
         _, _, inside = reconciled(hand, contacts, vision, margins)
-        margins = margins.noted(inside, stamp=k * NOTE_EVERY)
+        margins = margins.noted(inside, stamp=k * HAND_OUTSIDE.note_period)
     assert margins.known["palm"] == pytest.approx(0.01 - SHRINK, abs=0.0015)
     before, after, inside = reconciled(hand, contacts, vision, margins)
     assert not inside
@@ -140,8 +142,8 @@ def test_one_bad_pose_makes_no_margin():
     for k in range(100):  # at a hundred corrections a second
         margins = margins.noted({"palm": 0.012}, stamp=1.0 + 0.001 * k)
     assert not margins.known
-    for k in range(2 * ENOUGH_NOTES):
-        margins = margins.noted({"palm": 0.006}, stamp=2.0 + NOTE_EVERY * k)
+    for k in range(2 * HAND_OUTSIDE.min_notes):
+        margins = margins.noted({"palm": 0.006}, stamp=2.0 + HAND_OUTSIDE.note_period * k)
     assert margins.known == {"palm": 0.006}
     assert margins.noted({}, stamp=9.0) is margins
 

@@ -11,7 +11,7 @@ from handsight import se3
 from handsight.contact import Contacts
 from handsight.forces.friction import Friction
 from handsight.tracking import FingertipContacts, Tracker
-from handsight.tracking.slip_update import BEFORE, FARTHEST, SIDEWAYS, SPEED, SlipUpdate
+from handsight.tracking.slip_update import SLIP_UPDATE, SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
 
 FINGERS = ("ff", "mf", "th")
@@ -59,17 +59,23 @@ def test_the_sigma_along_a_slip_grows_with_its_time_whatever_the_rate(period):
     part = slipping()
     run(part, smoother(), 0.1, 0.3, 0.0, period)
     state = run(part, smoother(), 0.3, 1.0, 0.1, period)
-    since = part.detector.stamp - part.now.began + BEFORE
+    since = part.detector.stamp - part.now.began + SLIP_UPDATE.onset_delay
     found = spread(state)
-    assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(1, SIDEWAYS) * SPEED * since, rel=1e-6)
-    assert np.sqrt(found[1, 1]) == pytest.approx(SIDEWAYS * SPEED * since, rel=0.01)
+    assert np.sqrt(found[0, 0]) == pytest.approx(
+        np.hypot(1, SLIP_UPDATE.lateral_share) * SLIP_UPDATE.sigma_speed * since, rel=1e-6
+    )
+    assert np.sqrt(found[1, 1]) == pytest.approx(
+        SLIP_UPDATE.lateral_share * SLIP_UPDATE.sigma_speed * since, rel=0.01
+    )
     assert np.abs(found[3:, 3:] - np.diag(np.diagonal(found)[3:])).max() < 1e-9
 
 
 def test_it_grows_no_farther_than_objects_slip_in_a_hand():
     part = slipping()
     state = run(part, smoother(), 5.0, 1.0, 0.0)
-    assert np.sqrt(spread(state)[0, 0]) == pytest.approx(np.hypot(1, SIDEWAYS) * FARTHEST, rel=1e-6)
+    assert np.sqrt(spread(state)[0, 0]) == pytest.approx(
+        np.hypot(1, SLIP_UPDATE.lateral_share) * SLIP_UPDATE.max_travel, rel=1e-6
+    )
 
 
 def test_each_slip_counts_anew_and_adds_to_those_before():

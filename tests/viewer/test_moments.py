@@ -19,10 +19,10 @@ from handsight.viewer.curves import curves
 from handsight.viewer.moment import VISION_FOR, Measured, Moment
 from handsight.viewer.panel import share
 from handsight.viewer.picture import edge, jpeg, picture
-from handsight.viewer.player import FRAME, Timeline
+from handsight.viewer.player import PLAYER, Timeline
 from handsight.viewer.scene import LAYERS
 from handsight.viewer.sentence import sentence
-from handsight.viewer.shapes import WITHIN_95, ellipsoid, middle, opened
+from handsight.viewer.shapes import SHAPES, ellipsoid, middle, opened
 
 
 def touched(tracked):
@@ -42,7 +42,7 @@ def test_a_recording_is_shown_as_track_gives_it(tracked):
             step.sigma,
             step.fingers,
         )
-    assert min(np.diff([moment.stamp for moment in moments])) >= FRAME - 1e-3
+    assert min(np.diff([moment.stamp for moment in moments])) >= PLAYER.frame - 1e-3
 
 
 def test_what_vision_said_is_shown_for_a_while(tracked):
@@ -91,10 +91,10 @@ def test_the_timeline_gives_the_last_moment_that_is_not_later(tracked):
 def test_seconds_since_1970_are_times_since_the_beginning(tracked):
     timeline = Timeline()
     for k, moment in enumerate(tracked.timeline.moments * 3):
-        assert timeline.append(dataclasses.replace(moment, stamp=1.7e9 + k * FRAME, vision=None))
+        assert timeline.append(dataclasses.replace(moment, stamp=1.7e9 + k * PLAYER.frame, vision=None))
     for k, moment in enumerate(timeline.moments):
         assert timeline.at(moment.stamp - timeline.begin) is moment
-        assert timeline.at(k * FRAME) is moment
+        assert timeline.at(k * PLAYER.frame) is moment
     assert timeline.at(timeline.length) is timeline.moments[-1]
     found = curves(timeline.moments, tracked.model, tracked.truths)
     assert (found.times[0], found.times[-1]) == (0.0, timeline.length)
@@ -173,7 +173,7 @@ def test_the_ellipsoid_holds_95_of_100_places_of_the_middle():
     places = np.array([middle(model, se3.moved(T, draw)) for draw in draws])
     inside = se3.apply(se3.inverse(found.T_palm_axes), places) / found.semi_axes
     assert (np.linalg.norm(inside, axis=1) < 1).mean() == pytest.approx(0.95, abs=0.012)
-    assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == WITHIN_95
+    assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == SHAPES.sigmas_95
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -11,7 +11,7 @@ from handsight._kernels.image import depth_covariance, depth_term, near_points
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT, WINDOW
 from handsight.errors import InvalidInput, InvalidTransform
 from handsight.vision import DepthTracker
-from handsight.vision.object.depth_tracker import LONGEST, SEARCH_EVERY
+from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from sight_scenes import CAMERA, drawn, letter, looking, noisy
 from sight_sequences import jug
 
@@ -200,7 +200,7 @@ def test_equal_and_jumping_stamps_are_borne(jump):
     tracker = table.tracker(at())
     for k in range(5):
         tracker.update(k * DT, table.depth(at(0.2 * k * DT)), table=table.plane)
-    assert abs(jump) > LONGEST or not jump
+    assert abs(jump) > DEPTH_TRACKER.max_gap or not jump
     for k in range(5):
         there = at(0.2 * 4 * DT)
         sighting = tracker.update(4 * DT + jump + k * DT * bool(jump), table.depth(there), table=table.plane)
@@ -240,7 +240,7 @@ def test_where_to_begin_may_be_told():
     there = at(0.08, 0.05, 2.0)
     tracker._searched = 0.0
     told = table.T_camera_table @ there
-    assert DT < SEARCH_EVERY
+    assert DEPTH_TRACKER.search_period > DT
     assert tracker.update(DT, table.depth(there), table=table.plane).state == "lost"
     sighting = tracker.update(2 * DT, table.depth(there), table=table.plane, expected=told)
     assert sighting.state == "tracking"

@@ -198,7 +198,7 @@ def plain_covariance(told, error, look, T):
 def test_of_a_convex_object_all_that_faces_a_side_is_seen():
     box = hs.ObjectModel.box((0.05, 0.08, 0.03))
     samples, directions, visible = appearance_of(box).sides
-    np.testing.assert_array_equal(visible, directions @ samples[1].T > pose_score.FACING)
+    np.testing.assert_array_equal(visible, directions @ samples[1].T > pose_score.POSE_SCORE.facing_cosine)
 
 
 def test_what_is_behind_another_part_of_the_object_is_not_seen():

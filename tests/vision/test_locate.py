@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.vision.object.locate import LEAST_PROBABILITY, locate
+from handsight.vision.object.locate import LOCATE, locate
 from handsight.vision.object.presence import probabilities
 from handsight.vision.object.recognition import recognise
 from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
@@ -45,7 +45,7 @@ def test_what_is_there_is_found_and_named(name):
     found = locate(models()[name], CAMERA, depth)
     assert found.reason is None
     assert mssd(models()[name], T, found.Ts_camera_object)[0] < 0.1
-    assert LEAST_PROBABILITY <= found.probability <= 1
+    assert LOCATE.min_probability <= found.probability <= 1
     answer = recognise(models(), CAMERA, depth)
     assert answer.name == name == next(iter(answer.scores))
     assert answer.none + sum(answer.scores.values()) == pytest.approx(1)

@@ -17,12 +17,12 @@ import handsight as hs
 from hand_scenes import CAMERA, SQUARE, error, hand_scene, moved
 from handsight import se3
 from handsight._kernels.image import hand_term, palm_scan
-from handsight._kernels.image.palm_scan import AGREES, FACING
+from handsight._kernels.image.palm_scan import PALM_SCAN
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.palm.hand_appearance import BESIDE, HandAppearance
+from handsight.vision.palm.hand_appearance import APPEARANCE, HandAppearance
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.palm.palm_covariance import _spread
 from handsight.vision.palm.palm_search import Picture, _shifts, _turns, picture_of
@@ -115,9 +115,9 @@ def plain_rows(picture: Picture, T, skin, bound):
         for k in (1, 0)
     )
     seen = picture.cells[i, j, 1:]
-    alike = ~seen.any(axis=1) | ((seen * n).sum(axis=1) >= AGREES)
+    alike = ~seen.any(axis=1) | ((seen * n).sum(axis=1) >= PALM_SCAN.normal_cosine)
     ratio = np.linalg.norm(Q - P, axis=1) / bound
-    facing = -(n * P).sum(axis=1) > FACING * np.linalg.norm(P, axis=1)
+    facing = -(n * P).sum(axis=1) > PALM_SCAN.facing_cosine * np.linalg.norm(P, axis=1)
     weight = np.where(facing & (z > 0) & (ratio < 1) & alike, (1 - np.minimum(ratio, 1) ** 2) ** 2, 0)
     return weight, Q, P, n
 
@@ -304,8 +304,8 @@ def test_points_beside_a_hand_are_in_the_air_off_its_outline():
     apart = distance_transform_edt(~np.isfinite(drawn))[rows, columns] * air[:, 2] / CAMERA.matrix[0, 0]
     # A drawn pixel of a quarter of the size is 4 wide.
     pixel = 4 * air[:, 2] / CAMERA.matrix[0, 0]
-    assert (apart > BESIDE - 2 * pixel).all()
-    assert (apart < np.sqrt(2) * (BESIDE + pixel)).all()
+    assert (apart > APPEARANCE.beside - 2 * pixel).all()
+    assert (apart < np.sqrt(2) * (APPEARANCE.beside + pixel)).all()
 
 
 def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behind_does_not():
@@ -322,8 +322,10 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
         cells[4, 4, 0] = 1.0
         found = np.empty((1, 1, 2))
         palm_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
-        scores.append(found[0, 0, 0] * (len(on) + palm_scan.VISIBLE_SLACK))
-    np.testing.assert_allclose(scores, [len(on) - palm_scan.BESIDE * len(air), len(on), len(on)])
+        scores.append(found[0, 0, 0] * (len(on) + palm_scan.PALM_SCAN.visible_slack))
+    np.testing.assert_allclose(
+        scores, [len(on) - palm_scan.PALM_SCAN.beside_weight * len(air), len(on), len(on)]
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -382,6 +384,6 @@ def test_an_outline_goes_on_in_a_wall_and_ends_in_the_air():
     air = np.where(there, drawn, 1.5).astype(np.float32)
     nearest = distance_transform_edt(~there, return_distances=False, return_indices=True)
     wall = drawn[tuple(nearest)].astype(np.float32)
-    assert hand.outline_continued(CAMERA, air, T) < detect_palm.MOST_CONTINUED
-    assert hand.outline_continued(CAMERA, wall, T) > detect_palm.MOST_CONTINUED
+    assert hand.outline_continued(CAMERA, air, T) < detect_palm.DETECTOR.max_continued
+    assert hand.outline_continued(CAMERA, wall, T) > detect_palm.DETECTOR.max_continued
     assert hand.outline_continued(CAMERA, np.zeros_like(air), T) == 1.0

@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
 from handsight.live.answers import MARKERS_TOPIC
-from handsight.live.node import WAITING, WAITING_EQUAL, PublishedTypes, done, live_tracker, work
+from handsight.live.node import NODE, PublishedTypes, done, live_tracker, work
 from handsight.messages import RawMessage
 from handsight.messages.prompt import WAIT
 from handsight.viewer import view
@@ -127,7 +127,7 @@ class Ears:
 
 def publisher(node, live):
     """What publishes an answer; one that never reads costs nothing."""
-    found, waiting = {}, WAITING_EQUAL if live.equal else WAITING
+    found, waiting = {}, NODE.max_answers_all if live.equal else NODE.max_answers
     for topic, kind in live.publications.items():
         if (message := made(*kind.split("/"))) is not None:
             found[topic] = node.create_publisher(message, topic, waiting)

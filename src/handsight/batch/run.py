@@ -10,15 +10,23 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from queue import SimpleQueue
+from typing import NamedTuple
 
 from handsight.batch.lines import Source, blocks
 from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
 
-CHUNK_LINES = 256
-MAX_PENDING_BYTES = 64_000_000
-"""Lines that wait for their answer or for an earlier line's; above it nothing more is submitted."""
-LINE_BYTES = 3000
-"""What a line takes besides its characters: its answer and Python's own."""
+
+class BatchLimits(NamedTuple):
+    """How much of a batch is in memory at once."""
+
+    chunk_lines: int = 256  # lines given to a worker at once
+    max_pending_bytes: int = 64_000_000
+    """Lines that wait for their answer or an earlier line's; above it nothing more is submitted."""
+    line_overhead: int = 3000  # what a line takes besides its characters: its answer and Python's own [bytes]
+
+
+BATCH = BatchLimits()
+
 
 Answered = tuple[list[bytes], Answers]
 """Consecutive lines with their answers."""
@@ -119,7 +127,11 @@ class Run:
 
     def _begin(self) -> None:
         """Has chunks of the lines that came answered, while there is room."""
-        while self._lines and self._running < self._workers.room and self._pending_bytes < MAX_PENDING_BYTES:
+        while (
+            self._lines
+            and self._running < self._workers.room
+            and self._pending_bytes < BATCH.max_pending_bytes
+        ):
             chunk = self._lines[: self._size]
             future = self._workers.submit(chunk)
             del self._lines[: self._size]
@@ -141,7 +153,7 @@ class Run:
                 # Chunks that keep a worker busy for as long as it should be; one alone may be unlike the others.
                 answers = event.result()
                 aim = len(answers.texts) * self._workers.chunk_seconds / max(answers.seconds, 1e-9)
-                self._size = int(min(max(aim, self._size / 2, 1), 2 * self._size, CHUNK_LINES))
+                self._size = int(min(max(aim, self._size / 2, 1), 2 * self._size, BATCH.chunk_lines))
 
     def _one_by_one(self, lines: list[bytes]) -> Iterator[Answered]:
         """Lines that were lost with a worker, while no others are at work: who dies, dies of the line."""
@@ -155,4 +167,4 @@ class Run:
 
 
 def _bytes(lines: list[bytes]) -> int:
-    return sum(len(line) + LINE_BYTES for line in lines)
+    return sum(len(line) + BATCH.line_overhead for line in lines)

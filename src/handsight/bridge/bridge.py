@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, DDSStatus, WaitSet
@@ -16,22 +16,29 @@ from handsight.bridge.message_types import message_type, ros_name
 from handsight.bridge.network import Network
 from handsight.live import LiveTracker
 from handsight.live.answers import MARKERS_TOPIC, Answer
-from handsight.live.node import WAITING, WAITING_EQUAL, PublishedTypes
+from handsight.live.node import NODE, PublishedTypes
 from handsight.messages import RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.prompt import WAIT
 from handsight.tracking import Tracker
 
-AT_ONCE = 100
-"""Messages taken at once."""
-QUIET = 0.1
-"""After so long without a message nothing waits for another one [s]."""
-BLOCKED = 10_000_000
-"""The longest that a reader that does not keep up holds up an answer [ns]."""
-UNHEARD, UNHEARD_EQUAL = 100, 2000
-"""Messages of a topic that wait to be taken."""
+
+class BridgeOptions(NamedTuple):
+    """How many messages wait, and for how long."""
+
+    max_taken: int = 100  # messages taken at once
+    quiet: float = 0.1  # after so long without a message nothing waits for another one [s]
+    max_blocked: int = 10_000_000  # the longest that a reader that does not keep up holds up an answer [ns]
+    max_waiting: int = 100  # messages of a topic that wait to be taken
+    max_waiting_all: int = 2000  # the same where every message is answered
+
+
+BRIDGE = BridgeOptions()
+
 LASTING = Qos(
-    Policy.Reliability.Reliable(BLOCKED), Policy.Durability.TransientLocal, Policy.History.KeepLast(100)
+    Policy.Reliability.Reliable(BRIDGE.max_blocked),
+    Policy.Durability.TransientLocal,
+    Policy.History.KeepLast(100),
 )
 """Of what is said once, for whoever comes later."""
 
@@ -50,8 +57,8 @@ class Bridge:
         self._types, self._mute = PublishedTypes(live), set[str]()
         self._heard = time.monotonic()
         answers = Qos(
-            Policy.Reliability.Reliable(BLOCKED),
-            Policy.History.KeepLast(WAITING_EQUAL if live.equal else WAITING),
+            Policy.Reliability.Reliable(BRIDGE.max_blocked),
+            Policy.History.KeepLast(NODE.max_answers_all if live.equal else NODE.max_answers),
         )
         self._writers: dict[str, Any] = {
             topic: DataWriter(network.participant, self._topic(topic, kind), qos=answers)
@@ -83,7 +90,7 @@ class Bridge:
         called into Python would wait for it with a lock of DDS held.
         """
         now = time.monotonic()
-        self._filled.wait(round(1e9 * (min(timeout, WAIT) if now - self._heard < QUIET else timeout)))
+        self._filled.wait(round(1e9 * (min(timeout, WAIT) if now - self._heard < BRIDGE.quiet else timeout)))
         if self._take():
             self._heard = now
         return self._live.step(0.0)
@@ -93,9 +100,9 @@ class Bridge:
         taken = list[tuple[int, RawMessage]]()
         now = time.time()
         for topic, kind, reader in self._readers:
-            dds_type, samples = message_type(kind), [None] * AT_ONCE
-            while len(samples) == AT_ONCE:
-                samples = reader.take(AT_ONCE)
+            dds_type, samples = message_type(kind), [None] * BRIDGE.max_taken
+            while len(samples) == BRIDGE.max_taken:
+                samples = reader.take(BRIDGE.max_taken)
                 taken += [
                     (sample.sample_info.source_timestamp, RawMessage(topic, kind, "cdr", now, sample.data))
                     for sample in samples
@@ -117,7 +124,7 @@ class Bridge:
 
     def check_network(self) -> None:
         """Looks who publishes; to be called about once a second, so that wrong types are named."""
-        for each in self._published.take(AT_ONCE):
+        for each in self._published.take(BRIDGE.max_taken):
             name = getattr(each, "topic_name", "") or ""
             if name.startswith("rt/"):
                 self._types.on_topic(name[2:], ros_name(each.type_name))
@@ -127,7 +134,7 @@ class Bridge:
 
     def _reader(self, topic: str, kind: str) -> Any:
         """Best effort is what every publisher can give."""
-        waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
+        waiting = BRIDGE.max_waiting_all if self._live.equal else BRIDGE.max_waiting
         passing = Qos(
             Policy.Reliability.BestEffort,
             Policy.History.KeepLast(waiting),

@@ -5,6 +5,8 @@ slope there, and a descent stays where vision was. So poses are drawn from what 
 from where all evidence together is likeliest.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from handsight import se3
@@ -14,11 +16,18 @@ from handsight.correction.outside import Outside
 from handsight.correction.problem import Problem
 from handsight.correction.solve import cost
 
-DRAWS, ROUNDS, KEPT = 384, 3, 12
-"""Poses of a round, rounds, and the likeliest of each that the next are drawn around; these are begun from at last."""
-NARROWER = 0.3
-"""How much closer each round draws."""
-SEED = 5
+
+class FootprintOptions(NamedTuple):
+    """How poses are drawn that leave a skin's footprint as it is."""
+
+    draws: int = 384  # poses of a round
+    rounds: int = 3  # rounds, each drawn around the likeliest poses of the one before
+    kept: int = 12  # likeliest poses of a round that the next is drawn around
+    shrink: float = 0.3  # how much closer each round draws
+    seed: int = 5  # of the draws, the same for every problem
+
+
+FOOTPRINT = FootprintOptions()
 
 
 def less_certain(estimate: PoseEstimate, outside: object) -> PoseEstimate:
@@ -31,13 +40,13 @@ def less_certain(estimate: PoseEstimate, outside: object) -> PoseEstimate:
 def likely_starts(problem: Problem, estimate: PoseEstimate) -> Array:
     """(K, 4, 4) poses that the whole problem is likeliest at, drawn around an estimate of its contacts alone."""
     used = np.ones((1, len(problem.contacts)), dtype=bool)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(FOOTPRINT.seed)
     values, vectors = np.linalg.eigh(estimate.bounded_covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     best = estimate.T_palm_object_maximum[None]
-    for k in range(ROUNDS):
-        around = best[np.arange(DRAWS) % len(best)]
-        drawn = se3.moved(around, NARROWER**k * rng.normal(size=(DRAWS, 6)) @ root.T)
+    for k in range(FOOTPRINT.rounds):
+        around = best[np.arange(FOOTPRINT.draws) % len(best)]
+        drawn = se3.moved(around, FOOTPRINT.shrink**k * rng.normal(size=(FOOTPRINT.draws, 6)) @ root.T)
         poses = np.concatenate([best, drawn])
-        best = poses[np.argsort(cost(problem, poses, used), kind="stable")[:KEPT]]
+        best = poses[np.argsort(cost(problem, poses, used), kind="stable")[: FOOTPRINT.kept]]
     return best

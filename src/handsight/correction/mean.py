@@ -51,7 +51,7 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
         rows = rows[rows["weight"] >= 0]
         order = np.argsort(-rows["log_weight"], kind="stable")
         means = descents_at(rows["T_palm_object"])
-        rows = rows[solve.distinct(problem.model, means, order, modes.MOST_MODES, modes.SAME_MODE)]
+        rows = rows[solve.distinct(problem.model, means, order, modes.MODES.max_modes, modes.SAME_MODE)]
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))

@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,17 +13,26 @@ from handsight.objects.symmetry import nearest
 
 SAME_MODE = (0.015, float(np.deg2rad(20.0)))
 """Two modes are distinct when further apart than this [m] or turned by more than this [rad]."""
-MOST_MODES = 8
-ALARM = 1e-3
-"""Probability that evidence which fits is called inconsistent."""
-RECHECK_P = 0.003
-"""Probability that contacts which fit are searched for a wrong one all the same: time lost, nothing else."""
-DOUBT_P, DOUBT_COARSE = 0.2, 5.0
-"""What one start from the widest prior that it may do for found is doubted, and other starts are tried, when what is
-right fits worse with this probability at most, or when it was this many times worse yet on the coarse field. Two of
-three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt."""
-DECISIVE = 16.27
-"""A contact is wrong when the cost falls by more than this without it: a right one's does once in 1000."""
+
+
+class ModeOptions(NamedTuple):
+    """When modes are distinct, and when an answer is doubted."""
+
+    max_modes: int = 8  # modes that are reported
+    alarm: float = 1e-3  # probability that evidence which fits is called inconsistent
+    recheck_p: float = 0.003
+    """Probability that contacts which fit are searched for a wrong one all the same: it costs time, nothing else."""
+    doubt_p: float = 0.2
+    """The answer of one start from the widest prior that one may do for is doubted where what is right fits worse with
+    at most this probability. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no
+    doubt.
+    """
+    doubt_coarse: float = 5.0  # how many times worse it may fit on the coarse field
+    decisive: float = 16.27
+    """A contact is wrong when the cost falls by more than this without it: a right one's does once in 1000."""
+
+
+MODES = ModeOptions()
 
 
 def in_metres(information: Array, radius: float) -> Array:
@@ -64,17 +74,17 @@ def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> 
     `wide`: how wide the prior is, of the widest that one start may do for. What could be missed grows with its square.
     """
     doubt = round(wide * wide, 2)  # few different ones, for each has its limits worked out
-    if coarse_cost * doubt > DOUBT_COARSE * chi2_limit(max(freedom, 1), 0.1):
+    if coarse_cost * doubt > MODES.doubt_coarse * chi2_limit(max(freedom, 1), 0.1):
         return False
-    return fits(cost, freedom, max(DOUBT_P * doubt, RECHECK_P))
+    return fits(cost, freedom, max(MODES.doubt_p * doubt, MODES.recheck_p))
 
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
     """Whether contacts raise no suspicion: not all together, nor one of them against the others."""
-    return fits(cost, freedom, RECHECK_P) and bool(gain < DECISIVE)
+    return fits(cost, freedom, MODES.recheck_p) and bool(gain < MODES.decisive)
 
 
-def fits(chi2: float, freedom: int, alarm: float = ALARM) -> bool:
+def fits(chi2: float, freedom: int, alarm: float = MODES.alarm) -> bool:
     """Whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
     return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))
 

@@ -1,26 +1,38 @@
 """A contact that does not fit the others is found by solving without it, and named."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from handsight._kernels.records import DESCENT
 from handsight.checks import Indices
 from handsight.correction import modes, starts
 from handsight.correction.budget import Budget
-from handsight.correction.modes import DECISIVE
+from handsight.correction.modes import MODES
 from handsight.correction.problem import Problem, Records, TwoPhase, descents_at, plain
 from handsight.correction.solve import Candidates, gains, solve
 
-ESCALATED, CHEAPER = 2, 1.0
-"""Times as many starts are drawn when none of the usual ones fits, and how much better that must be to go on with."""
-FEWER, MOST_WITHOUT, WITHOUT_BLIND = 14, 16, 64
-"""Starts for each contact left out in turn: so many fewer than the usual ones, at most so many; and without vision."""
-GO_ON = 4
-"""Minima of all contacts that are starts for each contact left out as well."""
-MOST_SUSPECTS, MOST_OUTLIERS = 10, 10
-"""Contacts that are left out in turn, those that promise most, and contacts that may be called wrong: of so many, that
-the work grows no faster than the number of contacts."""
-ACCEPT_P = 0.05
-"""Without the wrong one, contacts fit better than this part of those that are right."""
+
+class OutlierOptions(NamedTuple):
+    """How wrong contacts are searched for."""
+
+    more_starts: int = 2  # times as many starts are drawn when none of the usual ones fits
+    min_gain: float = 1.0  # how much better these must fit to go on with
+    fewer_starts: int = 14  # starts for each contact left out in turn: so many fewer than the usual ones
+    max_starts: int = 16  # and at most so many
+    blind_starts: int = 64  # the same without vision
+    kept_minima: int = 4  # minima of all contacts that are starts for each contact left out as well
+    max_suspects: int = 10
+    """Contacts that are left out in turn, the most promising ones, so that the work grows no faster than the number of
+    contacts.
+    """
+    max_outliers: int = 10  # contacts that may be called wrong
+    accept_p: float = (
+        0.05  # without the wrong one, contacts fit better than this part of those that are right
+    )
+
+
+OUTLIERS = OutlierOptions()
 
 
 def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candidates:
@@ -40,7 +52,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
         if without is not None and _is_decisive(found, without):
             # The pose without it may be the one that fits it too, and was only hard to reach.
             again = solve(problem, without.minima[None], found.used, budget)
-            if again.fits(ACCEPT_P):
+            if again.fits(OUTLIERS.accept_p):
                 return again
             # One wrong contact is rare, a second one rarer.
             found, suspicious = without, not without.fits()
@@ -49,10 +61,15 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
         elif may_draw:
             cost, may_draw = found.cost, False
             found = found.with_more(
-                solve(problem, _starts(problem, ESCALATED * number)[None, number:], found.used, budget)
+                solve(
+                    problem,
+                    _starts(problem, OUTLIERS.more_starts * number)[None, number:],
+                    found.used,
+                    budget,
+                )
             )
             suspicious = _suspicious(problem, found)
-            if found.cost > cost - CHEAPER or not suspicious:
+            if found.cost > cost - OUTLIERS.min_gain or not suspicious:
                 return found
         else:
             return found
@@ -62,7 +79,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
 def _is_decisive(found: Candidates, without: Candidates) -> bool:
     """Whether the contact that is left out is wrong."""
     gain = found.cost - without.cost
-    return gain >= DECISIVE and (without.fits(ACCEPT_P) or gain > 0.5 * found.cost)
+    return gain >= MODES.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
 
 
 def _suspicious(problem: Problem, found: Candidates) -> bool:
@@ -85,7 +102,7 @@ def _starts(problem: Problem, number: int) -> Records:
 
 def most_outliers(n: int, *, blind: bool) -> int:
     """How many of n contacts may be called wrong: the rest must still outvote them."""
-    return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), MOST_OUTLIERS)
+    return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
 def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candidates | None:
@@ -99,9 +116,9 @@ def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candi
         return None
     masks = np.repeat(found.used, len(suspects), axis=0)
     masks[np.arange(len(suspects)), suspects] = False
-    here, number = found.minima[:GO_ON], WITHOUT_BLIND
+    here, number = found.minima[: OUTLIERS.kept_minima], OUTLIERS.blind_starts
     if problem.vision is not None:
-        number = max(min(starts.usual(problem) - FEWER, MOST_WITHOUT), 1)
+        number = max(min(starts.usual(problem) - OUTLIERS.fewer_starts, OUTLIERS.max_starts), 1)
     begin = np.empty((len(masks), len(here) + number), dtype=DESCENT)
     plain(begin)[:, : len(here)] = plain(here)
     if problem.vision is not None:
@@ -118,7 +135,7 @@ def _suspects(problem: Problem, found: Candidates) -> Indices:
     contacts, n = np.flatnonzero(found.used[0]), found.used.size
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return contacts[:0]
-    if len(contacts) > MOST_SUSPECTS:
+    if len(contacts) > OUTLIERS.max_suspects:
         gain = gains(problem, found.minima[:1], found.used)
-        contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[:MOST_SUSPECTS]])
+        contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[: OUTLIERS.max_suspects]])
     return contacts

@@ -5,6 +5,7 @@ density then sits at the interval's end, its mean in the middle.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +16,16 @@ from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, descents_at
 from handsight.objects.symmetry import tangents
 
-CHAINS = 64
-"""Walkers that move at once; one evaluation serves them all."""
-BURN_IN = 100
-"""Least number of steps that tune the stride and are thrown away."""
-TARGET = 0.35
-"""Share of accepted steps that explores a line fastest, about."""
+
+class SamplingOptions(NamedTuple):
+    """How the posterior is sampled."""
+
+    chains: int = 64  # walkers that move at once; one evaluation serves them all
+    burn_in: int = 100  # least number of steps that tune the stride and are discarded
+    acceptance: float = 0.35  # share of accepted steps that explores a line fastest, about
+
+
+SAMPLING = SamplingOptions()
 
 
 def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
@@ -71,9 +76,9 @@ def _metropolis(
 ) -> Array:
     """(samples, 6) perturbations of the mode, drawn from the posterior, whose logarithm is given up to a constant."""
     rng = np.random.default_rng(0)
-    chains = min(CHAINS, samples)
+    chains = min(SAMPLING.chains, samples)
     kept = -(-samples // chains)
-    burn = max(kept, BURN_IN)
+    burn = max(kept, SAMPLING.burn_in)
     at = np.repeat(T_mode[None], chains, axis=0)
     density = log_density(at)
     stride, draws = np.ones(len(directions)), []
@@ -85,7 +90,7 @@ def _metropolis(
         at = np.where(accepted[:, None, None], proposal, at)
         density = np.where(accepted, proposed, density)
         if step < burn:
-            stride[j] *= np.exp(accepted.mean() - TARGET)
+            stride[j] *= np.exp(accepted.mean() - SAMPLING.acceptance)
         else:
             draws.append(se3.difference(at, T_mode))
     return np.concatenate(draws)[:samples]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +21,20 @@ from handsight.correction.problem import Problem, Records, descents_at, plain, p
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
-FEW = 128
-"""Descents that are not worth another thread."""
+
+class SolveOptions(NamedTuple):
+    """How many starts are descended from at once, and how many minima are weighed."""
+
+    serial: int = 128  # descents that are not worth another thread
+    block: int = 64  # starts among which repeats are found before they are finished
+    kept: int = 32  # minima that go on to be weighed, where there were more starts than a block
+    kept_blind: int = 64  # the same without vision
+
+
+SOLVE = SolveOptions()
+
 ENDED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
 """What of an answer says whether it can stand."""
-BLOCK = 64
-"""Starts among which repeats are told before they are finished: no more, so that all of a block may be worth it."""
-KEPT, KEPT_BLIND = 32, 64
-"""Minima that go on to be weighed, where starts were more than a block."""
 
 
 def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
@@ -62,7 +69,7 @@ def solve_batch(
     rows["last"] = np.cumsum(counts)
     rows["first"] = rows["last"] - counts
     given = (*model.record[:2], contacts, NO_OUTSIDE)
-    in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), FEW // 4)
+    in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
     # Each estimate keeps its own numbers alive, not those of all.
     return [
         _accepted(row["answer"].copy(), residuals[row["first"] : row["last"]].copy(), searched=False)
@@ -110,7 +117,7 @@ class Candidates:
         """Whether the cheapest is a minimum."""
         return bool(self.minima["converged"][0])
 
-    def fits(self, alarm: float = modes.ALARM) -> bool:
+    def fits(self, alarm: float = modes.MODES.alarm) -> bool:
         """Whether the cheapest has squares below their 1 - alarm quantile."""
         return modes.fits(self.cost, self.freedom, alarm)
 
@@ -146,7 +153,7 @@ def _cheapest(problem: Problem, descents: Records, ended: Indices, used: Mask) -
     best = descents["set"][ended[descents["cost"][ended].argmin()]]
     if len(used) > 1:
         ended = ended[descents["set"][ended] == best]
-    if len(ended) > BLOCK // 2:
+    if len(ended) > SOLVE.block // 2:
         ended = _survivors(problem, descents, ended)
     if problem.blind:
         # Along a slide any place is a minimum: beside where each ended, the most likely one; of equals that wins.
@@ -159,7 +166,7 @@ def _cheapest(problem: Problem, descents: Records, ended: Indices, used: Mask) -
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
     """The blocks that the budget allows to be worked on, and at least the first."""
-    least = -(-FEW // blocks.shape[1])
+    least = -(-SOLVE.serial // blocks.shape[1])
     if budget is None or budget.ends == np.inf:
         in_parts(work, (blocks,), least)
         return blocks
@@ -173,7 +180,7 @@ def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget |
 def _blocks(starts: Records, ends: int) -> Records:
     """(B, m, ends) DESCENT: starts (S, M), those of one set dealt out evenly to blocks; of infinite cost: none."""
     sets, count = starts.shape
-    number = -(-count // BLOCK)
+    number = -(-count // SOLVE.block)
     each = -(-count // number)
     dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
     plain(dealt)[:, :count] = plain(starts)
@@ -186,7 +193,7 @@ def _blocks(starts: Records, ends: int) -> Records:
 def _survivors(problem: Problem, descents: Records, ended: Indices) -> Indices:
     """Those of some descents that are no repeats of cheaper ones, cheapest first."""
     order = ended[np.argsort(descents["cost"][ended], kind="stable")]
-    most = KEPT_BLIND if problem.blind else KEPT
+    most = SOLVE.kept_blind if problem.blind else SOLVE.kept
     return distinct(problem.model, descents, order, most, SEARCH.same_after_coarse)
 
 
@@ -235,7 +242,7 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
-        chosen = taken(minima, distinct(problem.model, minima, order, modes.MOST_MODES, modes.SAME_MODE))
+        chosen = taken(minima, distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE))
     answers = _summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]

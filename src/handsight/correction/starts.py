@@ -6,6 +6,7 @@ order of the contacts gives the same starts.
 
 from dataclasses import dataclass
 from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,32 +19,39 @@ from handsight.correction.estimate import PosePrior
 from handsight.correction.problem import Problem, Records, taken
 from handsight.objects import ObjectModel
 
-LEAST_STARTS, MOST_STARTS = 16, 32
-FEW = 1024
-"""Draws that are kept: the same for every problem, along its own axes."""
-BLIND_SPINS, MOST_ANCHORS = 18, 3
-BLIND_KEPT = 384
-MOST_HEARD = 20
-"""Contacts by which starts without vision are scored: more of them tell no more of poses that are so far off."""
-FIRST_HEARD, PROMISING = 3, 4
-"""The farthest contacts score every start, and the best of so many go on to be scored by the others as well."""
-AT_LEAST = 512
-"""Starts whose scores are worth another thread."""
+
+class StartOptions(NamedTuple):
+    """Where searches start."""
+
+    min_starts: int = 16  # starts from a prior
+    max_starts: int = 32  # starts from a wide prior
+    draws: int = 1024  # draws that are kept: the same for every problem, along its own axes
+    blind_spins: int = 18  # turns about a contact's normal that are tried without vision
+    max_anchors: int = 3  # contacts that these are laid on
+    blind_kept: int = 384  # starts without vision that are descended from
+    max_scoring: int = 20
+    """Contacts by which starts without vision are scored: more of them tell no more of poses that are so far off."""
+    first_scoring: int = 3  # the farthest contacts, which score every start
+    promising: int = 4  # times as many of the best go on to be scored by the others as well
+    serial: int = 512  # starts whose scores are not worth another thread
+
+
+STARTS = StartOptions()
 
 
 def usual(problem: Problem) -> int:
     """How many starts a problem needs, where one does not do: as the prior is wide, or those of a blind one."""
     if problem.vision is None:
-        return BLIND_KEPT
+        return STARTS.blind_kept
     w = batch.width(problem.model.record.model, problem.vision.record)
-    return int(min(max(round(80 * w), LEAST_STARTS), MOST_STARTS))
+    return int(min(max(round(80 * w), STARTS.min_starts), STARTS.max_starts))
 
 
 def from_prior(vision: PosePrior, number: int) -> Records:
     """(number,) DESCENT: the prior's own pose, then draws from it."""
     descents = np.zeros(number, dtype=DESCENT)
-    draws = _few()[:number] if number <= FEW else _drawn(number)
-    in_parts(partial(search.draw, vision.record), (draws, descents), FEW)
+    draws = _few()[:number] if number <= STARTS.draws else _drawn(number)
+    in_parts(partial(search.draw, vision.record), (draws, descents), STARTS.draws)
     return descents
 
 
@@ -56,7 +64,7 @@ def _drawn(number: int) -> Array:
 
 @cache
 def _few() -> Array:
-    return _drawn(FEW)
+    return _drawn(STARTS.draws)
 
 
 @dataclass(frozen=True)
@@ -86,17 +94,17 @@ def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
     points = contacts.points_palm[chosen]
     order = np.argsort(np.linalg.norm(points - points.mean(axis=0), axis=1), kind="stable")[::-1]
     normalled = [i for i in order if contacts.has_normal[chosen[i]]]
-    anchors = np.array((normalled or list(order))[:MOST_ANCHORS])
+    anchors = np.array((normalled or list(order))[: STARTS.max_anchors])
     descents = (_spun if normalled else _turned)(
         problem.model, points, contacts.normals_palm[chosen], anchors
     )
-    if len(order) > MOST_HEARD:
+    if len(order) > STARTS.max_scoring:
         # Near the middle and far from it.
-        order = order[np.linspace(0, len(order) - 1, MOST_HEARD).astype(int)]
+        order = order[np.linspace(0, len(order) - 1, STARTS.max_scoring).astype(int)]
     heard, sigmas = chosen[order], _sigmas(points, descents)
-    if prune and len(heard) > FIRST_HEARD:
-        first = _scores(problem, heard[:FIRST_HEARD], sigmas, descents).sum(axis=1)
-        descents = taken(descents, np.argsort(first, kind="stable")[: len(first) // PROMISING])
+    if prune and len(heard) > STARTS.first_scoring:
+        first = _scores(problem, heard[: STARTS.first_scoring], sigmas, descents).sum(axis=1)
+        descents = taken(descents, np.argsort(first, kind="stable")[: len(first) // STARTS.promising])
     return Scored(descents, _scores(problem, heard, sigmas, descents), heard)
 
 
@@ -106,7 +114,7 @@ def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -
     for row, a in zip(frames, anchors, strict=True):
         hint = center - points[a] + 1e-6 * (points[a] - points[a - 1])
         row["rotation"], row["position"] = _frame(normals[a], hint), points[a]
-    descents = np.zeros((len(anchors), BLIND_SPINS, SAMPLES), dtype=DESCENT)
+    descents = np.zeros((len(anchors), STARTS.blind_spins, SAMPLES), dtype=DESCENT)
     search.spin(model.record.model, frames, descents)
     return descents.reshape(-1)
 
@@ -114,9 +122,9 @@ def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -
 def _turned(model: ObjectModel, points: Array, _: Array, anchors: Indices) -> Records:
     """(K,) DESCENT: every surface sample on the anchors, turned at random."""
     turns = _turns()
-    arms = (turns.reshape(BLIND_SPINS, SAMPLES, 3, 3) @ model.points_object[:, :, None])[..., 0].reshape(
-        -1, 3
-    )
+    arms = (turns.reshape(STARTS.blind_spins, SAMPLES, 3, 3) @ model.points_object[:, :, None])[
+        ..., 0
+    ].reshape(-1, 3)
     descents = np.zeros((len(anchors), len(turns)), dtype=DESCENT)
     descents["pose"]["rotation"] = turns
     descents["pose"]["position"] = points[anchors][:, None] - arms
@@ -125,7 +133,7 @@ def _turned(model: ObjectModel, points: Array, _: Array, anchors: Indices) -> Re
 
 @cache
 def _turns() -> Array:
-    return se3.random(np.random.default_rng(0), BLIND_SPINS * SAMPLES)[:, :3, :3]
+    return se3.random(np.random.default_rng(0), STARTS.blind_spins * SAMPLES)[:, :3, :3]
 
 
 def _frame(z: Array, hint: Array) -> Array:
@@ -140,7 +148,7 @@ def _frame(z: Array, hint: Array) -> Array:
 
 def _sigmas(points: Array, descents: Records) -> Array:
     """Of distance [m] and normal [rad]: half a step of the spin, seen from the object's origin."""
-    step = 2 * np.pi / BLIND_SPINS
+    step = 2 * np.pi / STARTS.blind_spins
     origins = descents["pose"]["position"][::16]  # their mean distance from the contacts, of some of them
     reach = np.linalg.norm(points - origins[:, None], axis=-1).mean() * step / 2
     return np.array([reach, step])
@@ -150,5 +158,5 @@ def _scores(problem: Problem, chosen: Indices, sigmas: Array, descents: Records)
     """(K, m) what contacts (m,) say of each start."""
     costs, contacts = np.empty((len(descents), len(chosen))), problem.contacts.record[chosen]
     given = (*problem.model.record[:2], contacts, sigmas)
-    in_parts(partial(search.score, *given), (descents, costs), AT_LEAST)
+    in_parts(partial(search.score, *given), (descents, costs), STARTS.serial)
     return costs

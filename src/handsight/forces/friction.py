@@ -8,22 +8,35 @@ fingers that slide as they close say it within half a second.
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
-PATCH = 0.005
-"""Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
-STEP, ALONG = 0.05, 0.3
-"""A ratio vector has turned where it has moved by this share of its length, and its length by this share of that at
-most."""
-LEAST, MOST = 0.05, 10.0
-"""Ratios that are counted."""
-BIN, BAND, BELOW = 0.01, 5, 2
-"""Turns are counted by the logarithm of the ratio in bins so wide. So many side by side make a heap; noise spreads one
-limit by so many to either side."""
-ENOUGH, SHARE, NEAR = 5, 0.1, 20
-"""Turns in a heap at least, and in parts of the largest heap's that is at most so many bins below it."""
-CERTAIN, NOISE, NEAR_HEAP, ABOVE = 20, 0.98, 1.1, 1.5
-"""Friction is at least so much of the highest ratio that two fingers have felt, noise and all, as far as that is above
-the heap by the last factor at most. A heap of so many turns, with that within the third factor of it, counts alone."""
+
+class FrictionOptions(NamedTuple):
+    """How a friction coefficient is learnt from the turns of the ratio of tangential to normal force."""
+
+    torsion: float = 0.005
+    """Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
+    min_turn: float = 0.05  # a ratio vector has turned where it has moved by this share of its length
+    max_radial: float = 0.3  # and its length has changed by at most this share of that
+    min_ratio: float = 0.05  # smallest ratio that is counted
+    max_ratio: float = 10.0  # largest ratio that is counted
+    bin_width: float = 0.01  # turns are counted by the logarithm of the ratio in bins this wide
+    band: int = 5  # bins side by side that make a heap
+    spread: int = 2  # bins to either side into which noise spreads one limit
+    min_turns: int = 5  # turns in a heap at least
+    min_share: float = 0.1  # and in parts of the largest heap's
+    max_below: int = 20  # that is at most so many bins above it
+    certain_turns: int = (
+        20  # turns of a heap that counts alone, if the highest ratio is within `max_above` of it
+    )
+    noise_margin: float = 0.98
+    """Friction is at least this share of the highest ratio that two fingers have measured, noise and all."""
+    near_heap: float = 1.1  # as far as that is above the heap by this factor at most
+    max_above: float = 1.5  # the factor above a certain heap within which the highest ratio is
+
+
+FRICTION = FrictionOptions()
+
 
 Vector = tuple[float, float, float, float]
 
@@ -59,25 +72,25 @@ class Friction:
             if name in before:
                 self._turned(before[name], vector)
         if self._heap is not None:
-            load_of_two = NOISE * sorted((0.0, 0.0, *self._highest.values()))[-2] / self._heap
-            agree = self._certain and load_of_two < NEAR_HEAP
-            self.coefficient = self._heap * (1.0 if agree else min(max(load_of_two, 1.0), ABOVE))
+            load_of_two = FRICTION.noise_margin * sorted((0.0, 0.0, *self._highest.values()))[-2] / self._heap
+            agree = self._certain and load_of_two < FRICTION.near_heap
+            self.coefficient = self._heap * (1.0 if agree else min(max(load_of_two, 1.0), FRICTION.max_above))
 
     def _turned(self, before: Vector, now: Vector) -> None:
         """Counts a move that was a turn."""
         length, was = math.hypot(*now), math.hypot(*before)
-        if min(length, was) < LEAST or max(length, was) > MOST:
+        if min(length, was) < FRICTION.min_ratio or max(length, was) > FRICTION.max_ratio:
             return
-        if abs(length - was) > ALONG * math.dist(now, before):
+        if abs(length - was) > FRICTION.max_radial * math.dist(now, before):
             return
-        at = round(math.log(length * was) / 2 / BIN)
+        at = round(math.log(length * was) / 2 / FRICTION.bin_width)
         self._turns = {**self._turns, at: self._turns.get(at, 0) + 1}
         self._heap, turns = _highest_heap(self._turns)
-        self._certain = turns >= CERTAIN
+        self._certain = turns >= FRICTION.certain_turns
 
 
 def _has_moved(before: Vector, now: Vector) -> bool:
-    return math.dist(now, before) > STEP * math.hypot(*before)
+    return math.dist(now, before) > FRICTION.min_turn * math.hypot(*before)
 
 
 def _highest_heap(turns: Mapping[int, int]) -> tuple[float | None, int]:
@@ -85,11 +98,11 @@ def _highest_heap(turns: Mapping[int, int]) -> tuple[float | None, int]:
 
     What is spread above it, as by a tip that touches at two places, is no limit.
     """
-    counts = {at: sum(turns.get(at + k, 0) for k in range(BAND)) for at in turns}
+    counts = {at: sum(turns.get(at + k, 0) for k in range(FRICTION.band)) for at in turns}
     for at in sorted(counts, reverse=True):
-        near = max(count for other, count in counts.items() if at - NEAR <= other <= at)
-        if counts[at] >= max(ENOUGH, SHARE * near):
-            heap = [(at + k, turns.get(at + k, 0)) for k in range(-BELOW, BAND)]
+        near = max(count for other, count in counts.items() if at - FRICTION.max_below <= other <= at)
+        if counts[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
+            heap = [(at + k, turns.get(at + k, 0)) for k in range(-FRICTION.spread, FRICTION.band)]
             total = sum(count for _, count in heap)
-            return math.exp(BIN * sum(k * count for k, count in heap) / total), total
+            return math.exp(FRICTION.bin_width * sum(k * count for k, count in heap) / total), total
     return None, 0

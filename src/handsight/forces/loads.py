@@ -8,6 +8,7 @@ displaced by J_p δq, so that F seems more by -Σ [f]x J_ω δq and T by Σ (-[f
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -18,12 +19,19 @@ from handsight.contact import compensate
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-ORDER, SPAN, FEWEST = 3, 0.1, 5
-"""Of the polynomials that accelerations are read from (Savitzky and Golay 1964), their length [s], and of how many
-instants at least."""
+
+class LoadOptions(NamedTuple):
+    """How loads and accelerations are read."""
+
+    order: int = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
+    span: float = 0.1  # their length [s]
+    min_instants: int = 5  # instants of one at least
+    saturated: float = 0.99  # parts of a sensor's full scale from which on a reading is none
+
+
+LOADS = LoadOptions()
+
 SILENT = np.full(6, np.nan)
-SATURATED = 0.99
-"""Parts of a sensor's full scale from which on a reading is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +84,7 @@ def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
             return f"{name} is silent"
         alike += [name] if (readings == readings[0]).all() else []
         if finger.full_scale is not None:
-            ends = np.repeat(SATURATED * np.array(finger.full_scale), 3)
+            ends = np.repeat(LOADS.saturated * np.array(finger.full_scale), 3)
             if (np.abs(readings) >= ends).any():
                 return f"{name} is at the end of its sensor's scale"
     # Where all do, nothing has noise.
@@ -124,12 +132,13 @@ def load_sum(
 def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple[Array, Array]:
     """(n, 3) acceleration of a point of the palm [m/s²] and (n, 3) of its turning [rad/s²], in the world's axes.
 
-    By polynomials over `SPAN` through poses (n, 4, 4) that are `step` apart [s]; zeros of fewer than `FEWEST`.
+    By polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart [s]; zeros of fewer than
+    `LOADS.min_instants`.
     """
     n = len(Ts_world_palm)
-    if n < FEWEST or step <= 0:
+    if n < LOADS.min_instants or step <= 0:
         return np.zeros((n, 3)), np.zeros((n, 3))
-    length = min(max(2 * round(SPAN / step / 2) + 1, FEWEST), n - 1 + n % 2)
+    length = min(max(2 * round(LOADS.span / step / 2) + 1, LOADS.min_instants), n - 1 + n % 2)
     R_middle = Ts_world_palm[n // 2, :3, :3]
     turns = se3.rotation_log(Ts_world_palm[:, :3, :3] @ R_middle.T)
     rows = np.hstack([Ts_world_palm[:, :3, :3] @ point_palm + Ts_world_palm[:, :3, 3], turns])
@@ -140,7 +149,7 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
 @lru_cache(maxsize=32)
 def _second_derivative(n: int, length: int) -> Array:
     """(n, n) what takes n numbers, one apart, to their second derivatives by polynomials over `length` of them."""
-    return np.asarray(savgol_filter(np.eye(n), length, ORDER, deriv=2, axis=0))
+    return np.asarray(savgol_filter(np.eye(n), length, LOADS.order, deriv=2, axis=0))
 
 
 def _mean_joints(rig: Rig, observations: Sequence[Observation], joints: Array) -> dict[str, float]:

@@ -8,24 +8,30 @@ at the limit.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from handsight.checks import Array
-from handsight.forces.friction import PATCH, Friction, Vector
+from handsight.forces.friction import FRICTION, Friction, Vector
 from handsight.rig import Rig
 
-SLIPS, HOLDS, STICKS = 0.95, 0.93, 0.4
-"""Of the least ratio: a slip begins at the first, and ends where it has been below the second for `LASTS`, or is below
-the third."""
-LASTS = 0.03
-"""On the brink of slipping, ratios go to and fro [s]."""
-MEAN = 0.01
-"""Time constant of the mean of a load [s]: of steady readings as good as the mean of 20 ms."""
-GAP = 0.1
-"""Between two readings: after more the mean begins anew [s]."""
-LOADED, SURE = 0.2, 0.5
-"""Normal force from which on a finger has a say in whether the object slips, and in what friction holds [N]."""
-LOADED_SIGMAS, SURE_SIGMAS = 10.0, 40.0
-"""The same in standard deviations of a reading."""
+
+class SlipOptions(NamedTuple):
+    """When contacts slip: thresholds on the ratio of tangential force to what friction holds."""
+
+    begin_ratio: float = 0.95  # share of the least ratio at which a slip begins
+    end_ratio: float = 0.93  # it ends where the ratio has been below this share for `min_hold`
+    stick_ratio: float = 0.4  # or is below this share
+    min_hold: float = 0.03  # on the brink of slipping, ratios go to and fro [s]
+    time_constant: float = 0.01  # of the mean of a load [s]: of steady readings as good as the mean of 20 ms
+    max_gap: float = 0.1  # between two readings: after more the mean starts anew [s]
+    min_force: float = 0.2  # normal force from which on a finger has a say in whether the object slips [N]
+    sure_force: float = 0.5  # and in what friction holds [N]
+    min_force_sigmas: float = 10.0  # the first in standard deviations of a reading
+    sure_force_sigmas: float = 40.0  # the second in standard deviations of a reading
+
+
+SLIP = SlipOptions()
+
 
 Load = list[float]
 """Tangential force (3), normal force, torque about the normal."""
@@ -63,7 +69,10 @@ class SlipDetector:
         self.stamp = self._at_limit = -math.inf
         """Of the last update, and of the last at the limit [s]."""
         self._least = {
-            name: (max(LOADED, LOADED_SIGMAS * of.sigma_force), max(SURE, SURE_SIGMAS * of.sigma_force))
+            name: (
+                max(SLIP.min_force, SLIP.min_force_sigmas * of.sigma_force),
+                max(SLIP.sure_force, SLIP.sure_force_sigmas * of.sigma_force),
+            )
             for name, of in rig.fingers.items()
         }
         self._means: Mapping[str, Load] = {}
@@ -78,8 +87,8 @@ class SlipDetector:
             return self.now
         since, self.stamp = stamp - self.stamp, stamp
         rows = () if loads is None else zip(fingers, loads.tolist(), strict=True)
-        weight = 1 - math.exp(-since / MEAN)
-        before = self._means if since <= GAP else {}
+        weight = 1 - math.exp(-since / SLIP.time_constant)
+        before = self._means if since <= SLIP.max_gap else {}
         # Of a load without a normal force, or with NaN, there is nothing to say.
         self._means = {
             name: _mean(before.get(name, row), row, weight)
@@ -97,7 +106,7 @@ class SlipDetector:
         for name, (x, y, z, normal, torque) in self._means.items():
             least, enough = self._least[name]
             if normal > least:
-                found[name] = x / normal, y / normal, z / normal, torque / PATCH / normal
+                found[name] = x / normal, y / normal, z / normal, torque / FRICTION.torsion / normal
             if normal > enough:
                 sure[name] = found[name]
         self.friction.update(sure)
@@ -106,9 +115,11 @@ class SlipDetector:
     def _judged(self, ratios: Mapping[str, float], friction: float | None) -> Slip:
         """With hysteresis, in the ratio and in time."""
         was, now, least = self.now, self.stamp, min(ratios.values(), default=0.0)
-        if least >= (HOLDS if was.slipping else SLIPS):
+        if least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio):
             self._at_limit = now
-        slipping = least >= STICKS and now - self._at_limit <= (LASTS if was.slipping else 0.0)
+        slipping = least >= SLIP.stick_ratio and now - self._at_limit <= (
+            SLIP.min_hold if was.slipping else 0.0
+        )
         began = now if slipping and not was.slipping else was.began
         ended = now if was.slipping and not slipping else was.ended
         return Slip(slipping, ratios, friction, began, ended)

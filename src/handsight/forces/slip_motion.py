@@ -5,7 +5,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.forces.friction import PATCH
+from handsight.forces.friction import FRICTION
 
 LENGTH = 0.03
 """What a radian counts as where motions are compared [m]."""
@@ -24,7 +24,7 @@ def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
     That is a velocity (v, e ω_n) along (f_t, τ / e); along the normal there is none. The twist is fitted to these by
     least squares.
     """
-    towards = np.column_stack([loads[:, :3], loads[:, 4] / PATCH])
+    towards = np.column_stack([loads[:, :3], loads[:, 4] / FRICTION.torsion])
     sizes = np.linalg.norm(towards, axis=1)
     usable = (sizes > 0) & np.isfinite(sizes)
     if not usable.any():
@@ -42,5 +42,5 @@ def _rows(levers: Array, normals: Array) -> Array:
     rows = np.zeros((len(levers), 4, 6))
     rows[:, :3, :3] = np.eye(3)
     rows[:, :3, 3:] = -se3.skew(levers)
-    rows[:, 3, 3:] = PATCH * normals
+    rows[:, 3, 3:] = FRICTION.torsion * normals
     return rows

@@ -5,6 +5,7 @@ goes, is its sensor's bias; what it touched would change on the way.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -15,12 +16,19 @@ from handsight.forces.loads import Ts_palm_sensor
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-WAY = 0.005
-"""A tip that has gone so far in the palm over a window pushes nothing along by chance [m]."""
-LARGEST = 0.5
-"""More than this is a load, or a sensor that is broken [N]."""
-UNSTEADY = 0.001
-"""Readings that noise alone spreads so far with that chance change by more than noise."""
+
+class TareOptions(NamedTuple):
+    """When readings in the air are those of an unloaded sensor."""
+
+    min_travel: float = 0.005
+    """A tip that has moved this far in the palm over a window pushes nothing along by chance [m]."""
+    max_force: float = 0.5  # more than this is a load, or a broken sensor [N]
+    unsteady_p: float = (
+        0.001  # readings that noise alone spreads this far with that chance change by more than noise
+    )
+
+
+TARE = TareOptions()
 
 
 def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
@@ -30,10 +38,10 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
     `observations` of a short while, with joints and T_world_palm; nothing may be `lacking` in them.
     """
     ends = [Ts_palm_sensor(rig, dict(o.joint_positions or {})) for o in (observations[0], observations[-1])]
-    far = np.linalg.norm(ends[1][:, :3, 3] - ends[0][:, :3, 3], axis=1) > WAY
+    far = np.linalg.norm(ends[1][:, :3, 3] - ends[0][:, :3, 3], axis=1) > TARE.min_travel
     found = np.full((len(rig.fingers), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
-    limit = chdtri(3 * (len(observations) - 1), UNSTEADY)
+    limit = chdtri(3 * (len(observations) - 1), TARE.unsteady_p)
     for i, (name, finger) in enumerate(rig.fingers.items()):
         if not far[i]:
             continue
@@ -42,6 +50,6 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
         loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, finger.calibration))
         mean = loads.mean(axis=0)
         spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / finger.sigma_force**2
-        if spread < limit and np.linalg.norm(mean[:3]) < LARGEST:
+        if spread < limit and np.linalg.norm(mean[:3]) < TARE.max_force:
             found[i] = mean
     return found

@@ -1,6 +1,7 @@
 """Weighing over time: which instants are kept, how they are carried through the grip, when they are not believed."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,35 +15,40 @@ from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-WINDOW = 0.2
-"""Over so long loads are averaged [s]."""
-PAUSE = 0.1
-"""Between two observations: after a longer one averaging begins anew [s]."""
-FEWEST = 3
-"""Observations of a mean."""
-LIGHTEST = 0.25
-"""Less than this is no weight [N]."""
-NEW_ORIENTATION, SAME = np.deg2rad(3.0), np.deg2rad(1.5)
-"""Gravity must have turned in the palm by so much for another instant to be kept; one that is kept is renewed where
-gravity is as it was when that was begun."""
+
+class WeigherOptions(NamedTuple):
+    """How an object in the hand is weighed over time."""
+
+    window: float = 0.2  # over which loads are averaged [s]
+    max_gap: float = 0.1  # between two observations: after a longer one averaging starts anew [s]
+    min_observations: int = 3  # observations of a mean
+    min_weight: float = 0.25  # less than this is no weight [N]
+    new_direction: float = np.deg2rad(3.0)
+    """Angle by which gravity must have turned in the palm for another instant to be kept [rad]."""
+    same_direction: float = np.deg2rad(1.5)
+    """A kept instant is renewed where gravity is within this angle of where it was [rad]."""
+    max_kept: int = 8  # instants that are kept
+    creep: float = 5e-4  # how fast contacts creep: sigma [m/(N s)]
+    object_creep: float = 1.5e-4
+    """Motion of the object that neither the tips' motion nor creep tells, per axis after a second [m], where at least
+    two tips hold it; it grows with the root of time.
+    """
+    loose_object_creep: float = 2e-3  # the same where fewer do
+    sigma_gravity: float = float(np.deg2rad(1.0))  # how far a world is off plumb, about each axis [rad]
+    wrong_mass: float = 3.3  # in sigmas: a mass that is farther off is another one
+    biased: float = 5.0  # in sigmas of a reading: by a larger bias a sensor is not as it was calibrated
+    restart_after: float = (
+        3.0  # how long loads may contradict what was kept before all of that is dropped [s]
+    )
+    trusted_directions: int = (
+        3  # directions that must fit then before any is believed: one fits whatever presses
+    )
+
+
+WEIGHER = WeigherOptions()
+
 STILL = 0.3, 0.5
 """Only instants with smaller accelerations [m/s²], [rad/s²] are kept: what is wrong with others has one cause."""
-MOST_KEPT = 8
-CREEP = 5e-4
-"""How fast contacts creep: sigma [m/(N s)]."""
-CREEP_RATE, LOOSE_CREEP_RATE = 1.5e-4, 2e-3
-"""What neither tips' motion nor creep tells of an object's in the palm, per axis after a second [m], it grows with the
-root of time: where at least two tips hold it, and where not."""
-SIGMA_GRAVITY = float(np.deg2rad(1.0))
-"""A world is off plumb by so much, about each axis."""
-WRONG_MASS = 3.3
-"""In sigmas: a mass that is farther off than that is another one."""
-BIASED = 5.0
-"""In sigmas of a reading: by a larger bias a sensor is not as it was calibrated."""
-BEGIN_AFTER = 3.0
-"""So long loads may contradict what was kept before all of that is dropped [s]."""
-SURE_AGAIN = 3
-"""Then so many directions must fit before any is believed: one fits whatever presses."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +99,7 @@ class Weigher:
         """Fingers whose sensors read more than their calibration leaves, which is taken off."""
         sizes = np.linalg.norm(self.tare[:, :3], axis=1)
         named = zip(self.rig.fingers.items(), sizes, strict=True)
-        return tuple(name for (name, finger), size in named if size > BIASED * finger.sigma_force)
+        return tuple(name for (name, finger), size in named if size > WEIGHER.biased * finger.sigma_force)
 
     def listen(self, observation: Observation) -> None:
         """Takes note of what tips read in the air, while nothing is lifted."""
@@ -126,8 +132,8 @@ class Weigher:
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         load = load_sum(self.rig, window, dict(zip(fingers, places, strict=False)), joints[0])
         load = replace(load, wrench=load.wrench - load.by_bias @ self.tare.ravel())
-        if np.linalg.norm(load.wrench[:3]) < LIGHTEST:
-            self.reason = f"less than {LIGHTEST:g} N hangs on the fingertips"
+        if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
+            self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
             return False
         self._carry(load)
         self._weigh(load, joints[1])
@@ -139,10 +145,13 @@ class Weigher:
         if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
             return ()
         window = self._window
-        if window and not 0 < observation.stamp - window[-1].stamp <= PAUSE:
+        if window and not 0 < observation.stamp - window[-1].stamp <= WEIGHER.max_gap:
             window = ()
         self._window = window = (*window, observation)
-        if observation.stamp - window[0].stamp < WINDOW - 1e-9 or len(window) < FEWEST:
+        if (
+            observation.stamp - window[0].stamp < WEIGHER.window - 1e-9
+            or len(window) < WEIGHER.min_observations
+        ):
             return ()
         self._window = ()
         return window
@@ -154,7 +163,9 @@ class Weigher:
             return
         found, passed = moved_with_tips(last, load), max(load.stamp - last.stamp, 0.0)
         T, creep = (np.eye(4), np.zeros(6)) if found is None else found
-        creep_sigma = (LOOSE_CREEP_RATE if found is None else CREEP_RATE) * np.sqrt(passed)
+        creep_sigma = (WEIGHER.loose_object_creep if found is None else WEIGHER.object_creep) * np.sqrt(
+            passed
+        )
         self._kept = tuple(
             replace(kept, carried=_moved(kept.carried, T, creep, float(creep_sigma))) for kept in self._kept
         )
@@ -164,10 +175,10 @@ class Weigher:
         direction = load.gravity / np.linalg.norm(load.gravity)
         now = Carried(load, np.eye(4), np.zeros(6), 0.0)
         others = [
-            k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > NEW_ORIENTATION
+            k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
         instants = [*others, now]
-        unknowns = Unknowns(root, self._biases, CREEP, self.rig.gravity, SIGMA_GRAVITY)
+        unknowns = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
         found = weigh(instants, unknowns, self.weighing)
         self.reason = ""
         if found.mass <= 0:
@@ -175,19 +186,21 @@ class Weigher:
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
-            if off <= WRONG_MASS or len(instants) == 1:
+            if off <= WEIGHER.wrong_mass or len(instants) == 1:
                 found = known
             else:
                 self.reason = f"it weighs {found.mass:.3g} kg, not {self.mass:.3g}"
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
-        if not self.reason and self._doubted and len(instants) < SURE_AGAIN:
-            self.reason = f"loads have fitted no weight, and not one in {SURE_AGAIN} directions since"
+        if not self.reason and self._doubted and len(instants) < WEIGHER.trusted_directions:
+            self.reason = (
+                f"loads have fitted no weight, and not one in {WEIGHER.trusted_directions} directions since"
+            )
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         if not self.reason or self._fits_at == -np.inf:
             self._fits_at = load.stamp
-        if load.stamp - self._fits_at > BEGIN_AFTER:
+        if load.stamp - self._fits_at > WEIGHER.restart_after:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
 
     def _keep(self, load: LoadSum) -> None:
@@ -198,10 +211,10 @@ class Weigher:
         carried = Carried(load, np.eye(4), np.zeros(6), 0.0)
         angles = [_angle(kept.direction, direction) for kept in self._kept]
         near = int(np.argmin(angles)) if angles else -1
-        if near < 0 or angles[near] > NEW_ORIENTATION:
-            kept = self._kept if len(self._kept) < MOST_KEPT else self._kept[1:]
+        if near < 0 or angles[near] > WEIGHER.new_direction:
+            kept = self._kept if len(self._kept) < WEIGHER.max_kept else self._kept[1:]
             self._kept = (*kept, Kept(carried, direction))
-        elif angles[near] < SAME:
+        elif angles[near] < WEIGHER.same_direction:
             new = replace(self._kept[near], carried=carried)
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 

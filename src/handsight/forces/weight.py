@@ -16,6 +16,7 @@ to first order. How fast contacts creep, κ, is one more unknown that all instan
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
@@ -24,23 +25,34 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.forces.loads import LoadSum
 
-REACH = 0.15
-"""How far the centre of mass is from the middle of the loads, per axis: all that is known along gravity as long as
-that has had one direction [m]."""
-UNSURE = 0.1
-"""Of an acceleration: sigma as a part of it; an arm is not where it says, and hands bend."""
-GYRATION = 0.05
-"""Of what a hand holds: the torque to turn it faster is not taken out, but counts as so uncertain [m]."""
-PASSES = 2
-"""What gravity's direction does to the torque depends on m c: the second pass knows it."""
-UNLIKELY, UNLIKELY_FIXED = 0.003, 0.02
-"""A fit that is so unlikely is none: something else bears part of the load, or adds to it; the second of what is fixed
-in the palm, as what a link of the hand bears nearly is."""
 
-UNOBSERVABLE = 1e-6
-"""In parts of what is known best: what the loads know so much less of may be anything."""
-FIXED = np.diag([1.0, 1.0, 1.0, REACH, REACH, REACH])
-"""A wrench that is fixed in the palm: force [N], and torque that such a force has at `REACH`."""
+class WeightOptions(NamedTuple):
+    """How mass and centre of mass are fitted to loads."""
+
+    sigma_reach: float = 0.15
+    """How far the centre of mass is from the middle of the loads, per axis: all that is known along gravity as long as
+    that has had one direction [m].
+    """
+    acceleration_share: float = 0.1
+    """Sigma of an acceleration as a part of it: an arm is not where it says, and hands bend."""
+    gyration: float = 0.05
+    """Of what a hand holds: the torque to turn it faster is not subtracted, but counts as this uncertain [m]."""
+    passes: int = 2  # what gravity's direction does to the torque depends on m c: the second pass knows it
+    min_p: float = (
+        0.003  # a fit less likely than this is none: something else bears part of the load, or adds to it
+    )
+    min_p_fixed: float = 0.02
+    """The same of a bias that is fixed in the palm, as what a link of the hand bears nearly is."""
+    unobservable: float = (
+        1e-6  # in parts of what is known best: what the loads know so much less of may be anything
+    )
+
+
+WEIGHT_FIT = WeightOptions()
+
+
+FIXED = np.diag([1.0, 1.0, 1.0, WEIGHT_FIT.sigma_reach, WEIGHT_FIT.sigma_reach, WEIGHT_FIT.sigma_reach])
+"""A wrench that is fixed in the palm: force [N], and torque that such a force has at `WEIGHT_FIT.sigma_reach`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +130,7 @@ class Weighing:
     @property
     def consistent(self) -> bool:
         """Whether the loads are those of a weight, as far as can be told."""
-        return self.mass > 0 and self.chance > UNLIKELY and self.chance_fixed > UNLIKELY_FIXED
+        return self.mass > 0 and self.chance > WEIGHT_FIT.min_p and self.chance_fixed > WEIGHT_FIT.min_p_fixed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,9 +154,9 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     """
     last = instants[-1].load
     middle, rough = last.middle_palm, float(np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity))
-    prior = np.hstack([-middle[:, None], np.eye(3)]) / (REACH * max(rough, 1e-3))
+    prior = np.hstack([-middle[:, None], np.eye(3)]) / (WEIGHT_FIT.sigma_reach * max(rough, 1e-3))
     if start is None or start.mass <= 0:
-        mass, moment, passes = rough, rough * middle, PASSES
+        mass, moment, passes = rough, rough * middle, WEIGHT_FIT.passes
     else:
         mass, moment, passes = start.mass, start.mass * start.center_palm, 1
     for _ in range(passes):
@@ -168,7 +180,7 @@ def _chance(columns: Array, left: Array, H: Array, covariance: Array) -> float:
     """That, for nothing, (n, k) more `columns` would explain as much of what is `left` (n,) (Rao's score)."""
     score, normal_matrix = columns.T @ left, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
-    observable = values > UNOBSERVABLE * values[-1]
+    observable = values > WEIGHT_FIT.unobservable * values[-1]
     return float(chdtrc(observable.sum(), ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()))
 
 
@@ -199,9 +211,11 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     rows[:3, 4:7], rows[3:, 4:7] = mass * tilted, lever @ tilted
     rows[3:, 7] = G @ (R.T @ crept) * unknowns.creep
     noise = load.noise.copy()
-    shaken = UNSURE * load.acceleration * np.vstack([mass * np.eye(3), lever])  # both by the same error
+    shaken = (
+        WEIGHT_FIT.acceleration_share * load.acceleration * np.vstack([mass * np.eye(3), lever])
+    )  # both by the same error
     noise += shaken @ shaken.T
-    noise[3:, 3:] += (mass * GYRATION**2 * load.turning) ** 2 * np.eye(3)
+    noise[3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * load.turning) ** 2 * np.eye(3)
     noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
     rows = np.column_stack(
         [rows, load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases, load.wrench, FIXED]

@@ -3,19 +3,24 @@
 import time
 from collections import Counter, deque
 from statistics import median
+from typing import NamedTuple
 
 from handsight.errors import printable
 from handsight.live.answers import LEVELS, OK, WARN, Status
 from handsight.messages import ObservationStream
 from handsight.tracking import Tracker
 
-EVERY = 1.0
-"""Between two, while nothing changes [s]."""
-SOONEST = 0.1
-"""Between two, if the state flickers [s]."""
-MAX_NOTES = 20
-NOTED_FOR = 10.0
-"""What was asked for is told so long [s]."""
+
+class HealthOptions(NamedTuple):
+    """How often the state is published."""
+
+    period: float = 1.0  # between two messages while nothing changes [s]
+    min_period: float = 0.1  # between two messages if the state flickers [s]
+    max_notes: int = 20  # notes that are kept
+    note_duration: float = 10.0  # how long a note is published [s]
+
+
+HEALTH = HealthOptions()
 
 
 class Health:
@@ -27,7 +32,7 @@ class Health:
         self._refusals = Counter[str]()
         self._latencies = deque[float](maxlen=500)
         self._last_state: tuple[str, str] = ("", "")
-        self._published_at, self._notes = -EVERY, deque[tuple[float, str]](maxlen=5)
+        self._published_at, self._notes = -HEALTH.period, deque[tuple[float, str]](maxlen=5)
 
     def noted(self, text: str) -> None:
         """Takes note of what came of something that was asked for."""
@@ -36,7 +41,9 @@ class Health:
 
     def refused(self, text: str) -> None:
         """Counts an observation that was wrong in itself."""
-        self._refusals[text if text in self._refusals or len(self._refusals) < MAX_NOTES else "others"] += 1
+        self._refusals[
+            text if text in self._refusals or len(self._refusals) < HEALTH.max_notes else "others"
+        ] += 1
 
     def answered(self, seconds: float) -> None:
         """Takes note of how long a message took to be answered."""
@@ -46,7 +53,7 @@ class Health:
         """Whether it is time to tell, or there is something new."""
         now, passed = time.monotonic(), time.monotonic() - self._published_at
         state = tracker.state, tracker.reason if tracker.state == "lost" else ""
-        if passed < (SOONEST if state[0] != self._last_state[0] else EVERY):
+        if passed < (HEALTH.min_period if state[0] != self._last_state[0] else HEALTH.period):
             return False
         self._published_at, self._last_state = now, state
         return True
@@ -70,7 +77,7 @@ class Health:
 
     def _of_input(self, tracker: Tracker, stream: ObservationStream) -> Status:
         now = time.monotonic()
-        text = [note for when, note in self._notes if now - when < NOTED_FOR]
+        text = [note for when, note in self._notes if now - when < HEALTH.note_duration]
         wrong = [
             f"{count} messages on {topic} dropped: too many came" for topic, count in self._dropped.items()
         ]
@@ -88,6 +95,8 @@ class Health:
         if latencies:
             values["answered after [ms], median"] = f"{1e3 * median(latencies):.2f}"
             values["answered after [ms], 99 %"] = f"{1e3 * latencies[int(0.99 * (len(latencies) - 1))]:.2f}"
-        values |= {f"said {k}": sentence for k, sentence in enumerate([*text, *wrong][:MAX_NOTES], start=1)}
+        values |= {
+            f"said {k}": sentence for k, sentence in enumerate([*text, *wrong][: HEALTH.max_notes], start=1)
+        }
         first = next(iter(text + wrong), "all is heard")
         return Status("input", WARN if wrong else OK, first, values)

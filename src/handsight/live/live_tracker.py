@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import replace
+from typing import NamedTuple
 
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
@@ -34,10 +35,16 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
 
-QUIET = 1.0
-"""After so long without a message, what waits is let go [s]."""
-MARKERS_EVERY, OBJECT_EVERY = 1 / 30, 1.0
-"""Between markers, and between those of the object itself, which /tf moves [s]."""
+
+class LiveOptions(NamedTuple):
+    """How often a live tracker publishes."""
+
+    quiet: float = 1.0  # after so long without a message, what waits is processed [s]
+    marker_period: float = 1 / 30  # between markers [s]
+    object_period: float = 1.0  # between markers of the object itself, which /tf moves [s]
+
+
+LIVE = LiveOptions()
 
 
 class LiveTracker:
@@ -214,7 +221,7 @@ class LiveTracker:
         now = time.monotonic()
         if arrived:
             self._heard, self._flushed = now, False
-        if self._flushed or now - self._heard < QUIET:
+        if self._flushed or now - self._heard < LIVE.quiet:
             return []
         self._flushed = True
         return self._stream.flush()
@@ -251,10 +258,10 @@ class LiveTracker:
 
     def _drawn(self, tracker: Tracker) -> list[Answer]:
         now, answers = time.monotonic(), list[Answer]()
-        if now - self._markers_at < MARKERS_EVERY or not self.markers_wanted():
+        if now - self._markers_at < LIVE.marker_period or not self.markers_wanted():
             return answers
         self._markers_at = now
-        if now - self._object_at >= OBJECT_EVERY:
+        if now - self._object_at >= LIVE.object_period:
             self._object_at = now
             answers.append(self._markers.object(tracker.stamp, tracker.model))
         return [*answers, self._markers.around(tracker)]

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
@@ -15,10 +15,16 @@ from handsight.messages import RawMessage
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
 
-WAITING, WAITING_EQUAL = 10, 2000
-"""Answers kept for a slow reader: where all count, whole seconds of them come at once."""
-ANSWERED_WITHIN = 60.0
-"""What is asked for waits for the worker at most so long [s]."""
+
+class NodeOptions(NamedTuple):
+    """What waits in a node, and for how long."""
+
+    max_answers: int = 10  # answers kept for a slow reader
+    max_answers_all: int = 2000  # the same where all count: entire seconds of them come at once
+    request_timeout: float = 60.0  # how long a request waits for the worker [s]
+
+
+NODE = NodeOptions()
 
 
 class Stepped(Protocol):
@@ -72,7 +78,7 @@ def work(
 def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
     """Whether what is asked for was done, and a sentence of it."""
     try:
-        return True, ask().result(ANSWERED_WITHIN)
+        return True, ask().result(NODE.request_timeout)
     except (HandsightError, TimeoutError) as error:
         return False, str(error) or "the worker does not answer"
 

@@ -2,31 +2,39 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import MAX_DISTANCE, Array
-from handsight.messages.clocks import MAX_JUMP
+from handsight.messages.clocks import CLOCKS
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.units import Units
 from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
-MAX_AGE_JOINTS, MAX_AGE_TRANSFORM, MAX_AGE_WRENCH, MAX_AGE_VISION = 0.1, 0.1, 0.05, 0.2
-"""Oldest that still counts as now [s]."""
-STUCK = 0.5
-"""A sensor that reads the same for longer, while another's changes, is dead [s]."""
-MIN_STUCK_READINGS = 5
-"""A slow topic says little about itself."""
-AT_FULL_SCALE = 0.999
-MAX_DEPTH = 64
-"""Transforms from world to palm; beyond it the tree is a circle."""
+
+class AssemblyOptions(NamedTuple):
+    """How old messages may be to be put together, and how many are kept."""
+
+    max_age_joints: float = 0.1  # oldest joint positions that still count as now [s]
+    max_age_transform: float = 0.1  # the same of a transform [s]
+    max_age_wrench: float = 0.05  # the same of a wrench [s]
+    max_age_vision: float = 0.2  # the same of a pose or an image [s]
+    stuck: float = 0.5  # a sensor that reads the same for longer, while another's changes, is dead [s]
+    min_stuck_readings: int = 5  # a slow topic says little about itself
+    full_scale_share: float = 0.999  # share of a sensor's full scale from which on a reading is none
+    max_depth: int = 64  # transforms from world to palm; beyond it the tree is a circle
+    max_frames: int = 10_000  # frames of /tf that are kept
+    max_publishers: int = 1000  # sets of joints published together that are kept
+
+
+ASSEMBLY = AssemblyOptions()
+
 IDENTITY = np.eye(4)
 IDENTITY.setflags(write=False)
-MAX_FRAMES, MAX_PUBLISHERS = 10_000, 1000
-"""What is kept at most: frames of /tf, and sets of joints that are published together."""
 
 
 class ObservationAssembler:
@@ -53,14 +61,16 @@ class ObservationAssembler:
 
     def put(self, measurement: Measurement) -> Observation | None:
         """The observation of the joint states before this measurement, if it completes it."""
-        again = measurement.stamp < self._newest - MAX_JUMP  # in order as they are: the clock went back
+        again = (
+            measurement.stamp < self._newest - CLOCKS.max_jump
+        )  # in order as they are: the clock went back
         done = self.finish() if self.due is not None and (again or measurement.stamp > self.due) else None
         if again:
             self._begin()
         self._newest = max(self._newest, measurement.stamp)
         role = measurement.topic.role
         if role == "joints":
-            if len(self._joints) >= MAX_PUBLISHERS:
+            if len(self._joints) >= ASSEMBLY.max_publishers:
                 self._joints.clear()
             self._joints[tuple(measurement.value)] = measurement
             self.due = measurement.stamp
@@ -84,7 +94,9 @@ class ObservationAssembler:
             return None
         stamp, self.due = self.due, None
         self._joints = {
-            names: each for names, each in self._joints.items() if stamp - each.stamp <= MAX_AGE_JOINTS
+            names: each
+            for names, each in self._joints.items()
+            if stamp - each.stamp <= ASSEMBLY.max_age_joints
         }
         positions: dict[str, float] = {}
         for joints in sorted(self._joints.values(), key=lambda each: each.stamp):
@@ -113,7 +125,7 @@ class ObservationAssembler:
         return observation
 
     def _is_fresh(self, measurement: Measurement, stamp: float) -> bool:
-        stale = stamp - measurement.stamp > MAX_AGE_VISION
+        stale = stamp - measurement.stamp > ASSEMBLY.max_age_vision
         measurement.topic.used -= stale
         measurement.topic.stale += stale
         return not stale
@@ -122,7 +134,11 @@ class ObservationAssembler:
         found = {}
         for finger in self._rig.topics.wrenches:
             sensor = self._sensors.get(finger)
-            if sensor is not None and sensor.wrench is not None and stamp - sensor.stamp <= MAX_AGE_WRENCH:
+            if (
+                sensor is not None
+                and sensor.wrench is not None
+                and stamp - sensor.stamp <= ASSEMBLY.max_age_wrench
+            ):
                 found[finger] = sensor.wrench
             else:
                 self._report.without[finger] += 1
@@ -132,7 +148,7 @@ class ObservationAssembler:
         found = {}
         for finger in self._rig.topics.contacts:
             latest = self._contacts.get(finger)
-            if latest is not None and stamp - latest.stamp <= MAX_AGE_WRENCH:
+            if latest is not None and stamp - latest.stamp <= ASSEMBLY.max_age_wrench:
                 found[finger] = latest.value
             else:
                 self._report.without[finger] += 1
@@ -142,7 +158,7 @@ class ObservationAssembler:
         found = {}
         for array in self._rig.topics.skin:
             latest = self._skin.get(array)
-            if latest is not None and stamp - latest.stamp <= MAX_AGE_WRENCH:
+            if latest is not None and stamp - latest.stamp <= ASSEMBLY.max_age_wrench:
                 found[array] = latest.value
             else:
                 self._report.without_skin[array] += 1
@@ -188,18 +204,19 @@ class WrenchSensor:
         """Why the newest reading cannot be used; None: it can. `sensors`: all of the hand."""
         if full_scale is not None:
             force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
-            if force >= AT_FULL_SCALE * full_scale[0] or torque >= AT_FULL_SCALE * full_scale[1]:
+            if (
+                force >= ASSEMBLY.full_scale_share * full_scale[0]
+                or torque >= ASSEMBLY.full_scale_share * full_scale[1]
+            ):
                 self.saturated += 1
                 force_scale, torque_scale = full_scale
                 return (
                     f"reads full scale ({force_scale:g} N, {torque_scale:g} N m) in {self.saturated} messages"
                 )
-        constant = self.repeated >= MIN_STUCK_READINGS and self.stamp - self.changed > STUCK
-        if constant and any(other.changed >= self.stamp - STUCK for other in sensors):
+        constant = self.repeated >= ASSEMBLY.min_stuck_readings and self.stamp - self.changed > ASSEMBLY.stuck
+        if constant and any(other.changed >= self.stamp - ASSEMBLY.stuck for other in sensors):
             self.stuck += 1
-            return (
-                f"reads the same six numbers beyond {STUCK} s while others change, in {self.stuck} messages"
-            )
+            return f"reads the same six numbers beyond {ASSEMBLY.stuck} s while others change, in {self.stuck} messages"
         return None
 
 
@@ -212,7 +229,7 @@ class TransformTree:
     def put(self, transform: tuple[str, str, Array], stamp: float) -> None:
         """Take in parent, child and `T_parent_child` (4, 4); what is static is of infinite stamp."""
         parent, child, T_parent_child = transform
-        if child in self._to_child or len(self._to_child) < MAX_FRAMES:
+        if child in self._to_child or len(self._to_child) < ASSEMBLY.max_frames:
             self._to_child[child] = parent, T_parent_child, stamp
 
     def keep_static(self) -> None:
@@ -238,9 +255,9 @@ class TransformTree:
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
         """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""
         T, found = IDENTITY, {frame: IDENTITY}
-        while frame in self._to_child and len(found) < MAX_DEPTH:
+        while frame in self._to_child and len(found) < ASSEMBLY.max_depth:
             parent, T_parent_frame, measured = self._to_child[frame]
-            if stamp - measured > MAX_AGE_TRANSFORM or parent in found:
+            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:
                 break
             frame, T = parent, T_parent_frame if T is IDENTITY else T_parent_frame @ T
             found[frame] = T

@@ -5,27 +5,32 @@ import itertools
 from collections import deque
 from collections.abc import Iterable
 from statistics import median
+from typing import NamedTuple
 
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.topics import MessageRejected
 
-COMPARED = 1.0
-"""From the first joint states on, clocks are compared over [s]."""
-OTHER_CLOCK = 0.5
-"""Offsets farther apart are another clock [s]."""
-MAX_LATENCY = 2.0
-"""But what a camera measured may be this late [s]."""
+
+class ClockOptions(NamedTuple):
+    """How stamps of several clocks are put in order."""
+
+    comparison: float = 1.0  # how long clocks are compared, from the first joint states on [s]
+    other_clock: float = 0.5  # offsets farther apart are another clock's [s]
+    max_latency: float = 2.0  # but what a camera measured may be this late [s]
+    reorder_window: float = 0.2  # of stamps, to put messages in order [s]
+    max_jump: float = 1.0
+    """Joint states that jump ahead by more must be confirmed by the next, and back by more by the next two [s]."""
+    confirming: int = 3  # joint states in a row that are back and say that the clock is
+    max_waiting: int = 50_000  # measurements that are kept
+    max_waiting_bytes: int = 1 << 28  # bytes that are kept
+    max_publishers: int = 1000  # publishers whose stamps are known
+
+
+CLOCKS = ClockOptions()
+
 SLOW = ("vision", "truth", "color", "depth")
-REORDER_WINDOW = 0.2
-"""Of stamps, to put messages in order [s]."""
-MAX_JUMP = 1.0
-"""Joint states that jump ahead by more must be confirmed by the next, and back by more by the next two [s]."""
-CONFIRMED_BACK = 3
-"""So many joint states in a row that are back say that the clock is."""
 FAR_AHEAD = "stamp far ahead of those before and after"
-MAX_WAITING, MAX_WAITING_BYTES, MAX_PUBLISHERS = 50_000, 1 << 28, 1000
-"""What is kept at most: measurements, and whose stamps are known."""
 
 
 class Clocks:
@@ -51,7 +56,7 @@ class Clocks:
             return (self._aligned(measurement),)
         self._waiting.append(measurement)
         self._waiting_bytes += measurement.size
-        full = self._waiting_bytes > MAX_WAITING_BYTES or len(self._waiting) > MAX_WAITING
+        full = self._waiting_bytes > CLOCKS.max_waiting_bytes or len(self._waiting) > CLOCKS.max_waiting
         is_joints = measurement.topic.role == "joints"
         if self._first_joints is None and is_joints:
             self._first_joints = measurement
@@ -62,8 +67,8 @@ class Clocks:
                 self._waiting_bytes -= oldest.size
                 oldest.topic.stale += 1
             return ()
-        over = measurement.log_time > first.log_time + COMPARED
-        over = over or (is_joints and measurement.stamp > first.stamp + COMPARED)
+        over = measurement.log_time > first.log_time + CLOCKS.comparison
+        over = over or (is_joints and measurement.stamp > first.stamp + CLOCKS.comparison)
         return self.finish() if full or over else ()
 
     def restart(self) -> None:
@@ -82,7 +87,7 @@ class Clocks:
         topic = measurement.topic
         # What begins later is compared with the joint states of its own time: a simulator's clock may drift, and that
         # of a recording that is played stands still while it pauses.
-        paused, is_joints = measurement.log_time - self._joints_at > COMPARED, topic.role == "joints"
+        paused, is_joints = measurement.log_time - self._joints_at > CLOCKS.comparison, topic.role == "joints"
         if paused and is_joints:
             self._joint_offsets.clear()
         if topic.name not in self._known and (is_joints or not paused):
@@ -107,8 +112,8 @@ class Clocks:
         if not self._joint_offsets:
             return
         topic.difference = offset - median(self._joint_offsets)
-        latency = MAX_LATENCY if topic.role in SLOW else OTHER_CLOCK
-        topic.shifted = not -OTHER_CLOCK <= topic.difference <= latency
+        latency = CLOCKS.max_latency if topic.role in SLOW else CLOCKS.other_clock
+        topic.shifted = not -CLOCKS.other_clock <= topic.difference <= latency
         if not topic.shifted:
             self.least, self.most = min(self.least, topic.difference), max(self.most, topic.difference)
 
@@ -155,9 +160,9 @@ class ReorderBuffer:
     def _insert(self, measurement: Measurement) -> list[Measurement]:
         """Those that are in order with this one, which is in the clock of the joint states."""
         is_joints, found = measurement.topic.role == "joints", list[Measurement]()
-        if measurement.stamp < self._newest - MAX_JUMP and (is_joints or self._back):
+        if measurement.stamp < self._newest - CLOCKS.max_jump and (is_joints or self._back):
             self._back.append(measurement)
-            if sum(each.topic.role == "joints" for each in self._back) < CONFIRMED_BACK:
+            if sum(each.topic.role == "joints" for each in self._back) < CLOCKS.confirming:
                 return found
             found = self._restart()
         elif is_joints:
@@ -195,14 +200,14 @@ class ReorderBuffer:
 
     def _edge(self) -> float:
         """Stamps up to this are in order."""
-        return self._newest - REORDER_WINDOW - (self._clocks.most - self._clocks.least)
+        return self._newest - CLOCKS.reorder_window - (self._clocks.most - self._clocks.least)
 
     def _confirmed(self, joints: Measurement) -> tuple[Measurement, ...]:
         """The joint states, but those that jump ahead only with the next ones that agree."""
         jumped, self._jumped = self._jumped, None
-        ahead = self._newest > -float("inf") and joints.stamp > self._newest + MAX_JUMP
+        ahead = self._newest > -float("inf") and joints.stamp > self._newest + CLOCKS.max_jump
         if jumped is not None:
-            if ahead and abs(joints.stamp - jumped.stamp) <= MAX_JUMP:
+            if ahead and abs(joints.stamp - jumped.stamp) <= CLOCKS.max_jump:
                 self._newest = max(joints.stamp, jumped.stamp)
                 return jumped, joints
             joints.topic.reject(MessageRejected(FAR_AHEAD))
@@ -226,7 +231,9 @@ class ReorderBuffer:
         """Those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
         found, waiting = list[Measurement](), self._waiting
         while waiting and (
-            waiting[0][0] <= edge or len(waiting) > MAX_WAITING or self._bytes > MAX_WAITING_BYTES
+            waiting[0][0] <= edge
+            or len(waiting) > CLOCKS.max_waiting
+            or self._bytes > CLOCKS.max_waiting_bytes
         ):
             self._released, _, measurement = heapq.heappop(waiting)
             self._bytes -= measurement.size
@@ -242,7 +249,7 @@ class ReorderBuffer:
         publisher = publisher_of(measurement)
         if self._last_stamps.get(publisher) == self._released:
             return True
-        if len(self._last_stamps) > MAX_PUBLISHERS:
+        if len(self._last_stamps) > CLOCKS.max_publishers:
             self._last_stamps.clear()
         self._last_stamps[publisher] = self._released
         return False

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from math import hypot, isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,12 +16,17 @@ from handsight.messages.fast import FastReaders, StampedTransform
 from handsight.messages.topics import CONTACT, TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 
-MAX_JOINTS, MAX_TRANSFORMS = 1000, 10_000
-"""Of one message."""
-SHORTEST = 4
-"""Bytes of a message that has no more than the count of nothing."""
-MAX_TURNED = 1e6
-"""No joint's position is larger [rad or m]; wheels turn far."""
+
+class DecodeLimits(NamedTuple):
+    """What a message may hold."""
+
+    max_joints: int = 1000  # of one message
+    max_transforms: int = 10_000  # of one message
+    min_bytes: int = 4  # of a message that has no more than the count of nothing
+    max_position: float = 1e6  # no joint's position is larger [rad or m]; wheels turn far
+
+
+DECODE = DecodeLimits()
 
 
 @dataclass(slots=True, eq=False)
@@ -88,7 +93,7 @@ def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float,
 def _transforms(raw: RawMessage, topic: TopicReport, fast: FastReaders) -> list[Measurement]:
     """Each transform by itself: one that cannot be used does not spoil the others."""
     reader, found = fast.get(raw.encoding), list[Measurement]()
-    for each in (reader and reader.transforms(raw.data, MAX_TRANSFORMS)) or _transforms_of(
+    for each in (reader and reader.transforms(raw.data, DECODE.max_transforms)) or _transforms_of(
         _deserialized(raw)
     ):
         topic.messages += 1
@@ -102,8 +107,10 @@ def _transforms(raw: RawMessage, topic: TopicReport, fast: FastReaders) -> list[
 
 
 def _transforms_of(message: Any) -> list[StampedTransform]:
-    if len(message.transforms) > MAX_TRANSFORMS:
-        raise MessageRejected(f"expected at most {MAX_TRANSFORMS} transforms, got {len(message.transforms)}")
+    if len(message.transforms) > DECODE.max_transforms:
+        raise MessageRejected(
+            f"expected at most {DECODE.max_transforms} transforms, got {len(message.transforms)}"
+        )
     return [
         StampedTransform(
             _stamp(each),
@@ -123,7 +130,7 @@ def _numbers(position: Any, orientation: Any) -> tuple[float, ...]:
 def _deserialized(raw: RawMessage) -> Any:
     store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
-    if len(raw.data) < SHORTEST:  # millions of them may come
+    if len(raw.data) < DECODE.min_bytes:  # millions of them may come
         raise MessageRejected(f"expected a {kind}, got {len(raw.data)} bytes that are none")
     try:
         return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
@@ -167,9 +174,9 @@ def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, fl
     found = dict(zip(names, positions, strict=True))
     if len(found) != len(names):
         raise MessageRejected("expected each joint once, got one name twice")
-    if len(found) > MAX_JOINTS:
-        raise MessageRejected(f"expected at most {MAX_JOINTS} joints, got {len(found)}")
-    if not hypot(*positions) <= MAX_TURNED:
+    if len(found) > DECODE.max_joints:
+        raise MessageRejected(f"expected at most {DECODE.max_joints} joints, got {len(found)}")
+    if not hypot(*positions) <= DECODE.max_position:
         _check_positions(found)
     return found
 
@@ -179,9 +186,9 @@ def _check_positions(positions: Mapping[str, float]) -> None:
     if bad:
         raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
     name = max(positions, key=lambda name: abs(positions[name]))
-    if abs(positions[name]) > MAX_TURNED:
+    if abs(positions[name]) > DECODE.max_position:
         raise MessageRejected(
-            f"joint {name}: expected a position within {MAX_TURNED:g}, got {positions[name]:g}"
+            f"joint {name}: expected a position within {DECODE.max_position:g}, got {positions[name]:g}"
         )
 
 

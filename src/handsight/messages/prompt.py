@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from handsight.messages.assemble import MAX_AGE_TRANSFORM
+from handsight.messages.assemble import ASSEMBLY
 from handsight.messages.clocks import ReorderBuffer, publisher_of
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
@@ -64,7 +64,8 @@ class PromptBuffer(ReorderBuffer):
     def _lacks(self, stamp: float) -> bool:
         """Whether something that is due has not reached the stamp."""
         return any(
-            newest + half < stamp <= newest + MAX_AGE_TRANSFORM for newest, half in self._reached.values()
+            newest + half < stamp <= newest + ASSEMBLY.max_age_transform
+            for newest, half in self._reached.values()
         )
 
     def _push(self, measurement: Measurement) -> None:

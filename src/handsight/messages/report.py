@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from handsight.checks import nearest_name
 from handsight.errors import printable
-from handsight.messages.topics import MAX_GAP, WRENCH, TopicReport
+from handsight.messages.topics import TOPICS, WRENCH, TopicReport
 from handsight.messages.units import Units
 from handsight.rig import Rig
 
@@ -58,7 +58,7 @@ class Report:
         joints = self.topics.get(self.joint_states)
         if joints is not None and joints.gaps:
             messages.append(
-                f"{joints.name}: {joints.gaps} gaps of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
+                f"{joints.name}: {joints.gaps} gaps of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
             )
         of = f"of {self.observations} observations"
         messages += few(

@@ -19,12 +19,18 @@ TF, TF_ROS1 = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 ARRAY = "std_msgs/msg/Float32MultiArray"
 POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, TF_ROS1)
 
-MAX_GAP = 0.1
-"""Joint states farther apart are counted as a gap [s]."""
-MAX_QUIET_DIFFERENCE = 0.1
-"""Clocks farther apart are told [s]."""
-MAX_REASONS = 8
-"""Different reasons that are kept for a topic; a message's own words may be among them."""
+
+class TopicOptions(NamedTuple):
+    """What a report says of a topic."""
+
+    max_gap: float = 0.1  # joint states farther apart are counted as a gap [s]
+    max_clock_difference: float = 0.1  # clocks farther apart are reported [s]
+    max_reasons: int = (
+        8  # different reasons that are kept for a topic; a message's own words may be among them
+    )
+
+
+TOPICS = TopicOptions()
 
 
 class RawMessage(NamedTuple):
@@ -98,7 +104,7 @@ class TopicReport:
         """Count a message as nan or bad, and why."""
         self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
         reason = str(error)
-        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
+        if reason not in self.reasons and len(self.reasons) >= TOPICS.max_reasons:
             reason = "other reasons"
         self.reasons[reason] += 1
 
@@ -106,7 +112,7 @@ class TopicReport:
         """Count a message as used, in order of stamp."""
         self.used += 1
         gap = 0.0 if self.last is None else stamp - self.last
-        self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > MAX_GAP), stamp
+        self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > TOPICS.max_gap), stamp
 
     def sentences(self) -> Iterator[str]:
         """What of this topic is worth telling."""
@@ -120,7 +126,7 @@ class TopicReport:
                 yield f"{self.name}: {count} of {self.messages} messages {sentence}"
         if self.unstamped:
             yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
-        if abs(self.difference) > MAX_QUIET_DIFFERENCE:
+        if abs(self.difference) > TOPICS.max_clock_difference:
             what = "shifted by that: another clock" if self.shifted else "left as they are"
             yield f"{self.name}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
 

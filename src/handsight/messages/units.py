@@ -2,16 +2,23 @@
 
 from collections import Counter
 from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-FAR, STRONG = 10.0, 300.0
-"""No hand sees its object farther away [m], no fingertip feels a larger force [N]."""
-OFTEN = 0.1
-"""Part of the observations; less are outliers."""
+
+class UnitLimits(NamedTuple):
+    """Sizes beyond which a unit is doubted."""
+
+    max_range: float = 10.0  # no hand sees its object farther away [m]
+    max_force: float = 300.0  # no fingertip bears a larger force [N]
+    min_share: float = 0.1  # part of the observations; fewer are outliers
+
+
+UNITS = UnitLimits()
 
 
 class Units:
@@ -37,12 +44,12 @@ class Units:
             self._joint(self._names[k], float(values[k]))
         for name, wrench in observation.wrenches.items():
             force = hypot(*wrench[:3].tolist())
-            if force > STRONG:
+            if force > UNITS.max_force:
                 self._note(f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)")
         vision = observation.vision
         if vision is not None and vision.frame != "world":
             distance = float(np.linalg.norm(vision.T_frame_object[:3, 3]))
-            if distance > FAR:
+            if distance > UNITS.max_range:
                 text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
                 self._note(f"{self._rig.topics.vision}: poses", distance, text)
 
@@ -61,5 +68,5 @@ class Units:
 
     def sentences(self) -> list[str]:
         """What was beyond often; empty: nothing."""
-        often = [what for what, count in self._beyond.items() if count >= OFTEN * self._count]
+        often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
         return [f"{what} up to {self._largest[what][1]}" for what in often]

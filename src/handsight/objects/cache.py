@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from handsight.cache_folder import cache_folder, read_entry, write_entry
 from handsight.objects.fields import FieldError, GridField
-from handsight.objects.geometry import SAMPLES, Geometry, frozen
-from handsight.objects.surface import LARGEST, Cloud, ObjectWarning, Triangles
+from handsight.objects.geometry import GEOMETRY, Geometry, frozen
+from handsight.objects.surface import SURFACE, Cloud, ObjectWarning, Triangles
 
 VERSION = 10
 """Raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files; the oldest go first."""
-MOST = 10 * LARGEST**2
+MOST = 10 * SURFACE.max_size**2
 """No number of an object is as large, in metres, square metres or radians."""
 APPEARANCES = "what objects look like"
 _warned: set[str] = set()
@@ -148,8 +148,8 @@ def _loaded(data: memoryview) -> Geometry:
 
 def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[Any], type, tuple[int | None, ...]]]:
     """Each array with its type and its shape, None for any length: a kernel reads as far as these say."""
-    yield geometry.points_object, np.float64, (SAMPLES, 3)
-    yield geometry.normals_object, np.float64, (SAMPLES, 3)
+    yield geometry.points_object, np.float64, (GEOMETRY.samples, 3)
+    yield geometry.normals_object, np.float64, (GEOMETRY.samples, 3)
     yield geometry.bounds_object, np.float64, (2, 3)
     coarse, fine, error = _grids(geometry)
     for grid in (coarse, fine, error):

@@ -8,6 +8,7 @@ not removed.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,12 +22,18 @@ from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.holes import unseen_variances
 from handsight.objects.scans.normals import estimated_normals
 from handsight.objects.scans.scan import scanned
-from handsight.objects.surface import LARGEST_HOLE, Cloud, check_extent, diameter, distinct
+from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, distinct
 
-LEAST_POINTS = 20
-PLANES = 10
-"""Points whose planes are averaged."""
-AREA_NEIGHBOURS = 8
+
+class CloudOptions(NamedTuple):
+    """How a surface is read off points."""
+
+    min_points: int = 20  # of a cloud
+    planes: int = 10  # points whose planes are averaged
+    area_neighbours: int = 8  # points by which a point's share of the area is measured
+
+
+CLOUD = CloudOptions()
 
 
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
@@ -42,16 +49,16 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     tree = cKDTree(points)
     if normals is None:
         normals = estimated_normals(points, tree)
-    reach = tree.query(points, k=AREA_NEIGHBOURS + 1)[0][:, -1]
+    reach = tree.query(points, k=CLOUD.area_neighbours + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
-    cloud = Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5))
+    cloud = Cloud(points, normals, np.pi * reach**2 / (CLOUD.area_neighbours + 0.5))
     heights = _Planes(cloud, tree).heights if scan is None else scan.surface.heights
     size = diameter(points)
     coarse, fine, coarser = grids(points, size)
     winding = Winding(points, cloud.areas[:, None] * normals)
     nodes = coarse.nodes()
     hole = _largest_hole(coarse, tree.query(nodes)[0], winding.inside(nodes))
-    closed = hole < LARGEST_HOLE * size and _winds(cloud, winding)
+    closed = hole < SURFACE.max_hole * size and _winds(cloud, winding)
     if closed:
         fields = _fields(coarse, fine, ClosedDistances(cloud, tree, heights, winding).at)
     else:
@@ -80,12 +87,14 @@ def _fields(
 
 def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
     """The points and normals without repeats, and a remark where there were; raises InvalidObject."""
-    if len(points) < LEAST_POINTS:
-        raise InvalidObject(f"points: expected at least {LEAST_POINTS} points, got {len(points)}")
+    if len(points) < CLOUD.min_points:
+        raise InvalidObject(f"points: expected at least {CLOUD.min_points} points, got {len(points)}")
     extent = check_extent(points, "points")
     first, _ = distinct(points, extent)
-    if len(first) < LEAST_POINTS:
-        raise InvalidObject(f"points: expected at least {LEAST_POINTS} different points, got {len(first)}")
+    if len(first) < CLOUD.min_points:
+        raise InvalidObject(
+            f"points: expected at least {CLOUD.min_points} different points, got {len(first)}"
+        )
     repeated = len(points) - len(first)
     points, normals = points[first], None if normals is None else normals[first]
     if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * extent) < 2:
@@ -122,7 +131,7 @@ class _Planes:
     def heights(self, nodes: Array, _: Indices) -> Array:
         """Signed distances (n,) [m] of nodes (n, 3) near the cloud."""
         cloud = self.cloud
-        k = min(PLANES, len(cloud.vertices))
+        k = min(CLOUD.planes, len(cloud.vertices))
         gap, index = self.tree.query(nodes, k=k)
         near = gap[:, 0]
         # Wide enough for a few points, wherever they are.

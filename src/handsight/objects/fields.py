@@ -15,14 +15,20 @@ from numpy.typing import NDArray
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 
-COARSE_PER_DIAMETER = 18
-COARSE_PER_WIDTH = 4
-COARSE_MOST_NODES = 400_000
-FINE_PER_COARSE = 4
-FINE_MARGIN = 8
-FINE_MOST_NODES = 4_000_000
-BAND = 4
-"""Fine nodes within this many cells of the surface carry exact distances."""
+
+class FieldOptions(NamedTuple):
+    """Cells of the distance fields."""
+
+    coarse_per_diameter: int = 18  # coarse cells along the diameter
+    coarse_per_width: int = 4  # coarse cells along the shortest extent, if these are more
+    max_coarse_nodes: int = 400_000  # of the coarse field
+    fine_per_coarse: int = 4  # fine cells along a coarse one
+    fine_margin: int = 8  # fine cells around the object
+    max_fine_nodes: int = 4_000_000  # of the fine field
+    band: int = 4  # fine nodes within this many cells of the surface carry exact distances
+
+
+FIELDS = FieldOptions()
 
 
 class FieldValues(NamedTuple):
@@ -156,8 +162,8 @@ def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]
     principal = np.linalg.eigh(centered.T @ centered)[1]
     width = min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min())
     coarse, thin = coarse_grid(vertices, diameter, float(width))
-    cell = coarse.cell / FINE_PER_COARSE
-    fine, capped = _grid(vertices, cell, lambda c: FINE_MARGIN * c, FINE_MOST_NODES)
+    cell = coarse.cell / FIELDS.fine_per_coarse
+    fine, capped = _grid(vertices, cell, lambda c: FIELDS.fine_margin * c, FIELDS.max_fine_nodes)
     if not (thin or capped):
         return coarse, fine, ()
     cells = f"{1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm"
@@ -169,10 +175,10 @@ def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, b
 
     `diameter`, `width` (the thinnest extent; 0: a sheet) [m]. Half the diameter of margin.
     """
-    cell = diameter / COARSE_PER_DIAMETER
+    cell = diameter / FIELDS.coarse_per_diameter
     if width > 1e-6 * diameter:
-        cell = min(cell, width / COARSE_PER_WIDTH)
-    return _grid(vertices, cell, lambda c: max(diameter / 2, 3 * c), COARSE_MOST_NODES)
+        cell = min(cell, width / FIELDS.coarse_per_width)
+    return _grid(vertices, cell, lambda c: max(diameter / 2, 3 * c), FIELDS.max_coarse_nodes)
 
 
 def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: int) -> tuple[Grid, bool]:
@@ -205,7 +211,7 @@ def sharpened(
     Of a `sheet` size and sign are taken apart, as the sign jumps where the size does not.
     """
     sharp = _interpolated(coarse, values, fine)
-    band = BAND * fine.cell
+    band = FIELDS.band * fine.cell
     if sheet:
         sharp = np.copysign(_interpolated(coarse, np.abs(values), fine), sharp)
     # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.

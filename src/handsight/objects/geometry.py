@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,22 @@ from handsight.checks import Array, Indices
 from handsight.objects.fields import Field, FieldError, Grid, GridField, centered_grid
 from handsight.objects.surface import Surface
 
-SAMPLES = 256
-"""Surface points that phase 1 of the correction matches contacts with."""
-LLOYD_STEPS = 12
-CROWD = 20
-"""Points drawn for each that is kept."""
-SMALL, LARGE = 0.005, 2.0
-"""A hand-held object's largest extent lies between these [m]; beyond them the unit is suspect."""
-TYPICAL_SAMPLES = 2000
-ERROR_SAMPLES, NEIGHBOURS = 8000, 12
-"""Surface points compared with the field, and how many of them speak for a place."""
+
+class GeometryOptions(NamedTuple):
+    """How a surface is sampled."""
+
+    samples: int = 256  # surface points that phase 1 of the correction matches contacts with
+    lloyd_steps: int = 12  # steps that spread them evenly
+    drawn_per_sample: int = 20  # points drawn for each that is kept
+    min_extent: float = 0.005  # a hand-held object's largest extent is larger [m], or the unit is suspect
+    max_extent: float = 2.0  # and smaller [m]
+    typical_samples: int = 2000  # points by which the typical error of a field is measured
+    error_samples: int = 8000  # surface points compared with the field
+    error_neighbours: int = 12  # and how many of them speak for a place
+
+
+GEOMETRY = GeometryOptions()
+
 # The median of |x| over a standard deviation, and of the length of a vector of two such.
 _MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
 
@@ -80,7 +86,7 @@ class Geometry:
     @property
     def sample_spacing(self) -> float:
         """√(area / 256): about how far apart `points_object` are [m]."""
-        return float(np.sqrt(self.area / SAMPLES))
+        return float(np.sqrt(self.area / GEOMETRY.samples))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,8 +113,8 @@ def measured(
     """What is to be known of a surface whose distance fields these are."""
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    points, normals = _spread(surface, SAMPLES)
-    _, distance, angle = _errors(surface, fine, TYPICAL_SAMPLES, seed=1)
+    points, normals = _spread(surface, GEOMETRY.samples)
+    _, distance, angle = _errors(surface, fine, GEOMETRY.typical_samples, seed=1)
     return Geometry(
         coarse=coarse,
         fine=fine,
@@ -168,16 +174,16 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
     """
     from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
 
-    points, normals = surface.draw(CROWD * n, np.random.default_rng(0))
+    points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
     features = np.hstack([points, np.sqrt(surface.area / n) * normals])
     # Back to draws, each once: a middle lies off a curved surface.
-    index = snapped(features, spread_out(features, n, LLOYD_STEPS))
+    index = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
     return points[index], normals[index]
 
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
     """The error of a fine field, from samples of the surface within about half a cell [m] of each node."""
-    points, distance, angle = _errors(surface, fine, ERROR_SAMPLES, seed=2)
+    points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
     lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
     grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
@@ -193,7 +199,7 @@ def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
     from scipy.spatial import cKDTree
 
     threads = numba.config.NUMBA_NUM_THREADS
-    near = cKDTree(points).query(nodes, k=min(NEIGHBOURS, len(points)), workers=threads)[1]
+    near = cKDTree(points).query(nodes, k=min(GEOMETRY.error_neighbours, len(points)), workers=threads)[1]
     return np.asarray(values[near].mean(axis=1))
 
 
@@ -208,10 +214,10 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
 def _unit_remarks(bounds: Array) -> tuple[str, ...]:
     """A sentence if the size suggests another unit than metres."""
     extent = float((bounds[1] - bounds[0]).max())
-    if SMALL <= extent <= LARGE:
+    if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
         return ()
     units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}
     for unit, scale in units.items():
-        if SMALL < extent * scale < LARGE / 4:
+        if GEOMETRY.min_extent < extent * scale < GEOMETRY.max_extent / 4:
             return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
     return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

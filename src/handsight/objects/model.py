@@ -18,7 +18,7 @@ from handsight.objects import cache, primitives
 from handsight.objects.fields import FieldValues
 from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
-from handsight.objects.surface import LARGEST, SMALLEST, ObjectWarning, Triangles
+from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, nearest
 from handsight.objects.weight import USUAL_SIGMA, check_kept, kept_center, volume_centroid
 
@@ -218,8 +218,8 @@ def _length(value: float, name: str) -> float:
 
 def _check_range(value: ArrayLike, name: str) -> None:
     """In other units than any that were meant, squares overflow."""
-    if np.min(value) < SMALLEST or np.max(value) > LARGEST:
-        expected = f"expected metres between {SMALLEST:g} and {LARGEST:g}"
+    if np.min(value) < SURFACE.min_size or np.max(value) > SURFACE.max_size:
+        expected = f"expected metres between {SURFACE.min_size:g} and {SURFACE.max_size:g}"
         raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
 
 

@@ -20,23 +20,30 @@ Record = NDArray[np.void]
 Nodes = NDArray[np.float32]
 
 EXACT = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
-EDGE = 0.75
-"""Radius of curvature [coarse cells] below which the surface counts as an edge."""
+
+
+class RecordOptions(NamedTuple):
+    """What kernels are given of an object."""
+
+    edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
+    facet_margin: float = 0.01  # facets may be this far within the surface that they stand for [diameters]
+    normal_weight: float = (
+        1.3  # what a unit of normal counts as when contacts are matched with samples [diameters]
+    )
+    band: float = 1.6  # of the samples' spacing: the tangential distance that costs nothing
+    tangential: float = 0.32  # the standard deviation of what is beyond it, of the samples' spacing
+    patch: float = 0.02  # how far a patch is off its sample's plane, of the samples' spacing
+    max_curvature: int = 72
+    """At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
+    parallel: int = 16_384  # points that are enough for another thread
+
+
+RECORD = RecordOptions()
+
 LEAST_ERROR = (1e-4, 2e-3)
 """No model is better than this: of its place [diameters] and of its normal [rad]."""
 COARSE_ERROR = (0.03, 0.03)
 """How far the smooth field is off on faces: of its distance [cells] and of its normal [rad]."""
-MARGIN = 0.01
-"""Facets may be this far [diameters] within the surface that they stand for."""
-NORMAL_WEIGHT = 1.3
-"""What a unit of normal is worth when contacts are matched with samples [diameters]."""
-BAND, TANGENTIAL, PATCH = 1.6, 0.32, 0.02
-"""Of the samples' spacing: the tangential distance that costs nothing, the standard deviation of what is beyond it, and
-how far a patch is off its sample's plane."""
-RESOLUTION = 72
-"""At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
-MANY = 16_384
-"""Points that are worth another thread."""
 
 
 class ModelRecord(NamedTuple):
@@ -60,8 +67,8 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     row["coarse"]["variance_normal"] = COARSE_ERROR[1] ** 2
     _fill_field(row["fine"], model.fine, len(nodes[0]))
     row["radius"], row["center"] = model.radius, model.center_object
-    row["bounds"] = model.bounds_object + MARGIN * model.diameter * np.array([[-1.0], [1.0]])
-    row["edge_curvature2"] = 1 / (EDGE * model.coarse.cell) ** 2
+    row["bounds"] = model.bounds_object + RECORD.facet_margin * model.diameter * np.array([[-1.0], [1.0]])
+    row["edge_curvature2"] = 1 / (RECORD.edge * model.coarse.cell) ** 2
     error, place_by_place = row["error"], model.field_error
     error["least_distance"] = (LEAST_ERROR[0] * model.diameter) ** 2
     error["least_normal"] = LEAST_ERROR[1] ** 2
@@ -70,9 +77,9 @@ def model_record(model: "ObjectModel") -> ModelRecord:
         error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
         nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
     _fill_symmetry(row["symmetry"], model.symmetries)
-    row["normal_weight2"] = (NORMAL_WEIGHT * model.diameter) ** 2
-    row["band"], row["tangential_weight"] = BAND * spacing, 1 / (TANGENTIAL * spacing) ** 2
-    row["sample_variance_distance"] = (PATCH * spacing) ** 2
+    row["normal_weight2"] = (RECORD.normal_weight * model.diameter) ** 2
+    row["band"], row["tangential_weight"] = RECORD.band * spacing, 1 / (RECORD.tangential * spacing) ** 2
+    row["sample_variance_distance"] = (RECORD.patch * spacing) ** 2
     row["sample_variance_normal"] = model.sigma_normal**2
     row["samples"][:, 0], row["samples"][:, 1] = model.points_object, model.normals_object
     row["scan"][0] = (model.points_object**2).sum(axis=1)
@@ -92,7 +99,7 @@ def evaluate(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
     """Distance, gradient and Hessian of a field, its record (1,), at points (n, 3) [m], on all cores."""
     points = np.require(points_object, np.float64, ["C", "W"])
     values = np.empty((len(points), 13))
-    in_parts(partial(kernel.evaluate, nodes, field), (points, values), MANY)
+    in_parts(partial(kernel.evaluate, nodes, field), (points, values), RECORD.parallel)
     return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
 
 
@@ -108,7 +115,7 @@ def _fill_field(row: np.void, field: Field, nodes: int) -> None:
         row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
     elif isinstance(field, ExactField):
         row["kind"], row["origin"] = EXACT[field.shape], field.sizes
-        row["least_radius"] = 2 * np.linalg.norm(field.sizes) / RESOLUTION
+        row["least_radius"] = 2 * np.linalg.norm(field.sizes) / RECORD.max_curvature
 
 
 def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:

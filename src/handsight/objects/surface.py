@@ -3,19 +3,29 @@
 import contextlib
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
 
-SMALLEST, LARGEST = 1e-6, 1e6
-"""Sizes outside these [m] are refused."""
-MOST_COMPARED, FEW_COMPARED = 2000, 512
-"""Points whose distances are all taken."""
-LARGEST_HOLE = 0.25
-"""A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is
-wide, inside and outside are a guess, and past a quarter that would be most of the object."""
+
+class SurfaceOptions(NamedTuple):
+    """Sizes of a surface."""
+
+    min_size: float = 1e-6  # smaller ones are refused [m]
+    max_size: float = 1e6  # larger ones are refused [m]
+    max_compared: int = 2000  # points all of whose distances are taken
+    few_compared: int = 512  # points of which the farthest are chosen first
+    max_hole: float = 0.25
+    """A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is wide,
+    inside and outside are a guess, and past a quarter that would be most of the object.
+    """
+
+
+SURFACE = SurfaceOptions()
+
 _SAME_POINT = 1e-9
 """Points closer than this part of the extent are one."""
 
@@ -136,8 +146,10 @@ def check_extent(points: Array, name: str) -> float:
         extent = float(np.ptp(points, axis=0).max())
     if extent == 0:
         raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
-    if not SMALLEST <= extent <= LARGEST or np.abs(points).max() > LARGEST:
-        raise InvalidObject(f"{name}: expected a size of {SMALLEST:g} to {LARGEST:g} m, got {extent:.4g}")
+    if not SURFACE.min_size <= extent <= SURFACE.max_size or np.abs(points).max() > SURFACE.max_size:
+        raise InvalidObject(
+            f"{name}: expected a size of {SURFACE.min_size:g} to {SURFACE.max_size:g} m, got {extent:.4g}"
+        )
     return extent
 
 
@@ -151,16 +163,20 @@ def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
 
 def diameter(points: Array) -> float:
     """The largest distance between two of the points (n, 3) [m]."""
-    if len(points) <= FEW_COMPARED:  # SciPy takes half a second to load, which a box should not wait for
+    if (
+        len(points) <= SURFACE.few_compared
+    ):  # SciPy takes half a second to load, which a box should not wait for
         x, y, z = points.T[:, :, None] - points.T[:, None, :]
         return float(np.sqrt((x * x + y * y + z * z).max()))
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist
 
-    if len(points) > MOST_COMPARED:
+    if len(points) > SURFACE.max_compared:
         with contextlib.suppress(QhullError):  # flat
             points = points[ConvexHull(points).vertices]
-    if len(points) > MOST_COMPARED:  # a ball: extremes along many directions miss by less than a thousandth
+    if (
+        len(points) > SURFACE.max_compared
+    ):  # a ball: extremes along many directions miss by less than a thousandth
         direction = np.random.default_rng(0).normal(size=(1000, 3))
         along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
         points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]

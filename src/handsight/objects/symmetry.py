@@ -6,6 +6,7 @@ object are its continuous rotation axes (a can spins about its own) and finitely
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +15,19 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 
-MOST_ROTATIONS = 120
-"""More than the icosahedron's 60: a larger group is a continuous axis, or a mistake."""
-SPIN_SAMPLES, SPIN_STEPS = 33, 6
-"""Angles tried about a continuous axis, and Newton steps from the best of them."""
+
+class SymmetryOptions(NamedTuple):
+    """How symmetries are kept and compared."""
+
+    max_rotations: int = (
+        120  # more than the icosahedron's 60: a larger group is a continuous axis, or a mistake
+    )
+    spin_samples: int = 33  # angles tried about a continuous axis
+    spin_steps: int = 6  # newton steps from the best of them
+
+
+SYMMETRY_LIMITS = SymmetryOptions()
+
 _DIFFERENCE = 1e-5
 """Of angles [rad], for the second derivative."""
 _SAME = 1e-6
@@ -145,7 +155,7 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
     """
     arc = np.mod(by_place - by_rotation + np.pi, 2 * np.pi) - np.pi
     # From here on φ is counted from `by_rotation`, and the place wants `arc`.
-    trial = arc[..., None] * np.linspace(0.0, 1.0, SPIN_SAMPLES)
+    trial = arc[..., None] * np.linspace(0.0, 1.0, SYMMETRY_LIMITS.spin_samples)
     cost = _left_over(trial, share[..., None]) ** 2 - 2 * pull[..., None] * np.cos(trial - arc[..., None])
     angle = np.take_along_axis(trial, cost.argmin(axis=-1)[..., None], axis=-1)[..., 0]
 
@@ -155,8 +165,8 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
         ratio = 2 / np.sinc(_left_over(angle, share) / (2 * np.pi))
         return np.asarray(ratio * share * np.sin(angle / 2) + pull * np.sin(angle - arc))
 
-    widest = np.abs(arc) / (SPIN_SAMPLES - 1)
-    for _ in range(SPIN_STEPS):
+    widest = np.abs(arc) / (SYMMETRY_LIMITS.spin_samples - 1)
+    for _ in range(SYMMETRY_LIMITS.spin_steps):
         here = slope(angle)
         bend = (slope(angle + _DIFFERENCE) - here) / _DIFFERENCE
         step = np.where(bend > 0, -here / np.where(bend > 0, bend, 1.0), 0.0)
@@ -203,8 +213,10 @@ def _closed(generators: list[Array]) -> Array:
         for product in (T @ generator for generator in generators):
             if np.abs(np.stack(group) - product).max(axis=(1, 2)).min() >= _SAME:
                 group.append(product)
-        if len(group) > MOST_ROTATIONS:
-            raise InvalidInput(f"rotations: expected a finite group, got over {MOST_ROTATIONS} products")
+        if len(group) > SYMMETRY_LIMITS.max_rotations:
+            raise InvalidInput(
+                f"rotations: expected a finite group, got over {SYMMETRY_LIMITS.max_rotations} products"
+            )
     return np.stack(group)
 
 

@@ -10,18 +10,27 @@ from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries, about
 
 ORDERS = (8, 6, 5, 4, 3, 2)
-TOLERANCE = 0.01
-"""Of the diameter."""
-SAMPLES = 400
-FAR_OFF = 0.06
-"""Of the diameter: a root mean square distance from which no refinement leads to a symmetry."""
-ALIKE = 0.15
-"""Principal moments within this part of each other leave the axes between them open."""
-STEPS = 6
-BETWEEN = 150
-"""Directions tried on the half sphere where no axis is distinguished."""
-WORST = 98
-"""Per cent of the samples must be within the tolerance: the field rounds off what a few see."""
+
+
+class SymmetrySearchOptions(NamedTuple):
+    """How symmetries are found."""
+
+    tolerance: float = 0.01  # of the diameter
+    samples: int = 400  # surface points that are compared
+    max_start_error: float = 0.06
+    """Of the diameter: a root mean square distance from which no refinement leads to a symmetry."""
+    equal_moments: float = (
+        0.15  # principal moments within this part of each other leave the axes between them open
+    )
+    steps: int = 6  # of a refinement
+    directions: int = 150  # directions tried on the half sphere where no axis is distinguished
+    percentile: int = (
+        98  # per cent of the samples must be within the tolerance: the field rounds off what few see
+    )
+
+
+SEARCH = SymmetrySearchOptions()
+
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
 
 
@@ -39,7 +48,9 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     dihedral groups, those of the tetrahedron and the cube, the cylinder and the ball. This declares nothing:
     `model.with_symmetries(...)` does. Raises InvalidInput for a tolerance that is not positive.
     """
-    limit = TOLERANCE * model.diameter if tolerance is None else checks.positive(tolerance, "tolerance")
+    limit = (
+        SEARCH.tolerance * model.diameter if tolerance is None else checks.positive(tolerance, "tolerance")
+    )
     judge = _Judge(model, limit)
     directions = judge.directions()
     for direction in directions:
@@ -60,7 +71,7 @@ class _Judge:
     """Turns the object's samples and looks how far they end from its surface."""
 
     def __init__(self, model: ObjectModel, tolerance: float) -> None:
-        self.points, _ = model.sample(SAMPLES)
+        self.points, _ = model.sample(SEARCH.samples)
         many, _ = model.sample(4000, seed=1)
         self.center = many.mean(axis=0)
         self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
@@ -69,18 +80,23 @@ class _Judge:
 
     def worst(self, T: Array) -> float:
         """The distance [m] that nearly all samples keep to after `T`."""
-        return float(np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), WORST))
+        return float(
+            np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), SEARCH.percentile)
+        )
 
     def directions(self) -> Array:
         """Directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
         sure = np.vstack([self.principal.T[::-1], np.eye(3)])
         low, middle, high = self.moments
-        if low > (1 - ALIKE) * high:
-            k = np.arange(BETWEEN) + 0.5
-            z, angle = k / BETWEEN, np.pi * (1 + np.sqrt(5)) * k
+        if low > (1 - SEARCH.equal_moments) * high:
+            k = np.arange(SEARCH.directions) + 0.5
+            z, angle = k / SEARCH.directions, np.pi * (1 + np.sqrt(5)) * k
             r = np.sqrt(1 - z * z)
             return np.vstack([sure, np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)])
-        for i, j, alike in ((0, 1, low > (1 - ALIKE) * middle), (1, 2, middle > (1 - ALIKE) * high)):
+        for i, j, alike in (
+            (0, 1, low > (1 - SEARCH.equal_moments) * middle),
+            (1, 2, middle > (1 - SEARCH.equal_moments) * high),
+        ):
             if alike:
                 angle = np.pi * np.arange(48)[:, None] / 48
                 between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
@@ -89,10 +105,12 @@ class _Judge:
 
     def refined(self, T: Array) -> Array | None:
         """`T` moved to lay the samples best on the surface; None where they are far from it."""
-        for step in range(STEPS):
+        for step in range(SEARCH.steps):
             moved = se3.apply(T, self.points)
             distance, gradient, _ = self.field.evaluate(moved)
-            if step in (0, 3) and np.sqrt((distance**2).mean()) > FAR_OFF * self.size / (1 + step):
+            if step in (0, 3) and np.sqrt((distance**2).mean()) > SEARCH.max_start_error * self.size / (
+                1 + step
+            ):
                 return None
             arm = (moved - T[:3, 3]) / self.size
             rows = np.hstack([gradient, np.cross(arm, gradient)])

@@ -3,6 +3,7 @@
 import csv
 import os
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,12 +12,18 @@ from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile
 from handsight.files import read_bytes
 
-MM = 1e-3
+
+class BopResultOptions(NamedTuple):
+    """How results in BOP's form are read."""
+
+    metres: float = 1e-3  # metres of the file's unit
+    max_bytes: int = 256 * 1024**2  # of a file
+    rounding: float = 1e-3  # how far a written rotation may be off one
+
+
+RESULT_FILES = BopResultOptions()
+
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
-LARGEST = 256 * 1024**2
-"""Of a file [bytes]."""
-ROUNDED = 1e-3
-"""How far a written rotation may be off one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +47,7 @@ def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
     Raises InvalidFile with the line where one is wrong.
     """
     try:
-        text = read_bytes(path, LARGEST).decode("utf-8-sig")
+        text = read_bytes(path, RESULT_FILES.max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InvalidFile(f"{path}: expected text in UTF-8, got bytes that are none") from None
     rows, found = csv.reader(text.splitlines(), strict=True), list[BopResult]()
@@ -63,9 +70,9 @@ def _result(row: list[str]) -> BopResult:
     if np.abs(R).max() > 2:
         raise ValueError(f"R: expected a rotation, got {row[4][:60]!r}")
     U, values, V = np.linalg.svd(R.reshape(3, 3))
-    if np.abs(values - 1).max() > ROUNDED or np.linalg.det(U @ V) < 0:
+    if np.abs(values - 1).max() > RESULT_FILES.rounding or np.linalg.det(U @ V) < 0:
         raise ValueError(f"R: expected a rotation, got one off by {np.abs(values - 1).max():.2g}")
-    T = se3.check(se3.compose(U @ V, MM * t), "t")
+    T = se3.check(se3.compose(U @ V, RESULT_FILES.metres * t), "t")
     return BopResult(scene, image, thing, score, T, seconds if seconds >= 0 else None)
 
 

@@ -20,21 +20,24 @@ from handsight.files import open_regular
 from handsight.messages import RawMessage
 from handsight.messages.decode import rosbags_module
 
-MAX_UNPACKED = 1 << 27
-"""Bytes that a chunk may unpack to; recorders write 1 to 16 MiB."""
-MAX_WAITING_BYTES = 1 << 28
-"""Bytes that overlapping chunks may hold back until their turn."""
-OVERHEAD = 300
-"""About the bytes that a message takes besides its own."""
-SPARE_RECORDS, SPARE_UNPACKED, MAX_EXPANSION = 100_000, 1 << 28, 200
-"""Records and bytes that any file may hold, and bytes for each of its own; robots' data packs to a half or a tenth."""
-SPARE_MESSAGE = 1 << 24
-"""Bytes that any message may unpack to: an image of one colour."""
+
+class ChunkLimits(NamedTuple):
+    """How much a recording may unpack to."""
+
+    max_unpacked: int = 1 << 27  # bytes that a chunk may unpack to; recorders write 1 to 16 MiB
+    max_waiting_bytes: int = 1 << 28  # bytes that overlapping chunks may hold back until their turn
+    message_overhead: int = 300  # about the bytes that a message takes besides its own
+    spare_records: int = 100_000  # records that any file may hold
+    spare_unpacked: int = 1 << 28  # bytes that any file may unpack to
+    max_expansion: int = 200  # bytes for each of its own; robots' data packs to a half or a tenth
+    spare_message: int = 1 << 24  # bytes that any message may unpack to: an image of one colour
+    max_topics: int = 100_000  # in a file; more are passed over
+    piece: int = 1 << 16  # bytes unpacked at a time: what came before a fault is kept
+
+
+CHUNKS = ChunkLimits()
+
 TOO_MANY = "expected at least a byte of the file for each message, got more messages"
-MAX_TOPICS = 100_000
-"""In a file; more are passed over."""
-PIECE = 1 << 16
-"""Bytes unpacked at a time: what came before a fault is kept."""
 UNPACKERS = {
     "zstd": ("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd", "ZstdDecompressor"),
     "lz4": ("lz4.frame", "LZ4FrameDecompressor"),
@@ -64,8 +67,8 @@ class Source(ABC):
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
         """Take in what the file calls `key`; `kind`: as ROS 1 or ROS 2 writes it."""
-        if topic not in self.topics and len(self.topics) >= MAX_TOPICS:
-            self.damage[-1] = f"expected at most {MAX_TOPICS} topics, got more, which were left out"
+        if topic not in self.topics and len(self.topics) >= CHUNKS.max_topics:
+            self.damage[-1] = f"expected at most {CHUNKS.max_topics} topics, got more, which were left out"
             return
         package, _, rest = kind.partition("/")
         self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
@@ -78,7 +81,9 @@ class Source(ABC):
         return (
             raw._replace(
                 data=unpacked(
-                    raw.data, "zstd", min(MAX_UNPACKED, SPARE_MESSAGE + MAX_EXPANSION * len(raw.data))
+                    raw.data,
+                    "zstd",
+                    min(CHUNKS.max_unpacked, CHUNKS.spare_message + CHUNKS.max_expansion * len(raw.data)),
                 )[0]
             )
             for raw in self.stored(wanted)
@@ -133,11 +138,11 @@ class ChunkedSource(Source):
         """The messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.stored`, as far as MAX_WAITING_BYTES reaches."""
+        """As `Source.stored`, as far as `max_waiting_bytes` reaches."""
         self._budget = Budget(len(self.data))
         runs, buffered, order = list[Run](), 0, count()
         for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
-            stop = math.inf if chunk is None or buffered > MAX_WAITING_BYTES else seconds(chunk.start)
+            stop = math.inf if chunk is None or buffered > CHUNKS.max_waiting_bytes else seconds(chunk.start)
             while runs and runs[0].head < stop:
                 run = heappop(runs)
                 yield from _released(run.waiting, min(stop, runs[0].head if runs else math.inf))
@@ -148,7 +153,7 @@ class ChunkedSource(Source):
             if chunk is not None and (found := self._read(wanted, chunk)):
                 found.reverse()  # what is first can be taken off the end, and of equal times stays first
                 found.sort(key=lambda raw: raw.log_time, reverse=True)
-                size = sum(len(raw.data) + OVERHEAD for raw in found)
+                size = sum(len(raw.data) + CHUNKS.message_overhead for raw in found)
                 heappush(runs, Run(found[-1].log_time, next(order), found, size))
                 buffered += size
 
@@ -194,15 +199,17 @@ class Budget:
     """What a file of so many bytes may hold; a few kilobytes may be packed from millions of empty messages."""
 
     def __init__(self, size: int) -> None:
-        self.records = SPARE_RECORDS + size
+        self.records = CHUNKS.spare_records + size
         """That may still be read: none is packed into less than a byte."""
-        self._bytes = SPARE_UNPACKED + MAX_EXPANSION * size
+        self._bytes = CHUNKS.spare_unpacked + CHUNKS.max_expansion * size
 
     def spent(self, chunk: Chunk) -> str | None:
         """Why the chunk is not to be read (None: it is), and takes in that it is."""
         self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
         if self._bytes < 0:
-            return f"expected at most {MAX_EXPANSION} times the file's bytes in all its chunks, got more"
+            return (
+                f"expected at most {CHUNKS.max_expansion} times the file's bytes in all its chunks, got more"
+            )
         return None if self.records > 0 else TOO_MANY
 
     def limited(self, records: Iterable[Any]) -> Iterator[Any]:
@@ -224,8 +231,8 @@ def seconds(nanoseconds: int) -> float:
 
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
     """At most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing); raises MissingExtra."""
-    if size > MAX_UNPACKED:
-        return b"", f"says it unpacks to {size} bytes, at most {MAX_UNPACKED} are read"
+    if size > CHUNKS.max_unpacked:
+        return b"", f"says it unpacks to {size} bytes, at most {CHUNKS.max_unpacked} are read"
     if compression in ("", "none"):
         return data[:size], None if len(data) >= size else f"expected {size} bytes, got {len(data)}"
     if compression not in UNPACKERS:
@@ -234,8 +241,8 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     new = getattr(rosbags_module(module), name)
     out, packed, unpacker = bytearray(), memoryview(data), new()
     try:
-        for at in range(0, len(data), PIECE):
-            piece = bytes(packed[at : at + PIECE])
+        for at in range(0, len(data), CHUNKS.piece):
+            piece = bytes(packed[at : at + CHUNKS.piece])
             while piece and len(out) < size:
                 out += unpacker.decompress(piece, size - len(out))
                 piece = b""
@@ -251,9 +258,9 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
     module, name = UNPACKERS["zstd"]
     new = getattr(rosbags_module(module), name)
     with open_regular(path) as file:
-        left = SPARE_UNPACKED + MAX_EXPANSION * os.fstat(file.fileno()).st_size
+        left = CHUNKS.spare_unpacked + CHUNKS.max_expansion * os.fstat(file.fileno()).st_size
         unpacker = new()
-        while piece := file.read(PIECE):
+        while piece := file.read(CHUNKS.piece):
             while piece:
                 try:
                     out = unpacker.decompress(piece, left + 1)
@@ -267,6 +274,6 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
                 left -= len(out)
                 if left < 0:
                     raise InvalidFile(
-                        f"{path}: expected at most {MAX_EXPANSION} times its bytes when unpacked, got more"
+                        f"{path}: expected at most {CHUNKS.max_expansion} times its bytes when unpacked, got more"
                     )
                 piece, unpacker = (unpacker.unused_data, new()) if unpacker.eof else (b"", unpacker)

@@ -17,7 +17,7 @@ from handsight.observation import Observation
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
 from handsight.vision.reconstruction.reconstruct import View, within
-from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, LEAST_PIXELS, InHandView
+from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENTATION, InHandView
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
@@ -65,7 +65,7 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
             se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
         )
         view = View(in_hand.without_hand(camera, depth, joints, T), T_camera_object)
-        if within(camera, view, IN_HAND_BOUNDS).sum() < LEAST_PIXELS:
+        if within(camera, view, IN_HAND_BOUNDS).sum() < SEGMENTATION.min_pixels:
             continue
         T_palm_object = se3.inverse(T) @ T_camera_object
         yield view

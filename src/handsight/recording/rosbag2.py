@@ -3,21 +3,32 @@
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from handsight.errors import InvalidFile
 from handsight.messages import RawMessage
-from handsight.recording.chunks import MAX_UNPACKED, TOO_MANY, Budget, Source, seconds
+from handsight.recording.chunks import CHUNKS, TOO_MANY, Budget, Source, seconds
 
-MAX_NAMED = 12
-"""Tables in a message."""
+
+class Rosbag2Limits(NamedTuple):
+    """How much work a rosbag 2 may be."""
+
+    max_named: int = 12  # tables in a message
+    step: int = 10_000  # of sqlite's machine: between two looks at how many there were
+    spare_steps: int = 300_000
+    """Steps that any file may take. A message of some bytes takes some tens; but pages that refer to one another in a
+    knot never end.
+    """
+    steps_per_byte: int = 5  # and for each of its bytes
+
+
+ROSBAG2 = Rosbag2Limits()
+
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises; its error messages may themselves be no text."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
 PLAIN = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
 """Not 0 where columns are generated. They, a view or a virtual table may compute for ever."""
-STEPS, SPARE_STEPS, STEPS_A_BYTE = 10_000, 300_000, 5
-"""Of sqlite's machine: between two looks at how many there were, and how many a file may take. A message of some bytes
-takes some tens; but pages that refer to one another in a knot never end."""
 
 
 class SqliteSource(Source):
@@ -36,7 +47,7 @@ class SqliteSource(Source):
             self.truncated = f"the file ends at byte {size} of {expected}"
         self._base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
         try:
-            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
+            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNKS.max_unpacked)
             self._base.text_factory = lambda data: data.decode("utf-8", "replace")
             self._base.execute("PRAGMA trusted_schema = OFF")
             if self.truncated:
@@ -54,15 +65,15 @@ class SqliteSource(Source):
     def _check_tables(self) -> None:
         tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
         if not {"topics", "messages"} <= tables:
-            raise InvalidFile(f"the tables {', '.join(sorted(tables)[:MAX_NAMED]) or '(none)'}")
+            raise InvalidFile(f"the tables {', '.join(sorted(tables)[: ROSBAG2.max_named]) or '(none)'}")
         for table in ("topics", "messages"):
             if self._base.execute(PLAIN, (table,)).fetchone()[0]:
                 raise InvalidFile(f"the table {table} with columns that are computed")
 
     def _limit(self, size: int) -> None:
         """From here on, sqlite is interrupted when it has done more than a file of that size asks for."""
-        left = iter(range((SPARE_STEPS + STEPS_A_BYTE * size) // STEPS))
-        self._base.set_progress_handler(lambda: next(left, None) is None, STEPS)
+        left = iter(range((ROSBAG2.spare_steps + ROSBAG2.steps_per_byte * size) // ROSBAG2.step))
+        self._base.set_progress_handler(lambda: next(left, None) is None, ROSBAG2.step)
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.stored`; of a cut file in the order in which they were written."""

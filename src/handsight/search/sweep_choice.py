@@ -1,5 +1,7 @@
 """The choice of the next sweep: the one whose outcome is least certain given the belief, so that it tells most."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,14 +11,20 @@ from handsight.errors import InvalidInput
 from handsight.search.belief import Belief
 from handsight.search.touch import Sweep, cast
 
-DISTANCE_BIN, NORMAL_BIN = 0.004, float(np.deg2rad(12.0))
-"""Widths of the bins in which outcomes are counted: of the distance [m] and of the normal's two angles [rad]."""
-MAX_NORMAL_BINS = 1000
-"""More bins than an angle of a normal has: it makes one number of three."""
-MAX_SWEEPS, MAX_POSES = 256, 512
-"""Sweeps that are compared, and particles on which they are cast."""
-MARGIN = 0.03
-"""Length of a sweep before the first and behind the last point at which the object may be met [m]."""
+
+class SweepOptions(NamedTuple):
+    """How the next sweep is chosen."""
+
+    distance_bin: float = 0.004  # width of the bins in which a touch's distance is counted [m]
+    normal_bin: float = float(np.deg2rad(12.0))  # width of the bins of its normal's two angles [rad]
+    max_normal_bins: int = 1000  # more bins than an angle of a normal has: it makes one number of three
+    max_sweeps: int = 256  # sweeps that are compared
+    max_poses: int = 512  # particles on which they are cast
+    margin: float = 0.03
+    """Length of a sweep before the first and behind the last point at which the object may be met [m]."""
+
+
+SWEEPS = SweepOptions()
 
 
 def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> Array:
@@ -30,11 +38,15 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
     elevation = np.arcsin(np.clip(normals[..., 2], -1, 1))
     hit = np.isfinite(distances)
     bins = np.stack(
-        [np.where(hit, distances, 0.0) / DISTANCE_BIN, azimuth / NORMAL_BIN, elevation / NORMAL_BIN]
+        [
+            np.where(hit, distances, 0.0) / SWEEPS.distance_bin,
+            azimuth / SWEEPS.normal_bin,
+            elevation / SWEEPS.normal_bin,
+        ]
     )
     i, j, k = np.floor(bins).astype(np.int64)
-    miss = -MAX_NORMAL_BINS * MAX_NORMAL_BINS
-    outcomes: Indices = np.where(hit, (i * MAX_NORMAL_BINS + j) * MAX_NORMAL_BINS + k, miss)
+    miss = -SWEEPS.max_normal_bins * SWEEPS.max_normal_bins
+    outcomes: Indices = np.where(hit, (i * SWEEPS.max_normal_bins + j) * SWEEPS.max_normal_bins + k, miss)
     entropies = []
     for row in outcomes:
         _, counts = np.unique(row, return_counts=True)
@@ -53,10 +65,12 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
         raise InvalidInput(f"heights: expected some above 0, got {checks.brief(levels)}")
     poses = _some_poses(belief)
     middles = se3.apply(poses, belief.model.center_object[None])[:, 0]
-    reach = float(np.linalg.norm(belief.area.high - belief.area.low)) / 2 + belief.model.radius + MARGIN
+    reach = (
+        float(np.linalg.norm(belief.area.high - belief.area.low)) / 2 + belief.model.radius + SWEEPS.margin
+    )
     center = (belief.area.low + belief.area.high) / 2
     sweeps = []
-    for _ in range(MAX_SWEEPS):
+    for _ in range(SWEEPS.max_sweeps):
         angle, offset = rng.uniform(0, 2 * np.pi), belief.model.radius * rng.uniform(-1, 1)
         along, lateral = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
         through = middles[rng.integers(len(middles)), :2] + offset * lateral
@@ -83,7 +97,7 @@ def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
     hits = distances[np.isfinite(distances)]
     if not len(hits):
         return sweep
-    return sweep.part(max(hits.min() - MARGIN, 0.0), min(hits.max() + MARGIN, sweep.length))
+    return sweep.part(max(hits.min() - SWEEPS.margin, 0.0), min(hits.max() + SWEEPS.margin, sweep.length))
 
 
 def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
@@ -99,5 +113,5 @@ def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
 
 
 def _some_poses(belief: Belief) -> Array:
-    """Returns the poses (n, 4, 4) of at most about `MAX_POSES` particles."""
-    return belief.Ts_world_object[:: max(len(belief.placements) // MAX_POSES, 1)]
+    """Returns the poses (n, 4, 4) of at most about `SWEEPS.max_poses` particles."""
+    return belief.Ts_world_object[:: max(len(belief.placements) // SWEEPS.max_poses, 1)]

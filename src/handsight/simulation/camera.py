@@ -11,13 +11,17 @@ from handsight import checks, se3
 from handsight.camera import Depth
 from handsight.checks import Array, Mask
 from handsight.simulation.scenario import Nuisances
-from handsight.simulation.scene import FOCAL_LENGTH, IMAGE_SIZE
+from handsight.simulation.scene import IMAGE_SIZE, SCENE
 from handsight.vision import DepthNoise
 
 EYE, TARGET = np.array([-0.45, 0.50, 0.60]), np.array([0.0, 0.02, 0.07])
 """In the world [m]; what it looks at is the scene's middle too."""
 INTRINSICS = np.array(
-    [[FOCAL_LENGTH, 0, (IMAGE_SIZE[0] - 1) / 2], [0, FOCAL_LENGTH, (IMAGE_SIZE[1] - 1) / 2], [0, 0, 1.0]]
+    [
+        [SCENE.focal_length, 0, (IMAGE_SIZE[0] - 1) / 2],
+        [0, SCENE.focal_length, (IMAGE_SIZE[1] - 1) / 2],
+        [0, 0, 1.0],
+    ]
 )
 """Pixel centres at whole numbers."""
 EDGE = 0.02

@@ -6,6 +6,7 @@ The thumb presses from one side and the fingers, in a row, from the other; the h
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -17,33 +18,44 @@ from handsight.checks import Array
 Fingers = tuple[str, ...]
 ROWS: tuple[Fingers, ...] = (("ff", "mf", "rf", "lf"), ("ff", "mf", "rf"), ("ff", "mf"))
 """Fingers that oppose the thumb; the first is the upper one, or the one further along the world's y."""
-FINGER_SPACING = 0.021
-"""From finger to finger [m]."""
+
+
+class GraspOptions(NamedTuple):
+    """Which grasps of an object on a table are candidates."""
+
+    finger_spacing: float = 0.021  # from finger to finger [m]
+    even_directions: int = 12  # of the grip's axis in the table's plane, evenly spread
+    max_directions: int = 24  # with those across sides
+    max_width: float = 0.135  # between thumb and fingers [m]
+    min_cosine: float = 0.75  # between normals and the grip's axis
+    tip_radius: float = 0.0105  # of a tip about its contact, which the table must leave room for [m]
+    reach: float = 0.08  # how far under the palm tips can be [m]
+    friction: float = 0.6  # of contacts that are counted on, well below the simulated 1
+    cone_edges: int = 8  # of the pyramid that stands for the friction cone
+    thumb_force: float = 6.0  # of the thumb [N]
+    thumb_force_thin: float = 3.0  # of the thumb on what is thin [N]
+    lever: float = 0.04  # a torque that counts as much as a force acts at this distance [m]
+    hull_directions: int = 400  # directions in which a hull is kept
+    examined: int = 60  # holds of each rest whose forces are balanced, best by their shape first
+    same_side_cosine: float = np.cos(np.deg2rad(15.0))  # between normals of one side
+    flat_cosine: float = np.cos(np.deg2rad(4.0))  # between normals of a plane side
+    stable_margin: float = (
+        0.001  # how far beyond a side's edge what rests on it may have its centre of mass [m]
+    )
+    max_rests: int = 6  # stable poses that are tried
+    thin: float = 0.018
+    """Half of what is thin, across row and grip [m]: fingers to either side of it, by turns, keep it from rolling."""
+    wide: float = 0.08  # between thumb and fingers [m]: a wider grip is worse
+    reached: float = 0.105  # a still wider one is hardly reached where it is not slanted [m]
+
+
+GRASP = GraspOptions()
+
 ROLLS = tuple(np.deg2rad([0.0, 45.0, 90.0]))
 """Of the hand about the grip's axis: thumb up beside the object, to palm down above it [rad]."""
 PLACES, OFFSETS = (0.0, -0.25, 0.25), ((0.0, 0.0), (0.35, 0.0), (0.55, 0.0), (0.0, 0.5))
 """Of the grip from the centre of mass, in parts of the size there: along the row. Then, in parts of half the size: back
 towards the palm, for what is too wide in the middle may be held in front of it; and by turns to either side."""
-FEWEST_DIRECTIONS, MOST_DIRECTIONS = 12, 24
-"""Of the grip's axis in the table's plane: evenly, and across sides."""
-WIDEST, SLANT = 0.135, 0.75
-"""Between thumb and fingers at most [m]; cosine between normals and the grip's axis at least."""
-TIP_RADIUS, REACH = 0.0105, 0.08
-"""A tip about its contact, which the table must leave room for; how far under the palm tips can be [m]."""
-FRICTION, EDGES = 0.6, 8
-"""Of contacts that are counted on, well below the simulated 1; edges of the pyramid that stands for the cone."""
-PRESS, PRESS_THIN, LEVER = 6.0, 3.0, 0.04
-"""Of the thumb [N]; a torque that weighs as much as a force acts at this distance [m]."""
-FINE, EXAMINED = 400, 60
-"""Directions in which a hull is kept; holds of each rest whose forces are balanced, best by their shape first."""
-SAME_SIDE, FLAT, STABLE = np.cos(np.deg2rad(15.0)), np.cos(np.deg2rad(4.0)), 0.001
-"""Cosines between normals of one side, and of a plane one; how far beyond a side's edge what rests on it may have its
-centre of mass [m]."""
-MOST_RESTS = 6
-THIN = 0.018
-"""Half of what is thin, across row and grip [m]: fingers to either side of it, by turns, keep it from rolling."""
-WIDE, REACHED = 0.08, 0.105
-"""Between thumb and fingers [m]: a wider grip is worse, a still wider one is hardly reached where it is not slanted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +106,7 @@ class Hold:
 
 def body_of(vertices: Array) -> Body:
     """The hull (k, 3) [m] by its extreme vertices: a smooth one within a hundredth of its size of the whole."""
-    directions = se3.directions(FINE)
+    directions = se3.directions(GRASP.hull_directions)
     kept = vertices[np.unique(np.argmax(vertices @ np.vstack([directions, np.eye(3), -np.eye(3)]).T, axis=0))]
     hull = ConvexHull(kept)
     corners = kept[hull.simplices]
@@ -114,15 +126,15 @@ def rests(body: Body) -> list[Array]:
     """
     found = [np.eye(3)]
     heights = body.offsets - body.normals @ body.mass
-    sizes = (body.normals @ body.normals.T > FLAT) @ body.areas
+    sizes = (body.normals @ body.normals.T > GRASP.flat_cosine) @ body.areas
     for i in np.argsort(-sizes, kind="stable"):
         down = body.normals[i]
-        stands = (body.normals @ (body.mass + heights[i] * down) - body.offsets).max() < STABLE
-        if stands and all(-down @ R[2] < SAME_SIDE for R in found):
+        stands = (body.normals @ (body.mass + heights[i] * down) - body.offsets).max() < GRASP.stable_margin
+        if stands and all(-down @ R[2] < GRASP.same_side_cosine for R in found):
             found.append(_standing_on(down))
-    if len(found) > MOST_RESTS:
-        end = max(found[MOST_RESTS - 1 :], key=lambda R: float(np.ptp(body.vertices @ R[2])))
-        found = [*found[: MOST_RESTS - 1], end]
+    if len(found) > GRASP.max_rests:
+        end = max(found[GRASP.max_rests - 1 :], key=lambda R: float(np.ptp(body.vertices @ R[2])))
+        found = [*found[: GRASP.max_rests - 1], end]
     return found
 
 
@@ -135,7 +147,7 @@ def grasp_candidates(body: Body) -> list[Hold]:
             R_world_object = se3.rotation_exp(np.array([0.0, 0.0, -direction])) @ R
             mine += _across(body.turned(R_world_object), R_world_object, order)
         mine.sort(key=lambda hold: -hold.merit)
-        found += [_balanced(hold) for hold in mine[:EXAMINED]]
+        found += [_balanced(hold) for hold in mine[: GRASP.examined]]
     return sorted(found, key=lambda hold: -hold.merit)
 
 
@@ -145,23 +157,23 @@ def forces(points: Array, normals: Array, wished: Array) -> tuple[Array, float]:
     `points`, outward `normals` (n, 3); `wished` (n,): how hard each should press [N]. Each force is within the pyramid
     of friction, as near to what is wished as the balance allows.
     """
-    n, turns = len(points), 2 * np.pi * np.arange(EDGES) / EDGES
+    n, turns = len(points), 2 * np.pi * np.arange(GRASP.cone_edges) / GRASP.cone_edges
     sides = np.linalg.svd(normals[:, None, :])[2][:, 1:]  # two tangents each
     tangents = np.cos(turns)[:, None] * sides[:, None, 0] + np.sin(turns)[:, None] * sides[:, None, 1]
-    edges = -normals[:, None] + FRICTION * tangents  # (n, EDGES, 3)
-    arms = (points - points.mean(axis=0)) / LEVER
+    edges = -normals[:, None] + GRASP.friction * tangents  # (n, EDGES, 3)
+    arms = (points - points.mean(axis=0)) / GRASP.lever
     wrenches = np.concatenate([edges, np.cross(arms[:, None], edges)], axis=2).reshape(-1, 6).T
-    each = np.kron(np.eye(n), np.ones(EDGES))
-    A = np.vstack([3 * wrenches, 0.5 * each, 0.05 * np.eye(n * EDGES)])
-    shares, _ = nnls(A, np.concatenate([np.zeros(6), 0.5 * wished, np.zeros(n * EDGES)]))
-    pressed = np.einsum("ne,nek->nk", shares.reshape(n, EDGES), edges)
+    each = np.kron(np.eye(n), np.ones(GRASP.cone_edges))
+    A = np.vstack([3 * wrenches, 0.5 * each, 0.05 * np.eye(n * GRASP.cone_edges)])
+    shares, _ = nnls(A, np.concatenate([np.zeros(6), 0.5 * wished, np.zeros(n * GRASP.cone_edges)]))
+    pressed = np.einsum("ne,nek->nk", shares.reshape(n, GRASP.cone_edges), edges)
     return pressed, float(np.linalg.norm(wrenches @ shares))
 
 
 def wished(points: Mapping[str, Array]) -> Array:
     """(n,) how hard thumb and fingers shall press [N]: the less, the sooner what is thin rolls away between them."""
     width = np.mean([point[0] for finger, point in points.items() if finger != "th"]) - points["th"][0]
-    press = PRESS if width > 2 * THIN else PRESS_THIN
+    press = GRASP.thumb_force if width > 2 * GRASP.thin else GRASP.thumb_force_thin
     return np.array([press if finger == "th" else press / (len(points) - 1) for finger in points])
 
 
@@ -180,12 +192,12 @@ def _directions(body: Body) -> list[float]:
     upright = np.abs(body.normals[:, 2]) < 0.35
     turns = np.arctan2(body.normals[upright, 1], body.normals[upright, 0])
     order = np.argsort(-body.areas[upright], kind="stable")
-    even = 2 * np.pi * np.arange(FEWEST_DIRECTIONS) / FEWEST_DIRECTIONS
+    even = 2 * np.pi * np.arange(GRASP.even_directions) / GRASP.even_directions
     found: list[float] = []
     for turn in [*(t for a in turns[order] for t in (a, a + np.pi)), *even]:
-        if all(np.cos(turn - other) < SAME_SIDE for other in found):
+        if all(np.cos(turn - other) < GRASP.same_side_cosine for other in found):
             found.append(float(turn))
-        if len(found) == MOST_DIRECTIONS:
+        if len(found) == GRASP.max_directions:
             break
     return found
 
@@ -200,15 +212,15 @@ def _across(body: Body, R: Array, order: int) -> Iterator[Hold]:
         )
         centre = body.mass + place * (size @ np.abs(row)) * row
         half = (size @ np.abs(approach)) / 2 * approach
-        if zigzag and np.linalg.norm(half) > THIN:
+        if zigzag and np.linalg.norm(half) > GRASP.thin:
             continue
         thumb = _met(body, (centre - offset * half)[None], -1.0)
         for fingers in ROWS:
-            steps = FINGER_SPACING * (np.arange(len(fingers))[::-1] - (len(fingers) - 1) / 2)
+            steps = GRASP.finger_spacing * (np.arange(len(fingers))[::-1] - (len(fingers) - 1) / 2)
             lateral = zigzag * (-1.0) ** np.arange(len(fingers)) - offset
             others = _met(body, centre + steps[:, None] * row + lateral[:, None] * half, 1.0)
             points, normals = (np.vstack(pair) for pair in zip(thumb, others, strict=True))
-            if np.isfinite(points).all() and (np.abs(normals[:, 0]) >= SLANT).all():
+            if np.isfinite(points).all() and (np.abs(normals[:, 0]) >= GRASP.min_cosine).all():
                 merit = (
                     _merit(body, points, normals, float(roll))
                     - 0.2 * (order > 0)
@@ -240,14 +252,14 @@ def _merit(body: Body, points: Array, normals: Array, roll: float) -> float:
     fingers = points[1:].mean(axis=0)
     width, lowest = float(fingers[0] - points[0, 0]), float(points[:, 2].min())
     under = np.sin(roll) * (body.vertices[:, 2].max() - points[0, 2])
-    if width > WIDEST or lowest < TIP_RADIUS - 0.002 or under > REACH:
+    if width > GRASP.max_width or lowest < GRASP.tip_radius - 0.002 or under > GRASP.reach:
         return -np.inf
     straight = float(np.abs(normals[:, 0]).mean())
     lever = float(np.linalg.norm((body.mass - (fingers + points[0]) / 2)[1:]))
-    room = max(TIP_RADIUS + 0.004 - lowest, 0.0)
+    room = max(GRASP.tip_radius + 0.004 - lowest, 0.0)
     return (
-        straight + 0.1 * (len(points) - 4) - 4 * lever - 3 * max(width - WIDE, 0.0)
-        - 30 * max(width * straight - REACHED, 0.0) - 50 * room - 0.1 * (roll > 0)
+        straight + 0.1 * (len(points) - 4) - 4 * lever - 3 * max(width - GRASP.wide, 0.0)
+        - 30 * max(width * straight - GRASP.reached, 0.0) - 50 * room - 0.1 * (roll > 0)
     )  # fmt: skip
 
 

@@ -5,33 +5,40 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight.errors import InvalidObject
 from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
-from handsight.simulation.motion import AT_REST, FREE, LEGS, MOVES, OWN, POWER, Grasp
+from handsight.simulation.motion import LEGS, MOTION, OWN, POWER, Grasp
 from handsight.simulation.posture import Posture
-from handsight.simulation.scenario import STEPS_PER_SECOND, Scenario
+from handsight.simulation.scenario import SCENARIO, Scenario
 from handsight.simulation.scene import convex_hull, scene
 from handsight.simulation.world import World
 
-MOST_FITTED, MOST_TRIALS = 90, 24
-"""Holds that the hand is fitted to, and grasps that are simulated, before the search gives up."""
-KIN_FAILED = 0.1
-"""What a failure takes from the merit of those alike."""
-CHECKED = 0.05
-"""How often a trial looks at what it does [s]."""
-MOVED, TURNED = 0.024, 0.42
-"""Of the object in the palm, at most, in a trial: well below what counts as dropped [m], [rad]."""
-MIN_FORCE, MOSTLY = 0.1, 0.9
-"""Force of a tip that is felt [N]; share of the time for which thumb and a finger must feel the object."""
-DEEP, OTHERS = 0.002, 2.0
-"""How far the hand may be pressed into the object [m], and how hard its unsensed links may press it [N]."""
+
+class GraspSearchOptions(NamedTuple):
+    """How grasps are tried in simulation."""
+
+    max_fitted: int = 90  # holds that the hand is fitted to before the search gives up
+    max_trials: int = 24  # grasps that are simulated
+    failure_penalty: float = 0.1  # what a failure takes from the merit of similar ones
+    check_period: float = 0.05  # between looks at a trial [s]
+    max_shift: float = 0.024  # of the object in the palm in a trial: well below what counts as dropped [m]
+    max_rotation: float = 0.42  # of the object in the palm in a trial [rad]
+    min_force: float = 0.1  # of a tip in contact [N]
+    min_contact_share: float = 0.9  # of the time for which thumb and a finger must touch the object
+    max_depth: float = 0.002  # how far the hand may be pressed into the object [m]
+    max_other_force: float = 2.0  # how hard its unsensed links may press it [N]
+
+
+GRASP_SEARCH = GraspSearchOptions()
+
 FELL = (
-    (MOVES, "slipped when let go"),
-    (AT_REST + float(LEGS[:4, 0].sum()), "slipped on the table"),
-    (AT_REST + float(LEGS[:5, 0].sum()), "slipped when lifted"),
+    (MOTION.moves, "slipped when let go"),
+    (MOTION.at_rest + float(LEGS[:4, 0].sum()), "slipped on the table"),
+    (MOTION.at_rest + float(LEGS[:5, 0].sum()), "slipped when lifted"),
     (np.inf, "slipped when turned"),
 )
 """Why a trial ended, by when [s]."""
@@ -66,9 +73,9 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     failures: Counter[str] = Counter()
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
     trials = 0
-    for spent, hold in enumerate(islice(_in_turn(promising), MOST_FITTED)):
+    for spent, hold in enumerate(islice(_in_turn(promising), GRASP_SEARCH.max_fitted)):
         if progress is not None:
-            progress(max(spent / MOST_FITTED, trials / MOST_TRIALS))
+            progress(max(spent / GRASP_SEARCH.max_fitted, trials / GRASP_SEARCH.max_trials))
         grasp, reason = Posture(built, hold).grasp()
         if grasp is not None:
             trials += 1
@@ -77,7 +84,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
                 return GraspSearchResult(grasp, True, trials, _named(hold), _counted(failures))
             best = max(best, (lasted, grasp, _named(hold)), key=lambda b: b[0])
         failures[reason] += 1
-        if trials == MOST_TRIALS:
+        if trials == GRASP_SEARCH.max_trials:
             break
     if best[1] is None:
         size = " x ".join(f"{1000 * side:.0f}" for side in np.ptp(built.bounds_object, axis=0))
@@ -96,7 +103,7 @@ def _in_turn(found: list[Hold]) -> Iterator[Hold]:
     """The best that is left, where each that was asked for and did not do counts against its kin."""
     left, failed = list(found), Counter[tuple[int, float, float]]()
     while left:
-        best = max(left, key=lambda hold: hold.merit - KIN_FAILED * failed[hold.kin])
+        best = max(left, key=lambda hold: hold.merit - GRASP_SEARCH.failure_penalty * failed[hold.kin])
         left.remove(best)
         failed[best.kin] += 1
         yield best
@@ -108,24 +115,29 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
         world = World(scenario, grasp)
     except InvalidObject:
         return 0.0, "no room to open"
-    every, checked, in_contact = round(CHECKED * STEPS_PER_SECOND), 0, 0
+    every, checked, in_contact = round(GRASP_SEARCH.check_period * SCENARIO.steps_per_second), 0, 0
     while world.time < world.duration:
         world.step()
-        if world.steps % every or world.time <= FREE:
+        if world.steps % every or world.time <= MOTION.free:
             continue
         if world.thrown():
             return 0.0, "thrown by the simulator"
         shift, turn = world.moved()
-        if shift > MOVED or turn > TURNED:
+        if shift > GRASP_SEARCH.max_shift or turn > GRASP_SEARCH.max_rotation:
             return world.time, next(reason for end, reason in FELL if world.time <= end)
         touches = world.touches()
-        if max((depth for _, _, depth in touches), default=0.0) > DEEP:
+        if max((depth for _, _, depth in touches), default=0.0) > GRASP_SEARCH.max_depth:
             return world.time, "pressed in"
-        if sum(force for geom, force, _ in touches if not geom.endswith("_tip")) > OTHERS:
+        if (
+            sum(force for geom, force, _ in touches if not geom.endswith("_tip"))
+            > GRASP_SEARCH.max_other_force
+        ):
             return world.time, "pressed by what does not feel"
-        feel = {geom for geom, force, _ in touches if force > MIN_FORCE and geom.endswith("_tip")}
+        feel = {
+            geom for geom, force, _ in touches if force > GRASP_SEARCH.min_force and geom.endswith("_tip")
+        }
         checked, in_contact = checked + 1, in_contact + ("th_tip" in feel and len(feel) > 1)
-    return world.time, "" if in_contact >= MOSTLY * checked else "hardly felt"
+    return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly felt"
 
 
 def _named(hold: Hold) -> str:

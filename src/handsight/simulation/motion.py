@@ -6,6 +6,7 @@ middle; the last joint of a finger is coupled to its middle one by a tendon).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +14,21 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.simulation.scene import BOX_SIZE, CAN_SIZE
 
-CLOSED, FREE, AT_REST, MOVES = 0.7, 1.0, 1.4, 1.9
-"""When the servos' targets are closed, the object is let go, has settled in the hand, and the palm may move [s]."""
-SHIFT, TURN, AIM = 0.003, float(np.deg2rad(3.0)), float(np.deg2rad(1.0))
-"""Half widths of the draws: place [m] and turn [rad] of the object per axis, targets of the joints [rad]."""
+
+class MotionOptions(NamedTuple):
+    """When the hand does what, and how a scenario is drawn."""
+
+    closed: float = 0.7  # when the servos' targets are closed [s]
+    free: float = 1.0  # when the object is let go [s]
+    at_rest: float = 1.4  # when it is at rest in the hand [s]
+    moves: float = 1.9  # when the palm may move [s]
+    max_shift: float = 0.003  # half width of the draw of the object's place, per axis [m]
+    max_rotation: float = float(np.deg2rad(3.0))  # half width of the draw of its rotation [rad]
+    max_aim: float = float(np.deg2rad(1.0))  # half width of the draw of the joints' targets [rad]
+
+
+MOTION = MotionOptions()
+
 R_WORLD_PALM = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
 """Fingers along x, the palm towards y, the thumb up."""
 
@@ -103,8 +115,11 @@ POWER = {"can": POWER_CAN}
 
 def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
     """The same grasp, a little elsewhere: each number uniform within its half width."""
-    shift, turn = rng.uniform(-SHIFT, SHIFT, 3), rng.uniform(-TURN, TURN, 3)
-    aim = rng.uniform(-AIM, AIM, len(grasp.closed))
+    shift, turn = (
+        rng.uniform(-MOTION.max_shift, MOTION.max_shift, 3),
+        rng.uniform(-MOTION.max_rotation, MOTION.max_rotation, 3),
+    )
+    aim = rng.uniform(-MOTION.max_aim, MOTION.max_aim, len(grasp.closed))
     return replace(
         grasp,
         T_palm_middle=se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn])),

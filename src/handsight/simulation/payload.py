@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from handsight.checks import Array
-from handsight.simulation.scenario import OBJECT_MASS, Scenario
+from handsight.simulation.scenario import SCENARIO, Scenario
 from handsight.simulation.scene import PALM, Scene, scene
 
 OUTERMOST = 1 / 3
@@ -39,8 +39,8 @@ class Payload:
         # Underneath as it stands when it is grasped: the lowest of its own axes.
         base = np.array([*((low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low))[:2], low[2]])
         presses = force, point, n.support_force, base
-        mass = n.object_mass or OBJECT_MASS
-        if mass == OBJECT_MASS and not n.object_off_center:
+        mass = n.object_mass or SCENARIO.object_mass
+        if mass == SCENARIO.object_mass and not n.object_off_center:
             return cls(usual, *presses)
         most = OUTERMOST * (high - low)
         shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)

@@ -1,7 +1,7 @@
 """How the hand stands and presses for a hold: palm and joints from where its tips shall be, servos from the forces."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,16 +22,24 @@ R_GRIP_PALM, CENTRE_PALM = (
     np.array([0.005, -0.09, 0.1]),
 )
 """Where such a hand has its grip: axes of (thumb to fingers, away from the palm, along the row), and the middle [m]."""
-COUPLED, SLACK = 1.142, 0.142
-"""The tendon of a finger's last two joints: J0 follows J1 by that ratio, behind by at most so much [rad]."""
-STIFFNESS = 1.0
-"""Of the servos [N m/rad]."""
-FAR, ROOM, FLOOR = 0.022, 0.004, 0.003
-"""Of the open tips from their points; of the other links from the object, and of all from the table [m]."""
-MISSED, TIGHT = 0.002, 0.0005
-"""Of a posture at most: a tip off its point; at least: what is left of the room [m]."""
-FROM_STOP, END = 0.01, 1e-4
-"""Of a joint from its stop [rad]; relative change at which a descent ends."""
+
+
+class PostureOptions(NamedTuple):
+    """How joint angles are found for a grasp."""
+
+    coupling: float = 1.142  # the tendon of a finger's last two joints: J0 follows J1 by this ratio
+    slack: float = 0.142  # behind it by at most this [rad]
+    stiffness: float = 1.0  # of the servos [N m/rad]
+    tip_clearance: float = 0.022  # of the open tips from their points [m]
+    link_clearance: float = 0.004  # of the other links from the object [m]
+    table_clearance: float = 0.003  # of all from the table [m]
+    max_miss: float = 0.002  # of a posture: a tip off its point [m]
+    min_clearance: float = 0.0005  # what is left of the clearance at least [m]
+    stop_margin: float = 0.01  # of a joint from its stop [rad]
+    tolerance: float = 1e-4  # relative change at which a descent ends
+
+
+POSTURE = PostureOptions()
 
 
 class Posture:
@@ -47,7 +55,7 @@ class Posture:
         self._names = [name for name in mine if name not in dict(self._follows).values()]
         self._places = np.array([scene.joints[name] for name in self._names])
         ranges = np.array([self._model.joint(name).range for name in self._names])
-        self._low, self._high = ranges[:, 0] + FROM_STOP, ranges[:, 1] - FROM_STOP
+        self._low, self._high = ranges[:, 0] + POSTURE.stop_margin, ranges[:, 1] - POSTURE.stop_margin
         self._bent = np.array(
             [BENT_THUMB.get(n[7:], 0.0 if n[7:9] == "TH" else BENT.get(n[9:], 0.0)) for n in self._names]
         )
@@ -59,20 +67,20 @@ class Posture:
 
     def grasp(self) -> tuple[Grasp | None, str]:
         """The grasp, or None and why the hand cannot have this hold."""
-        before = np.clip(self._bent, self._low + END, self._high - END)
+        before = np.clip(self._bent, self._low + POSTURE.tolerance, self._high - POSTURE.tolerance)
         bounds = np.concatenate([np.full(6, np.inf), self._high])
         lower = np.concatenate([np.full(6, -np.inf), self._low])
         x = _least(self._residuals, np.concatenate([np.zeros(6), before]), (lower, bounds))
         self._place(x)
         missed = [self._tip(finger)[0] - self.hold.points[finger] for finger in self._used]
-        if np.linalg.norm(missed, axis=1).max() > MISSED:
+        if np.linalg.norm(missed, axis=1).max() > POSTURE.max_miss:
             return None, "out of reach"
-        if min(room.min() for room in self._rooms()) < TIGHT:
+        if min(room.min() for room in self._rooms()) < POSTURE.min_clearance:
             return None, "no room for the hand"
         closed = self._pressed(x)
         opened = _least(
-            lambda joints: self._residuals(np.concatenate([x[:6], joints]), FAR),
-            np.clip(x[6:], self._low + END, self._high - END),
+            lambda joints: self._residuals(np.concatenate([x[:6], joints]), POSTURE.tip_clearance),
+            np.clip(x[6:], self._low + POSTURE.tolerance, self._high - POSTURE.tolerance),
             (self._low, self._high),
         )
         self._place(x)
@@ -94,7 +102,7 @@ class Posture:
         angles[self._places] = x[6:]
         for leader, follower in self._follows:
             leads = angles[self._scene.joints[leader]]
-            angles[self._scene.joints[follower]] = max(0.0, COUPLED * leads - SLACK)
+            angles[self._scene.joints[follower]] = max(0.0, POSTURE.coupling * leads - POSTURE.slack)
         T = se3.compose(se3.rotation_exp(x[3:6]) @ self._R, self._p + x[:3]) @ se3.inverse(T_MOUNT_PALM)
         mount = self._data.joint("mount").qpos
         mount[:3], mount[3:] = T[:3, 3], np.roll(se3.quaternion_from_rotation(T[:3, :3]), 1)
@@ -116,9 +124,12 @@ class Posture:
             point, towards, height = self._tip(finger)
             goal = self.hold.points[finger] + away * self.hold.normals[finger]
             parts += [(point - goal) / 0.002, 0.7 * (towards - PAD[finger])]
-            parts.append(np.array([max(0.0, 0.009 + FLOOR - height) / 0.002]))
+            parts.append(np.array([max(0.0, 0.009 + POSTURE.table_clearance - height) / 0.002]))
         from_object, from_table = self._rooms()
-        parts += [np.maximum(ROOM - from_object, 0) / 0.003, np.maximum(FLOOR - from_table, 0) / 0.003]
+        parts += [
+            np.maximum(POSTURE.link_clearance - from_object, 0) / 0.003,
+            np.maximum(POSTURE.table_clearance - from_table, 0) / 0.003,
+        ]
         return np.concatenate(parts)
 
     def _rooms(self) -> tuple[Array, Array]:
@@ -160,13 +171,21 @@ class Posture:
             torques += J.T @ force
         of = {name: torques[self._model.joint(name).dofadr[0]] for name in self._scene.joints}
         for leader, follower in self._follows:
-            of[leader] += COUPLED * of[follower]
-        targets = x[6:] + np.array([of[name] for name in self._names]) / STIFFNESS
-        return np.clip(targets, self._low - FROM_STOP, self._high + FROM_STOP)
+            of[leader] += POSTURE.coupling * of[follower]
+        targets = x[6:] + np.array([of[name] for name in self._names]) / POSTURE.stiffness
+        return np.clip(targets, self._low - POSTURE.stop_margin, self._high + POSTURE.stop_margin)
 
 
 def _least(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]) -> Array:
     """Where the sum of squares is least."""
     scale = np.where(np.isfinite(bounds[0]), 0.5, 0.1)
-    found = least_squares(residuals, start, bounds=bounds, x_scale=scale, ftol=END, xtol=END, max_nfev=40)
+    found = least_squares(
+        residuals,
+        start,
+        bounds=bounds,
+        x_scale=scale,
+        ftol=POSTURE.tolerance,
+        xtol=POSTURE.tolerance,
+        max_nfev=40,
+    )
     return np.asarray(found.x)

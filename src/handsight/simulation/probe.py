@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,7 @@ from handsight.observation import Observation
 from handsight.search import Sweep, Touch
 from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import rig_of
-from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Sample, Scenario
+from handsight.simulation.scenario import SCENARIO, Phase, Sample, Scenario
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
 from handsight.simulation.simulate import Sensors
 from handsight.simulation.world import World, rows
@@ -27,33 +28,43 @@ POSTURE = {
     "robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5,
 }  # fmt: skip
 """A fist but for one finger [rad]."""
-REACH = 0.03
-"""How far the tip's middle is below the finger's first link, which is wider than the tip [m]: an object may be that
-much higher, else that link pushes it where the tip passes."""
-RADIUS, SIGMA = 0.009, 0.0025
-"""Of the tip's sides, and of where it is, per axis [m]: a degree at each joint of the finger."""
-LEAN = float(np.deg2rad(12.0))
-"""Of the finger from the vertical, its tip ahead, so that nothing else of it meets a wall first [rad]."""
-SPEED, TRAVEL, TURNING = 0.06, 0.4, 3.0
-"""Of the tip in a sweep, and elsewhere [m/s]; of the hand as it turns [rad/s]."""
-GAINED = 0.1
-"""How long the tip takes to its speed [s]: a start at once shakes it, as a touch would."""
-PRESSED = 0.15
-"""At what force a sweep ends [N]."""
-STILL, READ = 0.15, 10
-"""How long the hand rests at a contact [s], and of how many readings its wrench is the mean."""
-BACK, CLEAR = 0.015, 0.05
-"""How far the tip goes back from a contact, and how high above the object it passes over the table [m]."""
-EVERY = 0.005
-"""Between places where the tip met nothing [m]."""
-LOWEST, HIGHEST = 0.022, 0.012
-"""Of the tip's middle above the table [m], which is known to some millimetres and a degree; below the object's top."""
-TABLE_FROM = 0.05
-"""Above where the table is thought to be the tip begins to feel for it [m]."""
-ALIKE = 0.015
-"""A table off plumb by a degree is not more uneven [m]: what is lower was felt by the finger's side, at its edge."""
-ABOVE = 0.5
-"""Of the palm at first over the object's middle [m]."""
+
+
+class ProbeOptions(NamedTuple):
+    """How a finger searches the table and the object."""
+
+    reach: float = 0.03
+    """How far the tip's middle is below the finger's first link, which is wider than the tip [m]: an object may be
+    that much higher, else that link pushes it where the tip passes.
+    """
+    radius: float = 0.009  # of the tip's sides [m]
+    sigma: float = 0.0025  # of where the tip is, per axis [m]: a degree at each joint of the finger
+    lean: float = float(np.deg2rad(12.0))
+    """Of the finger from the vertical, its tip ahead, so that nothing else of it meets a wall first [rad]."""
+    sweep_speed: float = 0.06  # of the tip in a sweep [m/s]
+    travel_speed: float = 0.4  # of the tip elsewhere [m/s]
+    turn_speed: float = 3.0  # of the hand as it turns [rad/s]
+    acceleration_time: float = 0.1
+    """How long the tip takes to its speed [s]: a sudden start shakes it, as a touch would."""
+    stop_force: float = 0.15  # at which a sweep ends [N]
+    dwell: float = 0.15  # how long the hand rests at a contact [s]
+    readings: int = 10  # of which the contact's wrench is the mean
+    retreat: float = 0.015  # how far the tip goes back from a contact [m]
+    travel_height: float = 0.05  # how high above the object it passes over the table [m]
+    free_spacing: float = 0.005  # between places where the tip met nothing [m]
+    min_height: float = 0.022
+    """Of the tip's middle above the table, which is known to some millimetres and a degree [m]."""
+    top_margin: float = 0.012  # of the tip's middle below the object's top [m]
+    table_start: float = (
+        0.05  # height above where the table is expected at which the tip starts to search for it [m]
+    )
+    table_unevenness: float = 0.015
+    """A table off plumb by a degree is not more uneven [m]: what is lower was felt by the finger's side, at its edge.
+    """
+    start_height: float = 0.5  # of the palm at first over the object's middle [m]
+
+
+PROBE = ProbeOptions()
 
 
 def ignore(_: Sample) -> None:
@@ -79,7 +90,7 @@ class Probe(World):
             replace(scenario, motion="grasp", images=False),
             Grasp(
                 T_palm_middle=se3.compose(
-                    R_world_palm.T @ R_scene_object, R_world_palm.T @ [0.0, 0.0, -ABOVE]
+                    R_world_palm.T @ R_scene_object, R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
                 ),
                 opening=POSTURE,
                 closed={},
@@ -93,7 +104,7 @@ class Probe(World):
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
         self.top = float(np.ptp(corners[:, 2]))
         """Height of the object above the table [m]."""
-        self._every = round(STEPS_PER_SECOND / scenario.rate)
+        self._every = round(SCENARIO.steps_per_second / scenario.rate)
         self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
 
     @property
@@ -109,8 +120,8 @@ class Probe(World):
     @property
     def heights(self) -> tuple[float, float]:
         """Of the tip's middle above the table [m], at which the rest of the hand passes over the object."""
-        lowest = max(LOWEST, self.top - REACH)
-        return lowest, max(lowest, self.top - HIGHEST)
+        lowest = max(PROBE.min_height, self.top - PROBE.reach)
+        return lowest, max(lowest, self.top - PROBE.top_margin)
 
     def feel_table(self, places: ArrayLike, on_sample: Callable[[Sample], None] = ignore) -> float:
         """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m].
@@ -120,9 +131,9 @@ class Probe(World):
         found, places = [], np.atleast_2d(places)
         for x, y in places:
             R = self._turned(np.array([1.0, 0.0, 0.0]))
-            begin = self._palm(R, np.array([x, y, TABLE_FROM]))
+            begin = self._palm(R, np.array([x, y, PROBE.table_start]))
             self._travel(begin, on_sample)
-            ways = _ways(2 * TABLE_FROM)[:, None] * [0.0, 0.0, -1.0]
+            ways = _ways(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, ways)):
                 on_sample(sample)
                 sensed = self._tips.contacts(sample.observation)
@@ -132,7 +143,7 @@ class Probe(World):
         if not found:
             raise InvalidInput(f"places: expected some over the table, felt nothing at any of {len(places)}")
         heights = np.array(found)
-        return float(heights[np.abs(heights - np.median(heights)) < ALIKE].mean())
+        return float(heights[np.abs(heights - np.median(heights)) < PROBE.table_unevenness].mean())
 
     def _lowest_point(self, observation: Observation) -> float:
         """Height in the world of what is lowest of the stretched finger's tip [m]."""
@@ -156,13 +167,13 @@ class Probe(World):
                 contact = self._at_rest(on_sample) or sensed
                 break
             tip = self._tip(sample.observation)[:3, 3]
-            if not free or np.linalg.norm(tip - free[-1]) >= EVERY:
+            if not free or np.linalg.norm(tip - free[-1]) >= PROBE.free_spacing:
                 free.append(tip)
-        back = BACK if contact is not None else 0.0
+        back = PROBE.retreat if contact is not None else 0.0
         self._straight(
             self._T_world_palm, _shifted(self._T_world_palm, -back * sweep.direction_world), on_sample
         )
-        return Touch(np.array(free).reshape(-1, 3), RADIUS, SIGMA, contact)
+        return Touch(np.array(free).reshape(-1, 3), PROBE.radius, PROBE.sigma, contact)
 
     def _sensed_contact(self, observation: Observation) -> Contacts | None:
         """The contact of the stretched finger in the world, where it is pressed hard enough."""
@@ -170,17 +181,17 @@ class Probe(World):
         if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
         k = sensed.fingers.index(FINGER)
-        if np.linalg.norm(sensed.loads[k, :4]) < PRESSED:
+        if np.linalg.norm(sensed.loads[k, :4]) < PROBE.stop_force:
             return None
         return sensed.contacts.select([k]).moved(_placed(observation)[0])
 
     def _at_rest(self, on_sample: Callable[[Sample], None]) -> Contacts | None:
         """The contact by the mean wrench of a hand that stays; None where it is lost."""
-        stays = np.tile(self._T_world_palm, (round(STILL * STEPS_PER_SECOND), 1, 1))
+        stays = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
         samples = list(self._along(stays))
         for sample in samples:
             on_sample(sample)
-        last = [sample.observation for sample in samples[-READ:]]
+        last = [sample.observation for sample in samples[-PROBE.readings :]]
         mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
         return self._sensed_contact(replace(last[-1], wrenches={FINGER: mean}))
 
@@ -200,7 +211,7 @@ class Probe(World):
 
     def _travel(self, T_goal: Array, on_sample: Callable[[Sample], None]) -> None:
         """Up, over the table and down to a palm pose (4, 4)."""
-        safe = self.top + CLEAR - (T_goal @ self._T_palm_finger)[2, 3]
+        safe = self.top + PROBE.travel_height - (T_goal @ self._T_palm_finger)[2, 3]
         up = self._T_world_palm.copy()
         up[2, 3] = max(up[2, 3], T_goal[2, 3] + safe)
         over = T_goal.copy()
@@ -211,15 +222,15 @@ class Probe(World):
     def _straight(self, T_begin: Array, T_end: Array, on_sample: Callable[[Sample], None]) -> None:
         """From one palm pose to another, at rest at both ends."""
         way = se3.difference(T_end, T_begin)
-        seconds = np.linalg.norm(way[:3]) / TRAVEL + np.linalg.norm(way[3:]) / TURNING
-        s = np.linspace(0, 1, max(round(seconds * STEPS_PER_SECOND), 1) + 1)[1:, None]
+        seconds = np.linalg.norm(way[:3]) / PROBE.travel_speed + np.linalg.norm(way[3:]) / PROBE.turn_speed
+        s = np.linspace(0, 1, max(round(seconds * SCENARIO.steps_per_second), 1) + 1)[1:, None]
         for sample in self._along(se3.moved(T_begin, least_jerk(s) * way), sampled=on_sample is not ignore):
             on_sample(sample)
 
     def _turned(self, direction_world: Array) -> Array:
         """R_world_palm (3, 3) that has the finger down, its tip and the palm's front ahead."""
         finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
-        down = np.sin(LEAN) * direction_world - np.cos(LEAN) * np.array([0.0, 0.0, 1.0])
+        down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
         return _frame(down, direction_world) @ _frame(finger, front).T
 
     def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
@@ -257,8 +268,15 @@ def _frame(first: Array, second: Array) -> Array:
 
 def _ways(length: float) -> Array:
     """(n,) how far a sweep of some length has gone after each step of the simulation [m]."""
-    t = np.arange(0.0, length / SPEED + GAINED / 2, 1 / STEPS_PER_SECOND)
-    return np.asarray(SPEED * np.where(t < GAINED, t**2 / (2 * GAINED), t - GAINED / 2))
+    t = np.arange(
+        0.0, length / PROBE.sweep_speed + PROBE.acceleration_time / 2, 1 / SCENARIO.steps_per_second
+    )
+    return np.asarray(
+        PROBE.sweep_speed
+        * np.where(
+            t < PROBE.acceleration_time, t**2 / (2 * PROBE.acceleration_time), t - PROBE.acceleration_time / 2
+        )
+    )
 
 
 def _shifted(T: Array, shift: Array) -> Array:

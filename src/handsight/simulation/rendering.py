@@ -13,7 +13,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
-from handsight.simulation.scene import FINER, IMAGE_SIZE, PALM, Scene, mujoco_module, scene
+from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, Scene, mujoco_module, scene
 
 NO_LIBRARY = (ImportError, RuntimeError, AttributeError, OSError)
 """What PyOpenGL raises for a missing library."""
@@ -73,8 +73,8 @@ class Renderer:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
             self._add(geom, *ghost)
-        color, _ = self._pixels(finer=FINER)
-        blocks = color.reshape(IMAGE_SIZE[1], FINER, IMAGE_SIZE[0], FINER, 3)
+        color, _ = self._pixels(finer=SCENE.supersampling)
+        blocks = color.reshape(IMAGE_SIZE[1], SCENE.supersampling, IMAGE_SIZE[0], SCENE.supersampling, 3)
         smooth: Color = blocks.mean(axis=(1, 3)).astype(np.uint8)
         return smooth
 

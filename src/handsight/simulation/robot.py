@@ -1,7 +1,7 @@
 """What the robot believes of itself and of the object: the rig and the model that a user would write down."""
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from handsight.simulation.scene import (
     HAND_FILE,
     IMAGE_SIZE,
     PALM,
-    SENSOR_Z,
-    TIP_MASS,
+    SCENE,
     UNLOADED,
     convex_hull,
     hand_file,
@@ -30,12 +29,17 @@ from handsight.simulation.scene import (
 )
 from handsight.simulation.skin import PALM_SKIN
 
-SCANNED, SCAN_SEED = 4000, 7
-"""Points of a scanned object's cloud."""
-DENT_WIDTH = 0.02
-"""Of a dent, where it is exp(-½) as deep [m]."""
-DENTED_EDGE = 0.008
-"""Longest edge of a mesh that can be dented smoothly [m]."""
+
+class ModelErrorOptions(NamedTuple):
+    """How a simulated robot's model of the object is wrong."""
+
+    scan_points: int = 4000  # points of a scanned object's cloud
+    scan_seed: int = 7  # of its noise
+    dent_width: float = 0.02  # of a dent, where it is exp(-½) as deep [m]
+    max_edge: float = 0.008  # longest edge of a mesh that can be dented smoothly [m]
+
+
+MODEL_ERROR = ModelErrorOptions()
 
 
 def rig_of(scenario: Scenario) -> Rig:
@@ -97,7 +101,7 @@ def model_of(scenario: Scenario) -> ObjectModel:
     if n.object_dent > 0:
         model = _dented(model, n.object_dent, seed)
     if n.object_scan > 0:
-        points, normals = model.sample(SCANNED, SCAN_SEED)
+        points, normals = model.sample(MODEL_ERROR.scan_points, MODEL_ERROR.scan_seed)
         rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
         return ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
@@ -120,7 +124,7 @@ def _finger(name: str, unloaded: Array) -> Finger:
     calibration = WrenchCalibration(
         bias_force=unloaded[:3],
         bias_torque=unloaded[3:],
-        mass=TIP_MASS,
+        mass=SCENE.tip_mass,
         center_of_mass=center,
         residual_force=zero,
         residual_torque=zero,
@@ -132,7 +136,7 @@ def _finger(name: str, unloaded: Array) -> Finger:
     )
     return Finger(
         frame=f"robot0:{name}distal",
-        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SENSOR_Z + center_z])),
+        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SCENE.sensor_z + center_z])),
         tip=tip,
         calibration=calibration,
         # Of a tip that is where its file has it, and bends by what `tip_compliance` says.
@@ -149,10 +153,10 @@ def _dented(model: ObjectModel, depth: float, seed: int) -> ObjectModel:
     import trimesh
 
     remesh: Any = trimesh.remesh
-    vertices, faces = remesh.subdivide_to_size(model.vertices, model.faces, DENTED_EDGE, max_iter=20)
-    points, normals = model.sample(SCANNED, seed)
+    vertices, faces = remesh.subdivide_to_size(model.vertices, model.faces, MODEL_ERROR.max_edge, max_iter=20)
+    points, normals = model.sample(MODEL_ERROR.scan_points, seed)
     sides = np.flatnonzero(np.abs(normals[:, 2]) < 0.5)
     k = int(np.random.default_rng((seed, 7)).choice(sides if len(sides) else len(points)))
     away = np.linalg.norm(vertices - points[k], axis=1)
-    inwards = depth * np.exp(-0.5 * (away / DENT_WIDTH) ** 2)
+    inwards = depth * np.exp(-0.5 * (away / MODEL_ERROR.dent_width) ** 2)
     return ObjectModel.from_mesh(vertices - inwards[:, None] * normals[k], faces)

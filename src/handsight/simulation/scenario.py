@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -18,19 +18,23 @@ from handsight.rig.rig import DepthCamera
 Profile = Literal["ramp", "steps", "sine"]
 Motion = Literal["grasp", "manipulate", "weigh", Profile]
 Phase = Literal["touch", "close", "hold", "move", "pull"]
-PATCH = 0.005
-"""Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
-STEPS_PER_SECOND = 500
-"""Of the simulator: two milliseconds are as accurate as one."""
-OBJECT_MASS = 0.15
-"""As usual [kg]."""
+
+
+class ScenarioLimits(NamedTuple):
+    """What a scenario may be."""
+
+    torsion: float = 0.005
+    """Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
+    steps_per_second: int = 500  # of the simulator: two milliseconds are as accurate as one
+    object_mass: float = 0.15  # as usual [kg]
+    max_extent: float = 0.5  # of a mesh [m]; a larger one is not in metres, and in no hand
+    max_nuisance: float = 100.0  # of any nuisance, in its unit; no robot is off by as much
+    min_rate: float = 1e-3  # observations per second; a run lasts seconds
+
+
+SCENARIO = ScenarioLimits()
+
 MESHES = (".stl", ".obj", ".ply", ".off")
-LARGEST = 0.5
-"""Of a mesh [m]; a larger one is not in metres, and in no hand."""
-MOST = 100.0
-"""Of any nuisance, in its unit; no robot is off by as much."""
-SLOWEST = 1e-3
-"""Observations per second; a run lasts seconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +61,7 @@ class Nuisances:
     """A constant rate at which the bias grows from the first sample on: sigma [N/s]."""
     torque_drift: float = 5e-7
     """[N m/s]"""
-    object_mass: float = OBJECT_MASS
+    object_mass: float = SCENARIO.object_mass
     """Of the object, evenly in it [kg]; 0: as usual."""
     object_off_center: float = 0.0
     """Constant: how far its centre of mass is off the middle of its bounds, in a direction that is drawn, at most a
@@ -115,8 +119,8 @@ class Nuisances:
             value = float(checks.finite(getattr(self, item.name), item.name, ()))
             if value < 0:
                 raise InvalidInput(f"{item.name}: expected a number of at least 0, got {value:g}")
-            if value > MOST:
-                raise InvalidInput(f"{item.name}: expected at most {MOST:g}, got {value:g}")
+            if value > SCENARIO.max_nuisance:
+                raise InvalidInput(f"{item.name}: expected at most {SCENARIO.max_nuisance:g}, got {value:g}")
         if not 0.5 <= self.object_scale <= 2:
             raise InvalidInput(f"object_scale: expected 0.5 to 2, got {self.object_scale:g}")
         if not 0.1 <= self.friction <= 2:
@@ -126,7 +130,7 @@ class Nuisances:
     def none(cls) -> "Nuisances":
         """Everything as it is."""
         off = {item.name: 0.0 for item in dataclasses.fields(cls)}
-        return cls(**{**off, "object_scale": 1.0, "object_mass": OBJECT_MASS, "friction": 1.0})
+        return cls(**{**off, "object_scale": 1.0, "object_mass": SCENARIO.object_mass, "friction": 1.0})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,9 +182,11 @@ class Scenario:
                 "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
             )
         rate = checks.positive(self.rate, "rate")
-        steps = STEPS_PER_SECOND / rate
-        if rate < SLOWEST or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-            raise InvalidInput(f"rate: expected a divisor of {STEPS_PER_SECOND} per second, got {rate:g}")
+        steps = SCENARIO.steps_per_second / rate
+        if rate < SCENARIO.min_rate or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+            raise InvalidInput(
+                f"rate: expected a divisor of {SCENARIO.steps_per_second} per second, got {rate:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,9 +207,10 @@ class TipContact:
 
     @property
     def speed(self) -> float:
-        """How fast the other body slips along the tip [m/s]; a turn about the normal is that of a point `PATCH` off."""
+        """How fast the other body slips along the tip [m/s]; a turn about the normal is that of a point
+        `SCENARIO.torsion` off."""
         along = self.velocity_palm[:3] - (self.velocity_palm[:3] @ self.normal_palm) * self.normal_palm
-        return math.hypot(*along, PATCH * (self.velocity_palm[3:] @ self.normal_palm))
+        return math.hypot(*along, SCENARIO.torsion * (self.velocity_palm[3:] @ self.normal_palm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

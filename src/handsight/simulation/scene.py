@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra
-from handsight.simulation.scenario import LARGEST, OBJECT_MASS, PATCH, STEPS_PER_SECOND
+from handsight.simulation.scenario import SCENARIO
 
 HAND_FILE = "envs/assets/hand/reach.xml"
 """Within gymnasium-robotics; the only scene of it without an object."""
@@ -23,10 +23,26 @@ PALM = "robot0:palm"
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
 """With the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")
-SENSOR_Z = 0.002
-"""Of a sensor's frame along its distal link [m]."""
-TIP_MASS = 0.004
-"""[kg]"""
+
+
+class SceneOptions(NamedTuple):
+    """Sizes in the simulated scene."""
+
+    sensor_z: float = 0.002  # of a sensor's frame along its distal link [m]
+    tip_mass: float = 0.004  # of a tip [kg]
+    focal_length: float = 525.0  # of the camera's images, as a Kinect's [pixels]
+    supersampling: int = (
+        2  # how many times larger, each way, a picture for people is drawn before it is averaged
+    )
+    table_collision_bit: int = 2
+    """Of what the table stops: object and fingertips. A draw may lower the palm's edge by some mm into the table; it
+    passes through, for it would bend the wrist.
+    """
+    hidden_group: int = 5  # the group of geoms that are not drawn
+
+
+SCENE = SceneOptions()
+
 GRAVITY = np.array([0.0, 0.0, -9.81])
 UNLOADED = np.array(
     [
@@ -42,17 +58,10 @@ CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
 """Radius and height; sides [m]."""
 TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
 """From and to along x, y, z [m]."""
-IMAGE_SIZE, FOCAL_LENGTH = (640, 480), 525.0
+IMAGE_SIZE = (640, 480)
 """Of the camera's images, as a Kinect's [pixels]."""
-FINER = 2
-"""How many times larger, each way, a picture for people is drawn before it is averaged."""
 STIFF = {"solref": [0.01, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
 """MuJoCo's own softness sinks tips by 0.5 mm and moves what is sensed by 0.2 mm; much stiffer ones drop objects."""
-ON_TABLE = 2
-"""The collision bit of what the table stops: object and fingertips. A draw may lower the palm's edge by some mm into
-the table; it passes through, for it would bend the wrist."""
-HIDDEN = 5
-"""The group of geoms that are not drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +81,8 @@ class Scene:
 def tip_shape(finger: str) -> tuple[Array, float]:
     """Semi-axes (3,) of a fingertip and its centre's z from the sensor's frame [m]."""
     if finger == "th":
-        return np.array([0.0105, 0.0105, 0.016]), 0.0175 - SENSOR_Z
-    return np.array([0.009, 0.009, 0.0145]), 0.0165 - SENSOR_Z
+        return np.array([0.0105, 0.0105, 0.016]), 0.0175 - SCENE.sensor_z
+    return np.array([0.009, 0.009, 0.0145]), 0.0165 - SCENE.sensor_z
 
 
 def mujoco_module() -> Any:
@@ -88,7 +97,7 @@ def mujoco_module() -> Any:
 @lru_cache(maxsize=8)
 def scene(
     name: str,
-    mass: float = OBJECT_MASS,
+    mass: float = SCENARIO.object_mass,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     friction: float = 1.0,
@@ -108,7 +117,7 @@ def scene(
     _let_mount_move(mujoco, spec)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name)
-    if mass != OBJECT_MASS or any(shift):
+    if mass != SCENARIO.object_mass or any(shift):
         _weigh_object(spec, scene(name).model.body("object"), mass, shift)
     model = spec.compile()
     joints = [model.joint(i) for i in range(model.njnt)]
@@ -130,14 +139,16 @@ def hand_file() -> Path:
 
 def _set_options(mujoco: Any, spec: Any) -> None:
     spec.option.gravity = GRAVITY
-    spec.option.timestep = 1 / STEPS_PER_SECOND
+    spec.option.timestep = 1 / SCENARIO.steps_per_second
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.iterations, spec.option.tolerance = 100, 1e-10
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
     spec.visual.quality.shadowsize = 1024
     spec.visual.quality.offsamples = 0  # smoothing by the driver costs five times as much
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = (FINER * side for side in IMAGE_SIZE)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = (
+        SCENE.supersampling * side for side in IMAGE_SIZE
+    )
     spec.stat.extent = 1.0  # what near and far plane are multiples of
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
 
@@ -151,12 +162,13 @@ def _make_tips(mujoco: Any, spec: Any, friction: float) -> None:
     for finger in FINGERS:
         semi_axes, center_z = tip_shape(finger)
         spec.delete(spec.geom(f"robot0:C_{finger}distal"))
-        spec.geom(f"robot0:V_{finger}distal").group = HIDDEN
-        tip = spec.body(f"robot0:{finger}distal").add_body(name=f"{finger}_tip", pos=[0, 0, SENSOR_Z])
+        spec.geom(f"robot0:V_{finger}distal").group = SCENE.hidden_group
+        tip = spec.body(f"robot0:{finger}distal").add_body(name=f"{finger}_tip", pos=[0, 0, SCENE.sensor_z])
         tip.add_geom(
             name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes,
-            pos=[0, 0, center_z], mass=TIP_MASS, contype=1 | ON_TABLE, conaffinity=0, condim=4,
-            friction=[friction, PATCH * friction, 0.0001], priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
+            pos=[0, 0, center_z], mass=SCENE.tip_mass, contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4,
+            friction=[friction, SCENARIO.torsion * friction, 0.0001],
+            priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
             **STIFF,
         )  # fmt: skip
         tip.add_site(name=f"{finger}_ft")
@@ -198,11 +210,11 @@ def _add_table_and_camera(mujoco: Any, spec: Any) -> None:
     low, high = np.array(TABLE).T
     spec.worldbody.add_geom(
         name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(low + high) / 2, size=(high - low) / 2,
-        contype=0, conaffinity=ON_TABLE, friction=[0.4, 0.005, 0.0001], priority=1,
+        contype=0, conaffinity=SCENE.table_collision_bit, friction=[0.4, 0.005, 0.0001], priority=1,
         rgba=[0.85, 0.76, 0.64, 1], **STIFF,
     )  # fmt: skip
     spec.worldbody.add_camera(
-        name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / FOCAL_LENGTH)))
+        name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
     )
     # Together less than full, or white parts lose their shape.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
@@ -231,8 +243,8 @@ def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
         spec.add_mesh(name="object", uservert=vertices.ravel(), userface=faces.ravel())
         geometry |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
     body.add_geom(
-        name="object", mass=OBJECT_MASS, condim=4, friction=[1.0, 0.005, 0.0001], contype=1 | ON_TABLE,
-        conaffinity=1, **geometry, **STIFF,
+        name="object", mass=SCENARIO.object_mass, condim=4, friction=[1.0, 0.005, 0.0001],
+        contype=1 | SCENE.table_collision_bit, conaffinity=1, **geometry, **STIFF,
     )  # fmt: skip
     return np.asarray(bounds)
 
@@ -254,8 +266,10 @@ def convex_hull(path: str) -> tuple[Array, Any]:
 
     vertices: Array = read_shape(path).vertices
     extent = float(np.ptp(vertices, axis=0).max())
-    if not extent <= LARGEST:
-        raise InvalidObject(f"{Path(path).name}: expected metres, at most {LARGEST:g}, got {extent:.3g}")
+    if not extent <= SCENARIO.max_extent:
+        raise InvalidObject(
+            f"{Path(path).name}: expected metres, at most {SCENARIO.max_extent:g}, got {extent:.3g}"
+        )
     if np.linalg.matrix_rank(vertices - vertices[0]) < 3:
         raise InvalidObject(f"{Path(path).name}: expected a body with a volume, got none")
     hull = trimesh.convex.convex_hull(vertices, qhull_options="Qt")

@@ -14,8 +14,8 @@ from handsight.simulation.camera import BELIEVED_CAMERA, displacement, spoil
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
-from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Sample, Scenario
-from handsight.simulation.scene import FINGERS, GRAVITY, PALM, TIP_MASS, UNLOADED, mujoco_module, tip_shape
+from handsight.simulation.scenario import SCENARIO, Nuisances, Sample, Scenario
+from handsight.simulation.scene import FINGERS, GRAVITY, PALM, SCENE, UNLOADED, mujoco_module, tip_shape
 from handsight.simulation.skin import PALM_GEOM, PalmSkin
 from handsight.simulation.world import World
 from handsight.vision.depth_noise import PRESETS
@@ -115,7 +115,7 @@ class Sensors:
         model, data = self.world.scene.model, self.world.data
         for finger in FINGERS:
             T = self.world.pose(f"{finger}_tip")
-            force = -T[:3, :3] @ self.world.reading(finger)[:3] - TIP_MASS * GRAVITY
+            force = -T[:3, :3] @ self.world.reading(finger)[:3] - SCENE.tip_mass * GRAVITY
             center = T[:3, :3] @ [0, 0, tip_shape(finger)[1]] + T[:3, 3]
             jacobian = np.zeros((3, model.nv))
             mujoco_module().mj_jac(model, data, jacobian, None, center, model.body(f"{finger}_tip").id)
@@ -161,7 +161,10 @@ def samples(
     scenario: Scenario, world: World, sensors: Sensors, progress: Callable[[float], None] | None = None
 ) -> Iterator[Sample]:
     """What sensors, which are closed at the end, have of a world's motion, at the scenario's rate; see `simulate`."""
-    every, steps = round(STEPS_PER_SECOND / scenario.rate), round(world.duration * STEPS_PER_SECOND)
+    every, steps = (
+        round(SCENARIO.steps_per_second / scenario.rate),
+        round(world.duration * SCENARIO.steps_per_second),
+    )
     with closing(sensors):
         for step in range(steps + 1):
             if step:

@@ -6,6 +6,7 @@ a face alone.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,17 +16,24 @@ from handsight.contact.taxels import TaxelArray
 from handsight.simulation.scenario import Scenario
 from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
 
-FOAM, RUBBER = 1e7, 6e7
-"""Springs of a skin [N/m per m²]: 5 mm of foam; 1.5 mm of soft rubber, as on the simulated palm: that is hard to the
-physics engine, and a skin into which things sank would contradict where they are."""
-FINER = 3
-"""Springs of a taxel, each way."""
+
+class SkinOptions(NamedTuple):
+    """How a simulated tactile array feels."""
+
+    foam: float = 1e7  # springs of a skin of 5 mm of foam [N/m per m²]
+    rubber: float = 6e7
+    """Springs of 1.5 mm of soft rubber, as on the simulated palm [N/m per m²]: that is hard to the physics engine, and
+    a skin into which things sank would contradict where they are.
+    """
+    springs: int = 3  # of a taxel, each way
+    sigma: float = 0.002  # noise of a taxel that nothing touches [N]
+    circle_sides: int = 128  # of the polygon that stands for a circle: within 0.01 mm of a can's
+
+
+SKIN = SkinOptions()
+
 PALM_GEOM = "robot0:C_palm0"
 """What the array lies on."""
-FLOOR = 0.002
-"""Noise of a taxel that feels nothing: sigma [N]."""
-SIDES = 128
-"""Of the polygon that stands for a circle: within 0.01 mm of a can's."""
 PALM_SKIN = TaxelArray(
     frame=PALM,
     # The collision box of the palm has its face there, towards -y.
@@ -58,10 +66,10 @@ class Solid:
     @classmethod
     def cylinder(cls, radius: float, height: float) -> "Solid":
         """About the origin and z."""
-        turn = 2 * np.pi * np.arange(SIDES) / SIDES
-        round_ = np.stack([np.cos(turn), np.sin(turn), np.zeros(SIDES)], axis=1)
+        turn = 2 * np.pi * np.arange(SKIN.circle_sides) / SKIN.circle_sides
+        round_ = np.stack([np.cos(turn), np.sin(turn), np.zeros(SKIN.circle_sides)], axis=1)
         ends = np.array([[0.0, 0, 1], [0, 0, -1]])
-        return cls(np.vstack([round_, ends]), np.repeat([radius, height / 2], [SIDES, 2]))
+        return cls(np.vstack([round_, ends]), np.repeat([radius, height / 2], [SKIN.circle_sides, 2]))
 
     @classmethod
     def hull(cls, vertices: Array, faces: Array) -> "Solid":
@@ -108,16 +116,16 @@ def taxel_forces(
     T_grid_object: Array,
     force: float,
     uneven: Array | float = 0.0,
-    springs: float = RUBBER,
+    springs: float = SKIN.rubber,
 ) -> Array:
     """(rows, columns) what each taxel feels of a solid at a pose that presses on the skin with a force [N].
 
     `uneven` (rows, columns): how far each taxel is below the flat grid [m]. `springs` [N/m per m²].
     """
-    fine = array.pitch / FINER
-    steps = fine * (np.arange(FINER) - (FINER - 1) / 2)
+    fine = array.pitch / SKIN.springs
+    steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
     places = array.places_grid[:, :, None, None] + np.stack(
-        [*np.meshgrid(steps, steps), np.zeros((FINER, FINER))], 2
+        [*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2
     )
     R = T_grid_object[:3, :3]
     gaps = solid.ahead((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
@@ -143,7 +151,7 @@ class PalmSkin:
         T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
         true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
         share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
-        read = true * (1 + self._share * share) + (FLOOR * floor if self._share else 0.0) + self._offset
+        read = true * (1 + self._share * share) + (SKIN.sigma * floor if self._share else 0.0) + self._offset
         return {"palm": np.minimum(read, PALM_SKIN.full_scale or np.inf)}
 
 

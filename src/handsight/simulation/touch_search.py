@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,21 +15,27 @@ from handsight.rig import MountedCamera, Rig, Table
 from handsight.search import Area, Belief, best_sweep
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
-from handsight.simulation.probe import RADIUS, Probe, ignore
+from handsight.simulation.probe import PROBE, Probe, ignore
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.simulate import Sensors, samples
 from handsight.simulation.world import World
 
-TABLE_SIDE = 0.3
-"""Of the square that the object stands within [m]."""
+
+class TouchSearchOptions(NamedTuple):
+    """How an object on a table is searched by touch."""
+
+    area_side: float = 0.3  # of the square that the object stands within [m]
+    sigma_table_height: float = 0.0025
+    """Of the table's height under the object, between the places where it was touched [m]."""
+    max_touches: int = 12  # before the search gives up
+    pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
+
+
+TOUCH_SEARCH = TouchSearchOptions()
+
 TABLE_PROBES = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 """Where the table is felt, outside of it (x, y) [m]."""
-SIGMA_TABLE_HEIGHT = 0.0025
-"""Of the table's height under the object, which is between these places [m]."""
-MOST_TOUCHES = 12
-BETWEEN = 0.5
-"""From the search to the open hand beside the object, which is not simulated [s]."""
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:
@@ -53,14 +60,18 @@ def start_search(
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
     seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
-    half = TABLE_SIDE / 2 - min(sides[:2]) / 2
+    half = TOUCH_SEARCH.area_side / 2 - min(sides[:2]) / 2
     if not half > 0:
         size = " x ".join(f"{1000 * side:.0f}" for side in sides)
-        raise InvalidInput(f"object: expected one within {1000 * TABLE_SIDE:.0f} mm, got {size} mm")
+        raise InvalidInput(
+            f"object: expected one within {1000 * TOUCH_SEARCH.area_side:.0f} mm, got {size} mm"
+        )
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     at = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, at)
-    table = Table(height=probe.feel_table(TABLE_PROBES, on_sample), sigma_height=SIGMA_TABLE_HEIGHT)
+    table = Table(
+        height=probe.feel_table(TABLE_PROBES, on_sample), sigma_height=TOUCH_SEARCH.sigma_table_height
+    )
     return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
 
 
@@ -69,29 +80,29 @@ def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Ite
 
     No sample has anything of a camera. The first one after the search has what that has found, as a pose in the world
     with its covariance, in the place of vision's; the hand's way from there to the object is not simulated. `grasp`:
-    else the object's own, or the one that is found. Raises as `simulate`, and InvalidInput where `MOST_TOUCHES` find
-    nothing.
+    else the object's own, or the one that is found. Raises as `simulate`, and InvalidInput where
+    `TOUCH_SEARCH.max_touches` find nothing.
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
     pending: list[Sample] = []
     probe, belief = start_search(scenario, model_of(scenario), R_scene_object, pending.append)
-    for _ in range(MOST_TOUCHES):
-        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, RADIUS), pending.append))
+    for _ in range(TOUCH_SEARCH.max_touches):
+        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius), pending.append))
         yield from pending
         pending.clear()
         if belief.modes[0].is_certain:
             break
     else:
         raise InvalidInput(
-            f"object: expected to be sure of it after {MOST_TOUCHES} touches; another seed may be"
+            f"object: expected to be sure of it after {TOUCH_SEARCH.max_touches} touches; another seed may be"
         )
     yield from _grasped(scenario, grasp, belief, probe)
 
 
 def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> Iterator[Sample]:
     """Samples of the hand that closes where the object is believed to be, the object where it is."""
-    found, begins = belief.pose, probe.time + BETWEEN
+    found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off

@@ -1,39 +1,33 @@
 """The simulated world, a step at a time: the hand closes on the object, lets its holder go, and moves."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.simulation.motion import (
-    AT_REST,
-    CLOSED,
-    FREE,
-    LEGS,
-    MOVES,
-    PULLED,
-    WEIGH_LEGS,
-    Grasp,
-    palm_poses,
-    perturbed,
-)
+from handsight.simulation.motion import LEGS, MOTION, PULLED, WEIGH_LEGS, Grasp, palm_poses, perturbed
 from handsight.simulation.payload import Payload
-from handsight.simulation.pull import BEGINS, LASTS, Pull, pulls
-from handsight.simulation.scenario import STEPS_PER_SECOND, Phase, Scenario, TipContact
+from handsight.simulation.pull import PULL, Pull, pulls
+from handsight.simulation.scenario import SCENARIO, Phase, Scenario, TipContact
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module
 
-SERVO_TIME = 0.15
-"""For the servos to hold the open hand [s]."""
+
+class WorldOptions(NamedTuple):
+    """When a simulated grasp has failed."""
+
+    servo_time: float = 0.15  # for the servos to hold the open hand [s]
+    max_shift: float = 0.03  # how far an object moves in a grasp that holds it [m]
+    max_rotation: float = 0.5  # by what angle [rad]
+    flying_speed: float = 3.0  # sideways or upwards [m/s]: no hand of this strength throws an object as fast
+    max_overlap: float = 0.003  # of the open hand and the object [m]: more, and it does not fit in
+
+
+WORLD = WorldOptions()
+
 AWAY = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the object waits meanwhile: position [m], quaternion, w first."""
-MAX_SHIFT, MAX_TURN = 0.03, 0.5
-"""How far [m], and by what angle [rad], an object moves in a grasp that holds it."""
-FLYING = 3.0
-"""Sideways or upwards [m/s]: no hand of this strength throws an object as fast."""
-MAX_OVERLAP = 0.003
-"""Of the open hand and the object [m]: more, and it does not fit in."""
 
 
 class World:
@@ -60,9 +54,9 @@ class World:
         self._pull: Pull | None = None
         moves = {"grasp": LEGS[:1], "manipulate": LEGS, "weigh": WEIGH_LEGS}
         legs = moves.get(scenario.motion, PULLED)
-        self.duration = AT_REST + float(legs[:, 0].sum())
-        times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
-        Ts_world_palm = palm_poses(legs, times - AT_REST, T_world_palm, middle)
+        self.duration = MOTION.at_rest + float(legs[:, 0].sum())
+        times = np.arange(round(self.duration * SCENARIO.steps_per_second) + 1) / SCENARIO.steps_per_second
+        Ts_world_palm = palm_poses(legs, times - MOTION.at_rest, T_world_palm, middle)
         self._arm = rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         self._begin = rows((T_world_middle @ T_middle_object)[None])[0]
         self.steps = 0
@@ -73,16 +67,16 @@ class World:
     @property
     def time(self) -> float:
         """Since the fingers began to close [s]."""
-        return self.steps / STEPS_PER_SECOND
+        return self.steps / SCENARIO.steps_per_second
 
     @property
     def phase(self) -> Phase:
         """What is going on."""
-        if self.time < FREE:
+        if self.time < MOTION.free:
             return "close"
-        if self._pulled and BEGINS <= self.time <= BEGINS + LASTS:
+        if self._pulled and PULL.begin <= self.time <= PULL.begin + PULL.duration:
             return "pull"
-        return "move" if self._moves and self.time >= MOVES else "hold"
+        return "move" if self._moves and self.time >= MOTION.moves else "hold"
 
     def step(self) -> None:
         """Two milliseconds."""
@@ -92,7 +86,7 @@ class World:
         elif self._T_palm_object_freed is None:
             self._T_palm_object_freed = self.T_palm_object()
         self._move_arm()
-        if self._pulled and self.time >= BEGINS:
+        if self._pulled and self.time >= PULL.begin:
             self._pull_object()
         elif self.phase == "move":
             self._load.press(self.data)
@@ -129,7 +123,7 @@ class World:
     def dropped(self) -> bool:
         """Whether the object has left the grasp since it was free."""
         shift, turn = self.moved()
-        return shift > MAX_SHIFT or turn > MAX_TURN
+        return shift > WORLD.max_shift or turn > WORLD.max_rotation
 
     def touches(self) -> list[tuple[str, float, float]]:
         """Contacts of the hand with the object: the hand's geom, how hard it presses [N], how deep [m]."""
@@ -156,7 +150,7 @@ class World:
     def thrown(self) -> bool:
         """Whether the object flies as nothing that falls does: the simulator's fault."""
         velocity = self.data.joint("object").qvel[:3]
-        return not (np.linalg.norm(velocity[:2]) < FLYING and velocity[2] < FLYING)
+        return not (np.linalg.norm(velocity[:2]) < WORLD.flying_speed and velocity[2] < WORLD.flying_speed)
 
     def tip_contacts(self) -> tuple[TipContact, ...]:
         """The fingertips' contacts with whatever they touch."""
@@ -213,14 +207,14 @@ class World:
             self._servo(joint).ctrl[:] = angle
         self._move_arm()
         self.data.joint("mount").qpos[:] = self._arm[0]
-        for _ in range(round(SERVO_TIME * STEPS_PER_SECOND)):
+        for _ in range(round(WORLD.servo_time * SCENARIO.steps_per_second)):
             self._hold_object(AWAY)
             self._mujoco.mj_step(self.scene.model, self.data)
         self.refresh()
         contacts = self.data.contact[: self.data.ncon]
         body_of, object_body = self.scene.model.geom_bodyid, self.scene.model.body("object").id
         between = [c.dist for c in contacts if object_body in body_of[c.geom] and 0 not in body_of[c.geom]]
-        if min(between, default=0.0) < -MAX_OVERLAP:
+        if min(between, default=0.0) < -WORLD.max_overlap:
             size = " x ".join(f"{1000 * side:.0f}" for side in self._size)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
 
@@ -237,7 +231,7 @@ class World:
 
     def _close_fingers(self) -> None:
         """Moves the servos' targets on."""
-        self._closed = min(self._closed + 1 / (CLOSED * STEPS_PER_SECOND), 1.0)
+        self._closed = min(self._closed + 1 / (MOTION.closed * SCENARIO.steps_per_second), 1.0)
         for joint, angle in self._grasp.closed.items():
             begin = self._grasp.opening.get(joint, 0.0)
             self._servo(joint).ctrl[:] = begin + self._closed * (angle - begin)

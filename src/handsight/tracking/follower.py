@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
-from handsight.tracking.hand_outside import CHECK_EVERY, HandOutside, LinkMargins, Solve
+from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside, LinkMargins, Solve
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
@@ -32,16 +32,22 @@ from handsight.tracking.track_state import NO_POSE, TrackState
 from handsight.tracking.weight_update import WeightUpdate
 
 Correct = Callable[..., PoseEstimate]
-WIDER = 9.0
-"""How much more variance a prior gets where nothing fits: the search then starts from several poses."""
-RECOVERY_EVERY = 0.5
-"""Seconds between two such searches, and between corrections while nothing fits: each costs a hundred others."""
-RETRY_EVERY = 0.1
-"""The same when the fingers that touch have changed since."""
-MIN_CONTACTS_TO_LEARN = 3
-"""Of fewer contacts the pose takes up all that they say: nothing is left to learn the joints' offsets from."""
-RENEW_AFTER = 0.02
-"""How old the growth of a propagated covariance may be [s]: a micrometre or so."""
+
+
+class FollowerOptions(NamedTuple):
+    """When a lost fit is searched for again."""
+
+    inflation: float = 9.0
+    """How much more variance a prior gets where nothing fits: the search then starts from several poses."""
+    recovery_period: float = 0.5
+    """Between two such searches, and between corrections while nothing fits: each costs a hundred others [s]."""
+    retry_period: float = 0.1  # the same when the fingers that touch have changed since [s]
+    min_contacts_to_learn: int = 3
+    """Of fewer contacts the pose takes up all that they say: nothing is left to learn the joints' offsets from."""
+    renew_after: float = 0.02  # how old the growth of a propagated covariance may be [s]: a micrometre or so
+
+
+FOLLOWER = FollowerOptions()
 
 
 class Follower:
@@ -104,7 +110,7 @@ class Follower:
         if last is None or last is state.learnt_from or last.by_error is None:
             return state.offsets
         if (
-            len(last.contacts) < MIN_CONTACTS_TO_LEARN
+            len(last.contacts) < FOLLOWER.min_contacts_to_learn
             or not last.estimate.consistent
             or last.estimate.outliers
         ):
@@ -192,7 +198,7 @@ class _Step:
         if self.estimate is None or last is None:  # the smoother's alone: contacts leave every direction open
             now = self.smoother.now
             self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
-        elif stamp - self.propagated_to > RENEW_AFTER:
+        elif stamp - self.propagated_to > FOLLOWER.renew_after:
             self.estimate = last.estimate.inflated(
                 process_variance(self.follower.process_noise, stamp - last.stamp)
             )
@@ -269,7 +275,7 @@ class _Step:
             return True
         age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
-            return age >= (RETRY_EVERY if regrasped else RECOVERY_EVERY)
+            return age >= (FOLLOWER.retry_period if regrasped else FOLLOWER.recovery_period)
         news = self.weight.news or self.skin.news(last.skin) or self.slip.asks(last.stamp)
         if vision or regrasped or news:
             return True
@@ -306,7 +312,7 @@ class _Step:
             estimate = self._reconciled(
                 estimate, outside, lambda hand: correct(vision=prior, outside=skin.beside(hand))
             )
-        if not estimate.consistent and now - self.recovered_at >= RECOVERY_EVERY:
+        if not estimate.consistent and now - self.recovered_at >= FOLLOWER.recovery_period:
             self.recovered_at = now
             estimate, smoother = self._recovered(estimate, smoother, correct)
             self.smoother, prior = smoother, smoother.without_touch
@@ -327,7 +333,7 @@ class _Step:
     ) -> tuple[PoseEstimate, PoseBiasSmoother]:
         """Another estimate, where contacts fit one: by a wider prior; lost, by what vision alone says last."""
         now = smoother.now
-        wider = smoother.restarted(now.inflated((WIDER - 1) * now.covariance.diagonal()[:6]))
+        wider = smoother.restarted(now.inflated((FOLLOWER.inflation - 1) * now.covariance.diagonal()[:6]))
         # Touch may have said where something else is, such as the edge of the table.
         for other in (wider, self.vision.afresh() if self.status.unfitted(self.stamp) else None):
             found = estimate if other is None else correct(vision=other.without_touch)
@@ -338,7 +344,7 @@ class _Step:
     def _reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> PoseEstimate:
         """The estimate where links of the hand that are larger in their file than they are have been found."""
         fits = estimate.consistent and not estimate.outliers
-        if fits and self.stamp - self.links_checked_at < CHECK_EVERY:
+        if fits and self.stamp - self.links_checked_at < HAND_OUTSIDE.check_period:
             return estimate
         self.links_checked_at = self.stamp
         estimate, inside = self.follower.hand.reconciled(estimate, outside, solve)

@@ -1,6 +1,6 @@
 """The fingers over time: whether the hand grasps something, and where those that have let go felt it last."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -10,12 +10,18 @@ from handsight.tracking.propagation import process_variance
 
 GraspChange = Literal["grasped", "regrasped", "released"]
 
-RELEASE_AFTER = 0.2
-"""Nothing may be touched for so long before the object counts as released [s]: contacts flicker as fingers close."""
-LIFTED = 0.005
-"""A palm that rose by so much since the grasp has lifted the object [m]."""
-ENOUGH_FINGERS = 2
-"""So many fingers that stay keep an object where it is while others come and go."""
+
+class GraspDetection(NamedTuple):
+    """When an object is grasped, lifted and released."""
+
+    release_after: float = 0.2
+    """Nothing may be touched for so long before the object counts as released [s]: contacts flicker as fingers close.
+    """
+    lifted: float = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
+    min_fingers: int = 2  # so many fingers that stay keep an object where it is while others come and go
+
+
+GRASP = GraspDetection()
 
 
 class GraspState:
@@ -34,11 +40,11 @@ class GraspState:
         if now:
             self._touched_at = stamp
         change: GraspChange | None = None
-        if self.grasped and stamp - self._touched_at > RELEASE_AFTER:
+        if self.grasped and stamp - self._touched_at > GRASP.release_after:
             self.grasped, self._height, change = False, None, "released"
         elif now and not self.grasped:
             self.grasped, change = True, "grasped"
-        elif now and now != self._fingers and len(now & self._fingers) < ENOUGH_FINGERS:
+        elif now and now != self._fingers and len(now & self._fingers) < GRASP.min_fingers:
             change = "regrasped"
         if now or change == "released":
             self._fingers = now
@@ -48,7 +54,7 @@ class GraspState:
         """Whether an object that stood when it was grasped still does; `height` of the palm in the world [m]."""
         if self._height is None:
             self._height = height
-        return height < self._height + LIFTED
+        return height < self._height + GRASP.lifted
 
 
 class ContactMemory:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,17 @@ from handsight.vision.depth_noise import PRESETS
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm
 
-EVERY, MOST_VIEWS = 0.25, 60
-"""Between pictures that are looked at [s], and how many at most."""
-LEAST_VIEWS = 3
+
+class HandViewOptions(NamedTuple):
+    """Which pictures of a recording are used to calibrate the camera."""
+
+    period: float = 0.25  # between pictures that are used [s]
+    max_views: int = 60  # pictures that are used
+    min_views: int = 3  # views that must agree
+
+
+HAND_VIEWS = HandViewOptions()
+
 SPREAD = 0.015, float(np.deg2rad(6))
 """Views that are farther from the middle one than this are wrong, not noisy [m, rad]."""
 
@@ -68,7 +77,7 @@ class HandViews:
         T_mount_palm = np.eye(4) if camera.on == "palm" else observation.T_world_palm
         if T_mount_palm is None:
             return
-        if self.images >= MOST_VIEWS or observation.stamp < self._last + EVERY:
+        if self.images >= HAND_VIEWS.max_views or observation.stamp < self._last + HAND_VIEWS.period:
             return
         hand = self._hand.placed(observation.joint_positions)
         if hand is None:  # joints that are missing are told of elsewhere
@@ -92,8 +101,8 @@ class HandViews:
         self._views.append((T_mount_camera, pivot, covariance))
 
     def calibration(self) -> HandCalibration | None:
-        """The mean of the views that agree with their middle one; None where fewer than `LEAST_VIEWS` do."""
-        if len(self._views) < LEAST_VIEWS or self._rig.camera is None:
+        """The mean of the views that agree with their middle one; None where fewer than `HAND_VIEWS.min_views` do."""
+        if len(self._views) < HAND_VIEWS.min_views or self._rig.camera is None:
             return None
         Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
         pivot, believed = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
@@ -101,7 +110,7 @@ class HandViews:
         away = np.abs(corrections[:, None] - corrections)
         far = np.maximum(away[..., :3].max(axis=2) / SPREAD[0], away[..., 3:].max(axis=2) / SPREAD[1])
         agree = far[np.median(far, axis=1).argmin()] < 1
-        if agree.sum() < LEAST_VIEWS:
+        if agree.sum() < HAND_VIEWS.min_views:
             return None
         mean = corrections[agree].mean(axis=0)
         spread = corrections[agree] - mean

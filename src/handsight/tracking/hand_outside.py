@@ -7,6 +7,7 @@ inside an object that the fingertips hold, and walls where there is nothing bend
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,19 +16,29 @@ from handsight.correction import Outside, PoseEstimate
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 
-SKIN = 0.001
-"""What a link's surface is off by beside its joints, per axis [m]: soft skin, facets, screws."""
-CONFLICT = 3.0
-"""Standard deviations inside the object from which on a link is taken to be in conflict with the contacts."""
-WEAKER = 4.0
-"""How much larger the links' deviations are when it is asked how deep they are where the contacts fit: along what
-contacts leave open the links still have their say, against contacts they have none."""
-CHECK_EVERY, NOTE_EVERY = 0.1, 0.2
-"""Seconds between two looks for links inside, and between two notes of one link's depth: not one bad pose in a row."""
-ENOUGH_NOTES, MOST_NOTES = 5, 25
-"""Notes from which on a link counts as smaller than its shape, and how many of the last are kept."""
-LARGEST_MARGIN = 0.02
-"""No shape is larger than its link by more [m]: what is deeper inside is a wrong pose."""
+
+class HandOutsideOptions(NamedTuple):
+    """How the hand's links are kept outside the object."""
+
+    sigma_surface: float = 0.001
+    """What a link's surface is off by beside its joints, per axis [m]: soft skin, facets, screws."""
+    conflict: float = 3.0
+    """Standard deviations inside the object from which on a link is in conflict with the contacts."""
+    weaker: float = 4.0
+    """How much larger the links' deviations are when their depth is measured where the contacts fit: along what
+    contacts leave open the links still count, against contacts they do not.
+    """
+    check_period: float = 0.1  # between two looks for links inside [s]
+    note_period: float = 0.2  # between two notes of one link's depth: not one bad pose in a row [s]
+    min_notes: int = 5  # notes from which on a link counts as smaller than its shape
+    max_notes: int = 25  # the last notes, which are kept
+    max_margin: float = (
+        0.02  # no shape is larger than its link by more [m]: what is deeper inside is a wrong pose
+    )
+
+
+HAND_OUTSIDE = HandOutsideOptions()
+
 
 Solve = Callable[[Outside], PoseEstimate]
 
@@ -45,15 +56,16 @@ class LinkMargins:
         return {
             link: median(depth for _, depth in notes)
             for link, notes in self.notes.items()
-            if len(notes) >= ENOUGH_NOTES
+            if len(notes) >= HAND_OUTSIDE.min_notes
         }
 
     def noted(self, depths: Mapping[str, float], stamp: float) -> "LinkMargins":
         """With depths [m] of links that are inside, those that were noted just before left out."""
         new = {
-            link: (*earlier[1 - MOST_NOTES :], (stamp, depth))
+            link: (*earlier[1 - HAND_OUTSIDE.max_notes :], (stamp, depth))
             for link, depth in depths.items()
-            if not (earlier := self.notes.get(link, ())) or abs(stamp - earlier[-1][0]) >= NOTE_EVERY - 1e-9
+            if not (earlier := self.notes.get(link, ()))
+            or abs(stamp - earlier[-1][0]) >= HAND_OUTSIDE.note_period - 1e-9
         }
         return replace(self, notes={**self.notes, **new}) if new else self
 
@@ -77,7 +89,10 @@ class HandOutside:
         if not self.links or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
             return None
         points, levers = surface.points_and_sensitivities(joint_positions)
-        sigmas, known = np.sqrt(self._variance_joint * levers**2 + SKIN**2), margins.known
+        sigmas, known = (
+            np.sqrt(self._variance_joint * levers**2 + HAND_OUTSIDE.sigma_surface**2),
+            margins.known,
+        )
         slacks = np.array([known.get(link, 0.0) for link in self.links])[surface.body_of] if known else None
         given = points, sigmas[surface.body_of], surface.body_of, slacks
         if np.abs(points).max() <= checks.MAX_DISTANCE:
@@ -95,7 +110,7 @@ class HandOutside:
         fits = estimate.consistent and not estimate.outliers
         if fits and not self._conflicts(estimate, outside):
             return estimate, {}
-        yielding = solve(replace(outside, sigmas=WEAKER * np.asarray(outside.sigmas)))
+        yielding = solve(replace(outside, sigmas=HAND_OUTSIDE.weaker * np.asarray(outside.sigmas)))
         if not yielding.consistent or yielding.outliers:
             return estimate, {}
         return yielding, self._conflicts(yielding, outside)
@@ -112,5 +127,5 @@ class HandOutside:
         slacks = 0.0 if outside.slacks is None else np.asarray(outside.slacks)
         beyond = np.maximum.reduceat((depth - slacks) / np.asarray(outside.sigmas), self._first)
         deepest = np.maximum.reduceat(depth, self._first)
-        inside = np.flatnonzero((beyond > CONFLICT) & (deepest < LARGEST_MARGIN))
+        inside = np.flatnonzero((beyond > HAND_OUTSIDE.conflict) & (deepest < HAND_OUTSIDE.max_margin))
         return {self.links[i]: float(deepest[i]) for i in inside}

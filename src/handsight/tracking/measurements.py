@@ -1,6 +1,6 @@
 """What vision and a table measure of the object: each gated, and given to the smoother or its state."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,20 @@ from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]
-GATE_CHI2 = 27.9
-"""χ² of six numbers that one in ten thousand exceeds: such a measurement is wrong, or the object has moved."""
-TABLE_GATE_CHI2 = 16.3
-"""χ² of three numbers that one in a thousand exceeds: beyond it the object does not stand there."""
-REJECTED_UNTIL_RESTART = 5
-"""So many of them in a row say that the object has moved."""
+
+
+class GateOptions(NamedTuple):
+    """Which measurements of the object's pose are wrong."""
+
+    chi2: float = 27.9
+    """Of six numbers, which one in ten thousand exceeds: such a measurement is wrong, or the object has moved."""
+    table_chi2: float = 16.3
+    """Of three numbers, which one in a thousand exceeds: beyond it the object does not stand there."""
+    max_rejected: int = 5  # so many of them in a row say that the object has moved
+
+
+GATES = GateOptions()
+
 UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
 """Variances of a pose before anything is known (δp [m²], δθ [rad²])."""
 
@@ -137,10 +145,10 @@ class VisionUpdate:
         """The smoother after a measurement; beyond the gate it is left out, until several in a row are."""
         expected = smoother.expected(T_mount_palm)
         T = self._model.nearest(T_mount_object, expected)
-        if smoother.mahalanobis2(T, covariance, T_mount_palm) > GATE_CHI2:
+        if smoother.mahalanobis2(T, covariance, T_mount_palm) > GATES.chi2:
             self._rejected_in_a_row += 1
             self.rejected += 1
-            if self._rejected_in_a_row < REJECTED_UNTIL_RESTART:
+            if self._rejected_in_a_row < GATES.max_rejected:
                 return smoother
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
         self._rejected_in_a_row = 0
@@ -173,6 +181,6 @@ def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm:
     innovation = np.concatenate([[table.height - base - T[2, 3]], swing])
     noise = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
     S = H @ state.covariance @ H.T + noise
-    if innovation @ np.linalg.solve(S, innovation) > TABLE_GATE_CHI2:
+    if innovation @ np.linalg.solve(S, innovation) > GATES.table_chi2:
         return None
     return state.updated(H, innovation, noise)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +15,17 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-FEWEST, MOST = 5, 50
-"""Readings of an untouched array from which on their mean is its baseline, and how many are taken."""
-NEWS = 0.3
-"""Of the taxels that are pressed or were so many parts: where more have changed, the pose is asked for anew."""
+
+class SkinOptions(NamedTuple):
+    """How readings of tactile arrays are used."""
+
+    min_baseline: int = 5  # readings of an untouched array from which on their mean is its baseline
+    max_baseline: int = 50  # readings that are taken for it
+    changed_share: float = 0.3
+    """Of the taxels that are or were pressed: where more have changed, the pose is corrected again."""
+
+
+SKIN = SkinOptions()
 
 
 Place = tuple[Array, Array | None]
@@ -58,7 +66,7 @@ class SkinContacts:
             return True
         for name, (touch, _) in self.touches.items():
             now, then = touch.pressed, last.touches[name][0].pressed
-            if (now != then).sum() > NEWS * (now | then).sum():
+            if (now != then).sum() > SKIN.changed_share * (now | then).sum():
                 return True
         return False
 
@@ -83,7 +91,7 @@ class Untouched:
 
         Not believed are taxels at full scale, and those that never change where most do: dead or stuck.
         """
-        if self.count < FEWEST:
+        if self.count < SKIN.min_baseline:
             return 0.0
         mean = self.total / self.count
         dead = ~self.varied if self.varied.mean() > 0.5 else np.zeros_like(self.varied)
@@ -125,7 +133,7 @@ class SkinSensors:
         """What the array's readings say above its baseline, of which these are part where nothing is touched."""
         reading = array.reading(values, f"observation.skin[{name!r}]")
         known = self._untouched.get(name)
-        if not touched and (known is None or known.count < MOST):
+        if not touched and (known is None or known.count < SKIN.max_baseline):
             clean = np.where(np.isfinite(reading), reading, 0.0)
             if known is None:
                 known = Untouched(1, clean, np.zeros(array.shape, dtype=bool), clean)

@@ -1,5 +1,7 @@
 """What a slip does to what is known of the pose: more uncertain along the slip, and a reason to correct at once."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from handsight.copies import shallow_copy
@@ -9,14 +11,20 @@ from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.smoother import PoseBiasSmoother
 
-SPEED, FARTHEST = 0.05, 0.03
-"""Of slips: sigma [m/s]; how far one takes an object that is still in the hand [m]."""
-SIDEWAYS = 0.3
-"""Sigma of the motion across the direction that loads say, in parts of that along it: they are off by some 15°."""
-BEFORE = 0.03
-"""So long before it is noticed a slip may have begun [s]."""
-CORRECTED_EVERY = 0.02
-"""While it slips [s]."""
+
+class SlipUpdateOptions(NamedTuple):
+    """How a slip moves the estimate."""
+
+    sigma_speed: float = 0.05  # of slips [m/s]
+    max_travel: float = 0.03  # how far one takes an object that is still in the hand [m]
+    lateral_share: float = 0.3
+    """Sigma of the motion across the direction that loads say, in parts of that along it: they are off by some 15°."""
+    onset_delay: float = 0.03  # how long before it is noticed a slip may have begun [s]
+    period: float = 0.02  # of corrections while it slips [s]
+
+
+SLIP_UPDATE = SlipUpdateOptions()
+
 EVERY_WAY = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
 """Covariance (6, 6) of a motion of a metre whichever way."""
 
@@ -52,16 +60,24 @@ class SlipUpdate:
         if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
             self._spread = 0.0
             return smoother
-        before, self._spread = self._spread, min(SPEED * (stamp - now.began + BEFORE), FARTHEST)
+        before, self._spread = (
+            self._spread,
+            min(
+                SLIP_UPDATE.sigma_speed * (stamp - now.began + SLIP_UPDATE.onset_delay),
+                SLIP_UPDATE.max_travel,
+            ),
+        )
         more = max(self._spread**2 - before**2, 0.0)
         state = smoother.now
         twist = slip_twist(fingertips.contacts, fingertips.loads, state.T_palm_object[:3, 3])
-        along = EVERY_WAY if twist is None else np.outer(twist, twist) + SIDEWAYS**2 * EVERY_WAY
+        along = (
+            EVERY_WAY if twist is None else np.outer(twist, twist) + SLIP_UPDATE.lateral_share**2 * EVERY_WAY
+        )
         return smoother.restarted(state.spread(more * along))
 
     def asks(self, corrected: float) -> bool:
         """Whether a correction of that stamp [s] is no longer good: a slip has begun or ended since, or goes on."""
         now = self.now
-        if now.slipping and self.detector.stamp - corrected >= CORRECTED_EVERY - 1e-9:
+        if now.slipping and self.detector.stamp - corrected >= SLIP_UPDATE.period - 1e-9:
             return True
         return max(now.began, now.ended) > corrected

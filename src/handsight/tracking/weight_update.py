@@ -13,7 +13,7 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts
-from handsight.tracking.grasp import LIFTED
+from handsight.tracking.grasp import GRASP
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.shared_errors import together
 
@@ -77,7 +77,7 @@ class WeightUpdate:
         elif T is not None:
             height = float(T[2, 3])
             self._height = height if self._height is None else min(self._height, height)
-            if height < self._height + LIFTED:
+            if height < self._height + GRASP.lifted:
                 reason = "the palm has not risen since the grasp"
         if not reason and "on the table" in touch.reasons.values():
             reason = "a finger is on the table"

@@ -6,7 +6,7 @@ Needs matplotlib.
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,22 +21,24 @@ from handsight.viewer.silhouette import silhouette
 
 BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
 MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
-LEAST_WEIGHT = 0.01
-"""Of a second pose that is drawn."""
-MARGIN = 0.35
-"""Around the object, in parts of its size, of what is shown of a picture beside the object and the hand."""
-RESIDUAL = 15.0
-"""Of depth, at the ends of its colours [mm]."""
-BEHIND = 0.004
-"""How far behind the drawn surface an edge is still seen [m]."""
-SHORTEST, MOST_EDGES = 0.04, 2000
-"""Of the edges that are drawn [diameters]: shorter ones are a scan's; and how many at most."""
-MOST_SCORES = 3
-"""Objects whose probability is said."""
-WIDTH = 45
-"""Characters of a line beside a picture."""
-WIDE = 1.35
-"""Width of what is shown of a picture, in parts of its height."""
+
+
+class DetectionFigureOptions(NamedTuple):
+    """How a detection is drawn."""
+
+    min_weight: float = 0.01  # of a second pose that is drawn
+    margin: float = 0.35
+    """Around the object, in parts of its size, of what is shown of a picture beside the object and the hand."""
+    max_residual: float = 15.0  # of depth, at the ends of its colours [mm]
+    edge_depth: float = 0.004  # how far behind the drawn surface an edge is still visible [m]
+    min_edge: float = 0.04  # of the edges that are drawn [diameters]: shorter ones are a scan's
+    max_edges: int = 2000  # that are drawn
+    max_scores: int = 3  # objects whose probability is written
+    line_width: int = 45  # characters of a line beside a picture
+    aspect: float = 1.35  # width of what is shown of a picture, in parts of its height
+
+
+FIGURE = DetectionFigureOptions()
 
 
 def draw_located(rows: Sequence[Located], path: Path) -> None:
@@ -67,11 +69,11 @@ def _draw(left: Any, right: Any, row: Located) -> None:
     if row.reason is not None:
         text = f"{row.model.name} is not here" if row.recognition is None else "none of them is here"
         left.set_title(f"{frame.name}: {text}{_scores(row)}", fontsize=11)
-        reason = textwrap.fill(row.reason, WIDTH)
+        reason = textwrap.fill(row.reason, FIGURE.line_width)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
         right.set_frame_on(False)
         return
-    likely = found.weights[1:2].sum() >= LEAST_WEIGHT
+    likely = found.weights[1:2].sum() >= FIGURE.min_weight
     shown = found.Ts_camera_object[: 2 if likely else 1]
     for color, style, called in MODES[: len(shown)]:
         left.plot([], [], color=color, linestyle=style, lw=2.5, label=called)
@@ -94,7 +96,7 @@ def _scores(row: Located) -> str:
     """Of several objects a line of the likeliest ones' probabilities; empty of one."""
     if row.recognition is None:
         return ""
-    likeliest = list(row.recognition.scores.items())[:MOST_SCORES]
+    likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
     each = [*likeliest, ("none", row.recognition.none)]
     return "\n" + ", ".join(f"{name} {share:.2f}" for name, share in each)
 
@@ -126,9 +128,9 @@ def _outline(axes: Any, row: Located, T: Array, color: str, style: str) -> None:
         tint[there] = (1.0, 0.70, 0.0, 0.22)
         axes.imshow(tint, interpolation="nearest")
     edges = creases(row.model)
-    long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > SHORTEST * row.model.diameter
+    long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > FIGURE.min_edge * row.model.diameter
     lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
-    for line in lines[(lines[..., 2] > 0).all(axis=1)][:MOST_EDGES]:
+    for line in lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]:
         pixels = row.frame.camera.project(line)
         if np.isfinite(pixels).all() and _is_visible(drawn, pixels.mean(axis=0), line[:, 2].mean()):
             axes.plot(*pixels.T, color=color, lw=0.9)
@@ -140,7 +142,7 @@ def _is_visible(drawn: Depth, pixel: Array, z: float) -> bool:
     if not (0 <= u < width and 0 <= v < height):
         return False
     around = drawn[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
-    return bool(z < np.nanmax(np.where(np.isfinite(around), around, -np.inf)) + BEHIND)
+    return bool(z < np.nanmax(np.where(np.isfinite(around), around, -np.inf)) + FIGURE.edge_depth)
 
 
 def _crop(axes: Any, drawn: Depth) -> None:
@@ -149,10 +151,10 @@ def _crop(axes: Any, drawn: Depth) -> None:
     height, width = drawn.shape
     if not len(rows):
         return
-    across = max(float(np.ptp(rows)), float(np.ptp(columns)) / WIDE, 60.0)
-    tall = max((1 + 2 * MARGIN) * across, 0.45 * height)
-    tall = min(tall, height, width / WIDE)
-    sides = np.array([WIDE * tall, tall])
+    across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
+    tall = max((1 + 2 * FIGURE.margin) * across, 0.45 * height)
+    tall = min(tall, height, width / FIGURE.aspect)
+    sides = np.array([FIGURE.aspect * tall, tall])
     middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
     low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
     axes.set_xlim(low[0], low[0] + sides[0])
@@ -169,10 +171,12 @@ def _residual(axes: Any, frame: Frame, drawn: Depth) -> None:
     off = np.full(drawn.shape, np.nan)
     off[known] = 1e3 * (frame.depth[known] - drawn[known])
     axes.set_facecolor("0.85")
-    shown = axes.imshow(off, cmap="RdBu", vmin=-RESIDUAL, vmax=RESIDUAL, interpolation="nearest")
+    shown = axes.imshow(
+        off, cmap="RdBu", vmin=-FIGURE.max_residual, vmax=FIGURE.max_residual, interpolation="nearest"
+    )
     if frame.hand is not None:
         before = np.zeros((*drawn.shape, 4))
-        before[frame.hand & (off < -RESIDUAL)] = *HAND, 1.0
+        before[frame.hand & (off < -FIGURE.max_residual)] = *HAND, 1.0
         axes.imshow(before, interpolation="nearest")
     axes.contour(there, [0.5], colors=[BEST], linewidths=1.5)
     rows, columns = np.nonzero(there)

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -18,17 +18,23 @@ from handsight.tracking import State, Tracker
 from handsight.viewer import viewer_process
 from handsight.viewer.curves import Curves, slips_of
 from handsight.viewer.moment import Moment
-from handsight.viewer.page import PORT
-
-CURVES_EVERY, RESTS = 0.25, 0.1
-"""Between two plots [s], and how long a tracker is given nothing that rests [s]."""
-PATIENCE = 5.0
-"""With a page that is to end [s]."""
-NOTE_EVERY, MOST_NOTES = 0.1, 600
-"""How often the past is taken note of [s], and how many notes are kept: a minute."""
+from handsight.viewer.page import PAGE
 
 
-def view(tracker: Tracker, *, port: int = PORT, say: Callable[[str], None] = print) -> "Viewer":
+class LiveViewerOptions(NamedTuple):
+    """How often a live view is drawn."""
+
+    curve_period: float = 0.25  # between two plots [s]
+    idle_pause: float = 0.1  # how long a tracker is given nothing while it rests [s]
+    end_timeout: float = 5.0  # with a page that is to end [s]
+    note_period: float = 0.1  # between notes of the past [s]
+    max_notes: int = 600  # notes that are kept: a minute
+
+
+LIVE_VIEWER = LiveViewerOptions()
+
+
+def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] = print) -> "Viewer":
     """A page that shows a tracker at work to any browser of this machine; `Viewer.update` gives it what is new.
 
     ```
@@ -78,7 +84,7 @@ class Viewer(NullViewer):
     It may be updated at any rate, and draws in a process of its own.
     """
 
-    def __init__(self, tracker: Tracker, *, port: int = PORT) -> None:
+    def __init__(self, tracker: Tracker, *, port: int = PAGE.port) -> None:
         """See `view`."""
         self._pipe, self._process = viewer_process.begin()
         self._changed, self._sending = threading.Event(), threading.Lock()
@@ -90,7 +96,7 @@ class Viewer(NullViewer):
         self._shot: viewer_process.Shot | None = None
         self._sent: tuple[object, object] = None, None
         """The newest and the shot that the page has."""
-        self._past = deque[tuple[float, float, State, Slip]](maxlen=MOST_NOTES)
+        self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
         self._noted = self._plotted = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
@@ -114,7 +120,7 @@ class Viewer(NullViewer):
         if observation.stamp != tracker.stamp:
             return  # it came late: the tracker has not taken it
         now = time.monotonic()
-        if now - self._noted >= NOTE_EVERY:
+        if now - self._noted >= LIVE_VIEWER.note_period:
             self._noted = now
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
@@ -130,7 +136,7 @@ class Viewer(NullViewer):
         self._closed = True
         self._changed.set()
         self._send(None)
-        self._thread.join(PATIENCE)
+        self._thread.join(LIVE_VIEWER.end_timeout)
         _end(self._process)
 
     def _started(self, port: int) -> str:
@@ -163,7 +169,7 @@ class Viewer(NullViewer):
     def _next(self) -> viewer_process.Frame | None:
         """What the page does not have, once there is something; None: it is the end."""
         while not self._closed:
-            self._changed.wait(RESTS)
+            self._changed.wait(LIVE_VIEWER.idle_pause)
             self._changed.clear()
             newest, shot = self._newest, self._shot
             if newest is None or newest is self._sent[0]:
@@ -184,7 +190,7 @@ class Viewer(NullViewer):
     def _curves(self) -> Curves | None:
         """The last minute, of the newest track: a clock that was set back begins anew. None: it was just plotted."""
         now = time.monotonic()
-        if now - self._plotted < CURVES_EVERY:
+        if now - self._plotted < LIVE_VIEWER.curve_period:
             return None
         self._plotted = now
         notes = list(self._past)
@@ -204,7 +210,7 @@ def _end(process: "subprocess.Popen[bytes] | None") -> None:
     if process is None:
         return
     try:
-        process.wait(PATIENCE)
+        process.wait(LIVE_VIEWER.end_timeout)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -3,7 +3,7 @@
 import contextlib
 import io
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,12 +18,20 @@ from handsight.viewer.picture import Picture
 from handsight.viewer.scene import LAYERS, Color, Scene
 
 HOST = "127.0.0.1"
-PORT, MAX_PORT = 8080, 65535
-UNSEEN, IMAGE_EVERY = 1e-3, 0.1
-"""On the same image an outline whose pose has changed by less in any of its numbers is not drawn again, nor is any so
-soon [s]."""
-AWAY = 2.4
-"""The camera's distance from the object and the palm, in half their span."""
+
+
+class PageOptions(NamedTuple):
+    """Where the page is served, and how often it is drawn."""
+
+    port: int = 8080  # the usual one
+    max_port: int = 65535  # the largest there is
+    min_change: float = 1e-3
+    """On the same image an outline whose pose has changed by less in any of its numbers is not drawn again."""
+    image_period: float = 0.1  # nor is any so soon [s]
+    distance: float = 2.4  # the camera's distance from the object and the palm, in half their span
+
+
+PAGE = PageOptions()
 
 
 def require_viser() -> Any:
@@ -38,11 +46,13 @@ def require_viser() -> Any:
 class Page:
     """A server on this machine alone, the scene and the panel on its page."""
 
-    def __init__(self, rig: Rig, model: ObjectModel, *, port: int = PORT, title: str = "handsight") -> None:
+    def __init__(
+        self, rig: Rig, model: ObjectModel, *, port: int = PAGE.port, title: str = "handsight"
+    ) -> None:
         """Where `port` is taken, the next one that is free. Raises MissingExtra, HandsightError where none is."""
         viser = require_viser()
-        if not 1 <= port <= MAX_PORT:  # viser would wait for ever
-            raise InvalidInput(f"port: expected a number from 1 to {MAX_PORT}, got {port}")
+        if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
+            raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
         try:
             with _unsaid():
                 self.server = viser.ViserServer(host=HOST, port=port, label="handsight", verbose=False)
@@ -126,7 +136,7 @@ class Page:
         before, stamp, drawn = self._drawn
         if shown is before and outlines.keys() == drawn.keys():
             moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)
-            if moved < UNSEEN or abs(moment.stamp - stamp) < IMAGE_EVERY:
+            if moved < PAGE.min_change or abs(moment.stamp - stamp) < PAGE.image_period:
                 return
         self._drawn = shown, moment.stamp, outlines
         self.panel.draw_image(shown.with_outlines(self._model, outlines))
@@ -142,7 +152,7 @@ class Page:
         low, high = np.min(places, axis=0), np.max(places, axis=0)
         center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
         up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
-        position = center + AWAY * span * side_view(places[-1] - places[0], up)
+        position = center + PAGE.distance * span * side_view(places[-1] - places[0], up)
         cameras = [self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())]
         self.server.scene.set_up_direction(up)
         for camera in cameras:

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +19,20 @@ from handsight.viewer.silhouette import silhouette
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
 
-WIDEST = 320
-"""Of an image that is shown [pixels]."""
-AROUND, LEAST = 0.25, 40.0
-"""Half of what is shown around the palm, where that is in the image [m], and how little at least [pixels]."""
-MOST_POINTS = 3000
-QUALITY = 80
-"""Of a JPEG."""
-REACH = 0.2
-"""Points farther from the palm are not shown [m]: they are the room's."""
-GREY = 110
-"""Of points whose colour is not known."""
+
+class PictureOptions(NamedTuple):
+    """What is shown of an image."""
+
+    max_width: int = 320  # of an image that is shown [pixels]
+    around: float = 0.25  # half of what is shown around the palm, where that is in the image [m]
+    min_around: float = 40.0  # and how little at least [pixels]
+    max_points: int = 3000  # of a cloud
+    jpeg_quality: int = 80  # of a JPEG
+    max_range: float = 0.2  # points farther from the palm are not shown [m]: they are the room's
+    grey: int = 110  # of points whose colour is not known
+
+
+PICTURE = PictureOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +87,7 @@ def jpeg(image: Color) -> bytes:
     from PIL import Image  # which viser needs
 
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "JPEG", quality=QUALITY)
+    Image.fromarray(image).save(buffer, "JPEG", quality=PICTURE.jpeg_quality)
     return buffer.getvalue()
 
 
@@ -105,7 +109,7 @@ def picture(
     points, colors = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if camera is not None and depth is not None and T_camera_palm is not None:
         points, places = _cloud(camera, depth, T_camera_palm)
-        colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), GREY, np.uint8)
+        colors = image.reshape(-1, 3)[places] if alike else np.full((len(points), 3), PICTURE.grey, np.uint8)
     shown = _window(camera, T_camera_palm, image)
     image = np.ascontiguousarray(image[shown])
     smaller = None if camera is None else _within(camera, shown, image)
@@ -142,12 +146,12 @@ def _window(camera: Camera | None, T_camera_palm: Array | None, image: Color) ->
     if camera is not None and T_camera_palm is not None:
         pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]
         if np.isfinite(pixel).all() and ((pixel >= 0) & (pixel < camera.size)).all():
-            half = max(focal * AROUND / T_camera_palm[2, 3], LEAST)
+            half = max(focal * PICTURE.around / T_camera_palm[2, 3], PICTURE.min_around)
             rows, columns = (
                 slice(int(max(middle - size, 0)), int(min(middle + size, end)) + 1)
                 for middle, size, end in zip(pixel[::-1], (0.75 * half, half), image.shape[:2], strict=True)
             )
-    step = max(1, -(-(columns.stop - columns.start) // WIDEST))
+    step = max(1, -(-(columns.stop - columns.start) // PICTURE.max_width))
     return slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step)
 
 
@@ -173,6 +177,6 @@ def _cloud(camera: Camera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[
     points = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
     center = T_camera_palm[:3, 3].astype(np.float32)
     with np.errstate(invalid="ignore"):
-        places = np.flatnonzero(np.abs(points - center).max(axis=1) < REACH)
-    places = places[:: max(1, -(-len(places) // MOST_POINTS))]
+        places = np.flatnonzero(np.abs(points - center).max(axis=1) < PICTURE.max_range)
+    places = places[:: max(1, -(-len(places) // PICTURE.max_points))]
     return se3.apply(se3.inverse(T_camera_palm), points[places].astype(float)).astype(np.float32), places

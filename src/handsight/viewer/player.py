@@ -5,20 +5,27 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.panel import CONTROLS
 
-FRAME, PLOT_EVERY, CURVES_EVERY = 1 / 30, 0.2, 1.0
-"""Between two moments that are kept or drawn, two plots, and two looks at a timeline that grows [s]."""
-TIME_TOLERANCE = 1e-3
-"""Stamps nearer to each other are the same [s]."""
+
+class PlayerOptions(NamedTuple):
+    """How a recording is played."""
+
+    frame: float = 1 / 30  # between two moments that are kept or drawn [s]
+    plot_period: float = 0.2  # between two plots [s]
+    poll_period: float = 1.0  # between two looks at a timeline that grows [s]
+    time_tolerance: float = 1e-3  # stamps nearer to each other are the same [s]
+    min_hold: float = 0.6  # how long after a person moves the slider playing does not move it [s]
+
+
+PLAYER = PlayerOptions()
+
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
-MIN_HOLD = 0.6
-"""How long after a person moves the slider playing does not move it [s]."""
 
 
 class Timeline:
@@ -32,7 +39,7 @@ class Timeline:
         """Keeps a moment, if there is none just before it, whether there is one; one that goes back is left out."""
         last = self._stamps[-1] if self._stamps else -math.inf
         # What a person can see, and with it bounded memory.
-        if moment.stamp - last < FRAME - TIME_TOLERANCE:
+        if moment.stamp - last < PLAYER.frame - PLAYER.time_tolerance:
             return False
         self.moments.append(moment)
         self._stamps.append(moment.stamp)
@@ -51,7 +58,9 @@ class Timeline:
     def at(self, time: float) -> Moment:
         """The last one that is not later than a time since the first [s]; else the first."""
         # The sum of a difference may be below the stamp it was made of: seconds since 1970 have a quarter of a µs.
-        return self.moments[max(0, bisect.bisect_right(self._stamps, self.begin + time + TIME_TOLERANCE) - 1)]
+        return self.moments[
+            max(0, bisect.bisect_right(self._stamps, self.begin + time + PLAYER.time_tolerance) - 1)
+        ]
 
 
 class Player:
@@ -125,7 +134,7 @@ class Player:
         while not self._closed:
             if not (self.playing and self._watched):
                 # A timeline that grows makes its plots longer.
-                self._wake.wait(CURVES_EVERY if self._growing else None)
+                self._wake.wait(PLAYER.poll_period if self._growing else None)
                 self._wake.clear()
                 last = time.monotonic()
             if self._closed or not self._watched:
@@ -136,7 +145,7 @@ class Player:
             last = now
             self._show()
             if self.playing:
-                time.sleep(max(0.0, FRAME - (time.monotonic() - now)))
+                time.sleep(max(0.0, PLAYER.frame - (time.monotonic() - now)))
 
     @property
     def _watched(self) -> bool:
@@ -158,16 +167,16 @@ class Player:
         if self._button.label != label:
             self._button.label = label
         clock = time.monotonic()
-        if self.playing and clock - self._plotted < PLOT_EVERY:
+        if self.playing and clock - self._plotted < PLAYER.plot_period:
             return
         self._plotted = clock
         if self._curves_at == -math.inf or (
-            self._curves_at != math.inf and clock - self._curves_at > CURVES_EVERY
+            self._curves_at != math.inf and clock - self._curves_at > PLAYER.poll_period
         ):
             self._curves_at = clock if self._growing else math.inf
             self._plot = self._curves()
             self._slider.max = max(round(self._timeline.length, 2), 0.01)
         if self._plot is not None:
             self._page.draw_curves(self._plot, now)
-        if clock - self._moved > MIN_HOLD:
+        if clock - self._moved > PLAYER.min_hold:
             self._slider.value = round(now, 2)

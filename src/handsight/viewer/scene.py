@@ -1,7 +1,7 @@
 """A moment in three dimensions, in the palm's frame, as nodes of a viser scene."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,27 @@ from handsight.viewer.shapes import ellipsoid, middle, opened
 
 Color = tuple[int, int, int]
 HAND: Color = (176, 182, 194)
-HAND_OPACITY, OBJECT_OPACITY, GHOST_OPACITY = 0.55, 0.75, 0.22
-"""Contacts, and arrows that begin there, are seen through both."""
+
+
+class SceneStyle(NamedTuple):
+    """How hand, object and contacts are drawn."""
+
+    hand_opacity: float = 0.55  # contacts, and arrows that begin there, are visible through it
+    object_opacity: float = 0.75  # the same of the object
+    ghost_opacity: float = 0.22  # of other modes
+    ghost_scale: float = 1.01  # of other modes, so that equal surfaces do not flicker
+    max_modes: int = 3  # that are drawn
+    inside: float = 0.7  # an ellipsoid smaller than so many of the object's radii is taken to be in it
+    min_shift: float = 3e-4  # a link or a line that has moved by less is not sent again: joints tremble [m]
+    min_rotation: float = 2e-3  # or turned by less, in its quaternion
+    normal_length: float = 0.02  # of a normal's arrow [m]
+    force_length: float = 0.012  # of a force's arrow [m/N]
+    max_force_length: float = 0.12  # of a force's arrow [m]
+    max_points: int = 4000  # of a cloud
+
+
+STYLE = SceneStyle()
+
 LAYERS: dict[str, tuple[str, Color]] = {
     "hand": ("hand", HAND),
     "object": ("object, corrected", (224, 161, 0)),
@@ -30,17 +49,6 @@ LAYERS: dict[str, tuple[str, Color]] = {
     "depth": ("depth image", (110, 110, 110)),
 }
 """What can be shown, by name: in words, and in which colour."""
-GHOST_SCALE = 1.01
-MOST_MODES = 3
-INSIDE = 0.7
-"""An ellipsoid smaller than so many of the object's radii is taken to be in it."""
-MOVED, TURNED = 3e-4, 2e-3
-"""A link or a line that has moved [m] or turned by less (in its quaternion) is not sent again: joints tremble."""
-NORMAL, FORCE = 0.02, 0.012
-"""Lengths of a normal [m] and of a force [m/N]."""
-LONGEST = 0.12
-"""Of a force's arrow [m]."""
-CLOUD = 4000
 REJECTED: Color = (30, 30, 30)
 
 
@@ -54,7 +62,11 @@ class Scene:
         """Which are wanted."""
         self.links = {
             name: scene.add_mesh_simple(
-                f"/hand/{name.replace('/', '_')}", *mesh, color=HAND, opacity=HAND_OPACITY, visible=False
+                f"/hand/{name.replace('/', '_')}",
+                *mesh,
+                color=HAND,
+                opacity=STYLE.hand_opacity,
+                visible=False,
             )
             for name, mesh in rig.hand.link_meshes().items()
         }
@@ -64,9 +76,9 @@ class Scene:
         }
         """Of each link, as it was last sent."""
         self._picture: Picture | None = None
-        self.object = self._copy("/object", "object", OBJECT_OPACITY)
-        self.vision = self._copy("/vision", "vision", GHOST_OPACITY)
-        self.modes = [self._copy(f"/modes/{k}", "modes", GHOST_OPACITY) for k in range(MOST_MODES)]
+        self.object = self._copy("/object", "object", STYLE.object_opacity)
+        self.vision = self._copy("/vision", "vision", STYLE.ghost_opacity)
+        self.modes = [self._copy(f"/modes/{k}", "modes", STYLE.ghost_opacity) for k in range(STYLE.max_modes)]
         none, gone = np.zeros((0, 3), np.float32), {"visible": False}
         size = {"point_size": 0.006, "point_shape": "circle"}
         self.contacts = scene.add_point_cloud("/contacts", none, LAYERS["contacts"][1], **size, **gone)
@@ -101,7 +113,10 @@ class Scene:
         if not any(there):
             return
         Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
-        new = {"position": (Ts[:, :3, 3], MOVED), "wxyz": (quaternions_wxyz(Ts), TURNED)}
+        new = {
+            "position": (Ts[:, :3, 3], STYLE.min_shift),
+            "wxyz": (quaternions_wxyz(Ts), STYLE.min_rotation),
+        }
         for part, (values, least) in new.items():
             sent = self._sent[part]
             for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & there):
@@ -118,9 +133,14 @@ class Scene:
         on_skin = np.zeros((0, 3)) if pressed is None else pressed.points_palm
         self._set(self.contacts, np.concatenate([points[~wrong], on_skin]), wanted)
         self._set(self.rejected, points[wrong], wanted)
-        self._set(self.normals, np.stack([points, points + NORMAL * normals], axis=1), wanted)
+        self._set(self.normals, np.stack([points, points + STYLE.normal_length * normals], axis=1), wanted)
         arrows = [
-            (point, point + force * min(FORCE, LONGEST / max(float(np.linalg.norm(force)), 1e-9)))
+            (
+                point,
+                point
+                + force
+                * min(STYLE.force_length, STYLE.max_force_length / max(float(np.linalg.norm(force)), 1e-9)),
+            )
             for name, point in zip(fingertips.fingers, points, strict=True)
             if (force := forces.get(name)) is not None
         ]
@@ -133,8 +153,8 @@ class Scene:
         if found is not None and self.layers["covariance"]:
             self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
             # Within the object it must be opaque to be drawn before it; around it, it must be seen through.
-            inside = found.semi_axes.max() < INSIDE * model.radius
-            self.covariance.opacity = None if inside else GHOST_OPACITY / 2
+            inside = found.semi_axes.max() < STYLE.inside * model.radius
+            self.covariance.opacity = None if inside else STYLE.ghost_opacity / 2
         open_shifts, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:
             center = middle(model, estimate.T_palm_object)
@@ -165,7 +185,11 @@ class Scene:
     def _set(self, handle: Any, points: Array, wanted: bool) -> None:
         before = handle.points
         # viser takes ten times as long to find that nothing has changed.
-        if wanted and len(points) and (points.shape != before.shape or np.abs(points - before).max() > MOVED):
+        if (
+            wanted
+            and len(points)
+            and (points.shape != before.shape or np.abs(points - before).max() > STYLE.min_shift)
+        ):
             handle.points = points
         _see(handle, wanted and len(points) > 0)
 
@@ -174,7 +198,7 @@ class Scene:
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
             # Two of them at one place would flicker.
-            scale = 1.0 if layer == "object" else GHOST_SCALE
+            scale = 1.0 if layer == "object" else STYLE.ghost_scale
             style = {
                 "color": color,
                 "opacity": opacity,
@@ -183,7 +207,7 @@ class Scene:
                 "cast_shadow": False,
             }
             return self._scene.add_mesh_simple(name, model.vertices, model.faces, side="double", **style)
-        points, _ = model.sample(CLOUD)
+        points, _ = model.sample(STYLE.max_points)
         return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
 
     def _arrows(self, name: str, layer: str, radius: float) -> Any:

@@ -11,12 +11,19 @@ from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
 from handsight.tracking.propagation import point_covariance
 
-CREASE = np.deg2rad(25)
-OPEN_SHIFT, OPEN_TURN = 0.65, 0.62
-"""Half a slide's double arrow in parts of the object's diameter; the radius of a turn's arc in parts of its radius."""
-ARC_POINTS, ARC_ANGLE = 60, 1.6 * np.pi
-WITHIN_95 = 2.795
-"""Standard deviations within which three numbers of a Gaussian are with 95 %."""
+
+class ShapeStyle(NamedTuple):
+    """How edges and uncertain directions are drawn."""
+
+    crease: float = np.deg2rad(25)  # angle between triangles at which an edge is drawn [rad]
+    open_shift: float = 0.65  # half a flat direction's double arrow in parts of the object's diameter
+    open_rotation: float = 0.62  # the radius of a turn's arc in parts of the object's radius
+    arc_points: int = 60  # of such an arc
+    arc_angle: float = 1.6 * np.pi  # of such an arc [rad]
+    sigmas_95: float = 2.795  # standard deviations within which three numbers of a Gaussian are with 95 %
+
+
+SHAPES = ShapeStyle()
 
 
 class Open(NamedTuple):
@@ -41,7 +48,7 @@ def creases(model: ObjectModel) -> Array:
     if not len(model.faces):
         return np.empty((0, 2, 3))
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
-    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > CREASE]
+    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > SHAPES.crease]
     edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     return np.asarray(model.vertices[np.concatenate([sharp, edges[count == 1]])])
 
@@ -56,20 +63,20 @@ def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
     whichever it mostly is."""
     # About the object's middle, where a turn leaves the drawn object in place.
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
-        reach = OPEN_SHIFT * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
+        reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
         return Open(np.stack([center - reach, center + reach]), turn=False)
     axis = direction[3:] / np.linalg.norm(direction[3:])
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
-    angle = np.linspace(0, ARC_ANGLE, ARC_POINTS)[:, None]
+    angle = np.linspace(0, SHAPES.arc_angle, SHAPES.arc_points)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return Open(center + OPEN_TURN * model.radius * ring, turn=True)
+    return Open(center + SHAPES.open_rotation * model.radius * ring, turn=True)
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:
     """Where the object's middle is; along what is open no longer than the object."""
     values, axes = np.linalg.eigh(point_covariance(estimate, model, model.center_object))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
-    semi_axes = WITHIN_95 * np.sqrt(values.clip(min=0.0))
+    semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))
     center = middle(model, estimate.T_palm_object)
     return Ellipsoid(se3.compose(axes, center), semi_axes.clip(max=model.diameter))

@@ -26,10 +26,17 @@ from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.picture import picture
 
-FRAME, POLL_EVERY = 1 / 30, 0.2
-"""Between two frames, and between two looks whether somebody looks [s]."""
-NICENESS = 5
-"""A robot's own work goes first."""
+
+class ViewerProcessOptions(NamedTuple):
+    """How often the viewer's process works."""
+
+    frame: float = 1 / 30  # between two frames [s]
+    poll_period: float = 0.2  # between two looks whether a page is open [s]
+    niceness: int = 5  # a robot's own work goes first
+
+
+VIEWER_PROCESS = ViewerProcessOptions()
+
 BEGIN = """
 import sys
 from multiprocessing.connection import Connection
@@ -76,7 +83,7 @@ def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
 def main(pipe: "Connection[Any, Any]") -> None:
     """Serves until whoever began it is gone, however that was: Ctrl-C is for them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    os.nice(VIEWER_PROCESS.niceness)
     serve(pipe)
 
 
@@ -102,7 +109,7 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
         if not page.watched:
             pipe.send(False)
             while not page.watched:
-                if pipe.poll(POLL_EVERY):
+                if pipe.poll(VIEWER_PROCESS.poll_period):
                     return
         pipe.send(True)
         frame: Frame | None = pipe.recv()
@@ -116,4 +123,4 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
         page.draw(last)
         if frame.curves is not None:
             page.draw_curves(frame.curves, 0.0)
-        time.sleep(max(0.0, FRAME - (time.monotonic() - began)))
+        time.sleep(max(0.0, VIEWER_PROCESS.frame - (time.monotonic() - began)))

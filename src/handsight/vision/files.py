@@ -1,7 +1,7 @@
 """Depth, colour and intrinsics from files: PNG, JPEG, and a small JSON."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -16,10 +16,18 @@ from handsight.msgspec_errors import decode
 from handsight.vision import pixels
 from handsight.vision.pixels import MILLIMETRE, Color
 
-LARGEST_IMAGE, LARGEST_CAMERA = 200_000_000, 100_000
-"""Bytes."""
-FINEST_SCALE, COARSEST_SCALE = 1e-7, 1.0
-"""Metres that one step of a depth image can be."""
+
+class FileLimits(NamedTuple):
+    """What files of images may hold."""
+
+    max_image: int = 200_000_000  # bytes of an image
+    max_camera: int = 100_000  # bytes of a camera
+    min_scale: float = 1e-7  # metres that one step of a depth image is at least
+    max_scale: float = 1.0  # and at most
+
+
+FILES = FileLimits()
+
 Pixels = Annotated[float, Meta(gt=0, le=1e6)]
 Side = Annotated[int, Meta(gt=0, le=MAX_PIXELS)]
 
@@ -44,7 +52,7 @@ def read_camera(path: str | Path) -> Camera:
 
     `lens`: k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV. Raises InvalidFile with the file's name and the key.
     """
-    form = decode(read_bytes(path, LARGEST_CAMERA), CameraForm, str(path))
+    form = decode(read_bytes(path, FILES.max_camera), CameraForm, str(path))
     K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
     try:
         return Camera(K, (form.width, form.height), np.array(form.lens))
@@ -60,10 +68,10 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
     median depth (below 2 cm or beyond 20 m) says that the unit is another; InvalidInput for the scale; MissingExtra.
     """
     unit = checks.positive(scale, "scale")
-    if not FINEST_SCALE <= unit <= COARSEST_SCALE:
-        expected = f"expected metres from {FINEST_SCALE:g} to {COARSEST_SCALE:g}"
+    if not FILES.min_scale <= unit <= FILES.max_scale:
+        expected = f"expected metres from {FILES.min_scale:g} to {FILES.max_scale:g}"
         raise InvalidInput(f"scale: {expected}, got {unit:g} (millimetres?)")
-    data = read_bytes(path, LARGEST_IMAGE)
+    data = read_bytes(path, FILES.max_image)
     try:
         depth = pixels.metres(_of_size(pixels.sixteen_bits(data), camera), unit)
     except InvalidInput as error:
@@ -78,7 +86,7 @@ def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
 
     Raises InvalidFile, MissingExtra.
     """
-    data = read_bytes(path, LARGEST_IMAGE)
+    data = read_bytes(path, FILES.max_image)
     try:
         return _of_size(pixels.color(data), camera)
     except InvalidInput as error:

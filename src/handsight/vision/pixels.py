@@ -3,7 +3,7 @@
 import io
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,19 @@ from handsight.errors import InvalidInput, MissingExtra
 
 Color = NDArray[np.uint8]
 
-MAX_PIXELS = 20_000_000
-"""Of a compressed image, before it is unpacked; a kilobyte may hold as many."""
-NEAREST, FARTHEST_MEDIAN = 0.02, 20.0
-"""Between them lies the median of what a depth camera sees [m]; beyond them the unit is another."""
+
+class DepthLimits(NamedTuple):
+    """What a depth image may hold."""
+
+    max_pixels: int = 20_000_000  # of a compressed image, before it is unpacked; a kilobyte may hold as many
+    min_median: float = (
+        0.02  # median of what a depth camera measures, at least: below it the unit is another [m]
+    )
+    max_median: float = 20.0  # and at most [m]
+
+
+DEPTH_LIMITS = DepthLimits()
+
 MILLIMETRE = 1e-3
 
 
@@ -34,8 +43,8 @@ def metres(pixels: NDArray[Any], scale: float = MILLIMETRE) -> Depth:
     sample = depth[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan
-    if unit * median < NEAREST or unit * median > FARTHEST_MEDIAN:
-        guess = "another unit?" if is_integer or median < NEAREST else "millimetres?"
+    if unit * median < DEPTH_LIMITS.min_median or unit * median > DEPTH_LIMITS.max_median:
+        guess = "another unit?" if is_integer or median < DEPTH_LIMITS.min_median else "millimetres?"
         raise InvalidInput(f"expected depth in {_called(unit)}, got a median of {median:.4g} ({guess})")
     return depth * np.float32(unit) if is_integer else depth
 
@@ -70,8 +79,8 @@ def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise InvalidInput(f"expected at most {MAX_PIXELS} pixels, got {image.size}")
+                if image.width * image.height > DEPTH_LIMITS.max_pixels:
+                    raise InvalidInput(f"expected at most {DEPTH_LIMITS.max_pixels} pixels, got {image.size}")
                 return read(image)
     except InvalidInput:
         raise

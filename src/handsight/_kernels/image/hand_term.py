@@ -4,11 +4,11 @@ Residual of a hand's point P with normal n, where the image has Q: `n·(Q - P)`,
 moves by (τ, ω), about its middle; the residual's derivative is `-(n, (P - c) × n)` (point to plane, Chen and Medioni).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from handsight._kernels.image.palm_scan import AGREES, FACING
+from handsight._kernels.image.palm_scan import PALM_SCAN
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of, store_pose
@@ -27,16 +27,26 @@ from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.damped import damped_step
 
-LONGEST_SHIFT, LONGEST_TURN = 0.03, 0.3
-"""Of one step [m, rad]."""
-LEAST_WEIGHT = 5.0
-"""Points that a step takes."""
-ALIKE, UNALIKE, UNSURE = 0.8, 0.2, 0.6
-"""Cosines of normals from which a pixel is explained wholly and not at all; and how much is without a normal."""
-PASSED, HIDDEN, TURNED, POWER = 1.5, 0.1, 0.2, 0.7
-"""What pixels weigh against explained ones that the camera sees past, that are hidden, that have another normal."""
-FARTHER, UNKNOWN, LEAST_EXPECTED = 3.0, 0.5, 100.0
-"""Bounds along the ray; what a pixel without depth counts; [pixels]"""
+
+class HandScoreOptions(NamedTuple):
+    """How a hand's pose is refined on a depth image, and what each of its pixels says of it."""
+
+    max_shift: float = 0.03  # of one step [m]
+    max_rotation: float = 0.3  # of one step [rad]
+    min_points: float = 5.0  # points that a step needs, by weight
+    explained_cosine: float = 0.8  # cosine of normals above which a pixel is explained entirely
+    unexplained_cosine: float = 0.2  # cosine of normals below which a pixel is not explained at all
+    without_normal: float = 0.6  # how much of a pixel without a normal is explained
+    passed_weight: float = 1.5  # of a pixel that the camera sees past, against an explained one
+    hidden_weight: float = 0.1  # of a pixel that something hides
+    turned_weight: float = 0.2  # of a pixel with another normal
+    size_exponent: float = 0.7  # of the number of pixels: between their sum and their share
+    range_factor: float = 3.0  # bound along the ray, in bounds across it
+    unknown_weight: float = 0.5  # of a pixel without depth
+    min_expected: float = 100.0  # least number of expected pixels that a share is taken of [pixels]
+
+
+HAND_SCORE = HandScoreOptions()
 
 
 @inner
@@ -67,14 +77,14 @@ def _cosine(cells: Any, corner: Any, P: Vec3, n: Vec3) -> float:
 def row_of(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[float, float]:
     """Weight and residual of a point in the camera; image: depth (h, w), rays (h, w, 2), cells and their corner."""
     depth, rays, cells, corner = image
-    if not -dot(n, P) > FACING * norm(P):
+    if not -dot(n, P) > PALM_SCAN.facing_cosine * norm(P):
         return 0.0, 0.0
     row, column, z = _observed_at(camera, depth, P)
     if not z > 0:
         return 0.0, 0.0
     away = sub((float(rays[row, column, 0]) * z, float(rays[row, column, 1]) * z, z), P)
     ratio = norm(away) / bound
-    if not ratio < 1 or _cosine(cells, corner, P, n) < AGREES:
+    if not ratio < 1 or _cosine(cells, corner, P, n) < PALM_SCAN.normal_cosine:
         return 0.0, 0.0
     return (1 - ratio * ratio) ** 2, dot(n, away)
 
@@ -107,13 +117,18 @@ def refine_hand(camera: Any, image: Any, hand: Any, middle: Any, stage: Any, can
 
     image: as of `row_of`. middle (3,) of the hand. rung: Tukey's bound at first and at last [m], steps, radius [m].
     """
-    u, steps, radius, longest = local(UNCERTAINTY), int(stage[2]), stage[3], (LONGEST_SHIFT, LONGEST_TURN)
+    u, steps, radius, longest = (
+        local(UNCERTAINTY),
+        int(stage[2]),
+        stage[3],
+        (HAND_SCORE.max_shift, HAND_SCORE.max_rotation),
+    )
     for k in range(len(candidates)):
         R, p = pose_of(candidates[k].pose)
         for step in range(steps):
             bound = stage[0] + (stage[1] - stage[0]) * (step / max(steps - 1, 1))
             about = add(mul(R, vector(middle)), p)
-            if not _equations(camera[0], image, hand, (R, p, about), bound, u) > LEAST_WEIGHT:
+            if not _equations(camera[0], image, hand, (R, p, about), bound, u) > HAND_SCORE.min_points:
                 break
             R, p = damped_step(u, radius, longest, vector(middle), (R, p))
         store_pose((R, p), candidates[k].pose)
@@ -124,24 +139,35 @@ def _add(camera: Any, image: Any, P: Vec3, n: Vec3, limits: Any, candidate: Any)
     """Adds what the image says of one point."""
     way = norm(P)
     cosine, bound = -dot(n, P) / way, limits[1]
-    if not cosine > FACING:
+    if not cosine > PALM_SCAN.facing_cosine:
         return
     _, _, z = _observed_at(camera, image[0], P)
     if z < 0:
         return
     pixels = limits[0] * camera.fx * camera.fy * cosine / (P[2] * P[2])
-    candidate.expected += pixels if z > 0 else UNKNOWN * pixels
+    candidate.expected += pixels if z > 0 else HAND_SCORE.unknown_weight * pixels
     if z == 0:
         return
     along = (z - P[2]) * way / P[2]
     off = along * cosine
-    if off > bound or along > FARTHER * bound:
+    if off > bound or along > HAND_SCORE.range_factor * bound:
         candidate.passed += pixels
-    elif off < -bound or along < -FARTHER * bound:
+    elif off < -bound or along < -HAND_SCORE.range_factor * bound:
         candidate.hidden += pixels
     else:
         alike = _cosine(image[2], image[3], P, n)
-        share = UNSURE if alike > 1.5 else min(max((alike - UNALIKE) / (ALIKE - UNALIKE), 0.0), 1.0)
+        share = (
+            HAND_SCORE.without_normal
+            if alike > 1.5
+            else min(
+                max(
+                    (alike - HAND_SCORE.unexplained_cosine)
+                    / (HAND_SCORE.explained_cosine - HAND_SCORE.unexplained_cosine),
+                    0.0,
+                ),
+                1.0,
+            )
+        )
         score = pixels * (1 - (off / bound) ** 2) * share
         candidate.explained += score
         candidate.unexplained += pixels * (1 - share)
@@ -165,8 +191,14 @@ def score_hand(camera: Any, image: Any, hand: Any, limits: Any, candidates: Any)
             P, n = add(mul(R, vector(hand[0, m])), p), mul(R, vector(hand[1, m]))
             _add(camera[0], image, P, n, limits, candidate)
         candidate.rms = np.sqrt(candidate.rms / candidate.explained) if candidate.explained > 0 else np.inf
-        cost = PASSED * candidate.passed + HIDDEN * candidate.hidden + TURNED * candidate.unexplained
-        candidate.score = (candidate.explained - cost) / max(candidate.expected, LEAST_EXPECTED) ** POWER
+        cost = (
+            HAND_SCORE.passed_weight * candidate.passed
+            + HAND_SCORE.hidden_weight * candidate.hidden
+            + HAND_SCORE.turned_weight * candidate.unexplained
+        )
+        candidate.score = (candidate.explained - cost) / max(
+            candidate.expected, HAND_SCORE.min_expected
+        ) ** HAND_SCORE.size_exponent
 
 
 @entry

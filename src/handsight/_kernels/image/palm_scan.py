@@ -3,7 +3,7 @@
 It is looked at in cells of even size along the rays, so that neither the image's resolution nor its lens has a say.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,18 +12,24 @@ from handsight._kernels.image.pinhole import project
 from handsight._kernels.math.vec3 import matrix, mul, norm, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
-FACING = 0.2
-"""Least cosine between a point's normal and the way to the camera for it to be looked for."""
-AGREES = 0.5
-"""Least cosine of a point's normal with what is seen there."""
-BINS, REACH, AWAY = 25, 2, 6
-"""Of how much nearer or farther the image is than the hand; that agree on either side; that are tried."""
-PASSED, HIDDEN = 1.5, 0.1
-"""What a point that the camera sees past weighs, and one that is hidden, against one that agrees."""
-BESIDE = 1.0
-"""What a point beside the hand weighs where the image has something as near as the hand is."""
-MIN_VISIBLE, VISIBLE_SLACK = 10, 20
-"""Points that must fall on depth; and what is added to their number, so that few do not win by their share."""
+
+class PalmScanOptions(NamedTuple):
+    """How poses of the palm are compared with a coarse depth image."""
+
+    facing_cosine: float = 0.2
+    """Least cosine between a point's normal and the way to the camera for the point to be visible."""
+    normal_cosine: float = 0.5  # least cosine of a point's normal with the image's
+    range_bins: int = 25  # bins of how much nearer or farther than the hand the image is
+    agreeing_bins: int = 2  # bins on either side that agree
+    tried_bins: int = 6  # bins to either side that are tried
+    passed_weight: float = 1.5  # of a point that the camera sees past, against one that agrees
+    hidden_weight: float = 0.1  # of a point that something hides
+    beside_weight: float = 1.0  # of a point beside the hand where the image has something as near as the hand
+    min_visible: int = 10  # points that must fall on depth
+    visible_slack: int = 20  # added to the number of visible points, so that few do not win by their share
+
+
+PALM_SCAN = PalmScanOptions()
 
 
 @entry
@@ -51,15 +57,15 @@ def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> Non
 @inner
 def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
     """By how much most agree, and the bin in which they do, from the middle one."""
-    half, best, where = BINS // 2, -np.inf, 0
-    for b in range(half - AWAY, half + AWAY + 1):
+    half, best, where = PALM_SCAN.range_bins // 2, -np.inf, 0
+    for b in range(half - PALM_SCAN.tried_bins, half + PALM_SCAN.tried_bins + 1):
         good, near, before = 0.0, 0.0, 0.0
-        for k in range(b - REACH, b + REACH + 1):
+        for k in range(b - PALM_SCAN.agreeing_bins, b + PALM_SCAN.agreeing_bins + 1):
             good += agree[k]
             near += there[k]
-        for k in range(b - REACH):
+        for k in range(b - PALM_SCAN.agreeing_bins):
             before += there[k]
-        score = good - PASSED * (visible - near - before) - HIDDEN * before
+        score = good - PALM_SCAN.passed_weight * (visible - near - before) - PALM_SCAN.hidden_weight * before
         if score > best:
             best, where = score, b - half
     return best, where
@@ -73,8 +79,12 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
     (2, m, 3), normals of 0 for points in the air beside it. rotations (r, 3, 3), middles (s, 3) of it in the camera.
     """
     height, width, count = cells.shape[0], cells.shape[1], hand.shape[1]
-    there, agree, turned = np.empty(BINS), np.empty(BINS), np.empty((count, 2, 3))
-    half, finer, bins = BINS // 2, 1 / corner[2], 1 / corner[3]
+    there, agree, turned = (
+        np.empty(PALM_SCAN.range_bins),
+        np.empty(PALM_SCAN.range_bins),
+        np.empty((count, 2, 3)),
+    )
+    half, finer, bins = PALM_SCAN.range_bins // 2, 1 / corner[2], 1 / corner[3]
     for r in range(len(rotations)):
         R = matrix(rotations[r])
         for m in range(count):
@@ -82,7 +92,7 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
                 turned[m, side, 0], turned[m, side, 1], turned[m, side, 2] = mul(R, vector(hand[side, m]))
         for s in range(len(middles)):
             c = vector(middles[s])
-            least, visible, out = FACING * norm(c), 0.0, 0.0
+            least, visible, out = PALM_SCAN.facing_cosine * norm(c), 0.0, 0.0
             there[:] = 0.0
             agree[:] = 0.0
             for m in range(count):
@@ -97,16 +107,19 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
                     out += 0.0 if beside else 1.0
                     continue
                 cell = cells[row, column]
-                b = min(max(int((cell[0] - Z) * bins + half + 0.5), 0), BINS - 1)
+                b = min(max(int((cell[0] - Z) * bins + half + 0.5), 0), PALM_SCAN.range_bins - 1)
                 if beside:
-                    agree[b] -= BESIDE
+                    agree[b] -= PALM_SCAN.beside_weight
                     continue
                 visible += 1.0
                 there[b] += 1.0
                 known = cell[1] != 0.0 or cell[2] != 0.0 or cell[3] != 0.0
-                same = n[0] * cell[1] + n[1] * cell[2] + n[2] * cell[3] > AGREES
+                same = n[0] * cell[1] + n[1] * cell[2] + n[2] * cell[3] > PALM_SCAN.normal_cosine
                 agree[b] += (1.0 if same else 0.0) if known else 0.5
             found[r, s, 0], found[r, s, 1] = -np.inf, 0.0
-            if visible >= MIN_VISIBLE:
+            if visible >= PALM_SCAN.min_visible:
                 score, away = _best(there, agree, visible)
-                found[r, s, 0], found[r, s, 1] = score / (visible + out + VISIBLE_SLACK), away * corner[3]
+                found[r, s, 0], found[r, s, 1] = (
+                    score / (visible + out + PALM_SCAN.visible_slack),
+                    away * corner[3],
+                )

@@ -4,7 +4,7 @@ Surface samples stand for the object, those of them that can be seen from about 
 that its area covers.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,16 +14,27 @@ from handsight._kernels.math.vec3 import add, dot, mul, norm, scale, tmul, vecto
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
-FACING = 0.12
-"""Least cosine between a sample's normal and the way to the camera for it to be seen."""
-BEYOND, MARCHES = 2.2, 60
-"""How far the way to the camera is followed [radii], and steps at most."""
-PASSED, HIDDEN, UNEXPLAINED, MOST_UNEXPLAINED, POWER = 2.0, 0.3, 0.5, 2.0, 0.7
-"""What pixels weigh against explained ones. Sums prefer what is big and near, shares what is tiny."""
-UNKNOWN = 0.5
-"""What a pixel without depth counts for that the object would fill."""
-LEAST_EXPECTED = 30.0
-"""[pixels]"""
+
+class PoseScoreOptions(NamedTuple):
+    """How well a pose of the object explains a depth image, pixel by pixel."""
+
+    facing_cosine: float = 0.12
+    """Least cosine between a sample's normal and the way to the camera for the sample to be visible."""
+    max_range: float = 2.2  # how far the way to the camera is followed [radii]
+    max_steps: int = 60  # steps along it
+    passed_weight: float = 2.0  # of a pixel that the camera sees past, against an explained one
+    hidden_weight: float = 0.3  # of a pixel that something hides
+    unexplained_weight: float = 0.5  # of a pixel of the same part that the object does not explain
+    max_unexplained: float = 2.0  # unexplained pixels that count at most, per explained one
+    size_exponent: float = (
+        0.7  # of the number of pixels: a sum prefers what is large and near, a share what is tiny
+    )
+    unknown_weight: float = 0.5  # of a pixel without depth that the object would fill
+    min_expected: float = 30.0  # least number of expected pixels that a share is taken of [pixels]
+
+
+POSE_SCORE = PoseScoreOptions()
+
 TABLE, HAND, OUT = -3, -2, -1
 """Labels of pixels that are the table's, the hand's, and of no part that is looked at."""
 
@@ -39,17 +50,17 @@ def visible_sets(model: Any, nodes: Any, points: Any, normals: Any, directions: 
         way = vector(directions[k])
         for m in range(len(points)):
             place, normal = vector(points[m]), vector(normals[m])
-            visible[k, m] = dot(normal, way) > FACING
+            visible[k, m] = dot(normal, way) > POSE_SCORE.facing_cosine
             if not visible[k, m]:
                 continue
             along, start = 0.0, add(place, scale(normal, 0.02 * radius))
-            for _ in range(MARCHES):
+            for _ in range(POSE_SCORE.max_steps):
                 distance, _, _ = field_at(nodes, field, add(start, scale(way, along)))
                 if distance < -0.01 * radius:
                     visible[k, m] = False
                     break
                 along += max(distance, 0.03 * radius)
-                if along > BEYOND * radius:
+                if along > POSE_SCORE.max_range * radius:
                     break
 
 
@@ -72,7 +83,7 @@ def _add(
     column, row, z, pixels = int(sample[0] + 0.5), int(sample[1] + 0.5), sample[2], sample[3]
     observed, label = depth[row, column], labels[row, column]
     if not observed > 0:
-        candidate.expected += UNKNOWN * pixels
+        candidate.expected += POSE_SCORE.unknown_weight * pixels
         return
     off = observed - z
     if off < -bound and label == HAND:
@@ -98,10 +109,10 @@ def _score(sizes: Any, explained: Any, candidate: Any) -> None:
         total += explained[part]
     candidate.unexplained = unexplained / total if total > 0 else 0.0
     candidate.rms = np.sqrt(candidate.rms / candidate.explained) if candidate.explained > 0 else np.inf
-    size = max(candidate.expected, LEAST_EXPECTED)
-    cost = PASSED * candidate.passed + HIDDEN * candidate.hidden
-    cost += UNEXPLAINED * min(candidate.unexplained, MOST_UNEXPLAINED * size)
-    candidate.score = (candidate.explained - cost) / size**POWER
+    size = max(candidate.expected, POSE_SCORE.min_expected)
+    cost = POSE_SCORE.passed_weight * candidate.passed + POSE_SCORE.hidden_weight * candidate.hidden
+    cost += POSE_SCORE.unexplained_weight * min(candidate.unexplained, POSE_SCORE.max_unexplained * size)
+    candidate.score = (candidate.explained - cost) / size**POSE_SCORE.size_exponent
 
 
 @entry

@@ -6,7 +6,7 @@ https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 import codecs
 from dataclasses import dataclass
 from itertools import accumulate, chain, islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,17 @@ _DTYPES = {
     for kind, sizes in (("F", (4, 8)), ("I", _INTEGER_SIZES), ("U", _INTEGER_SIZES))
     for size in sizes
 }
-_MOST_FIELDS = 256
-_MOST_COUNT = 4096
-_LZF_RATIO = 100
-"""LZF cannot grow data by more than 264 / 3."""
+
+
+class PcdLimits(NamedTuple):
+    """What a PCD file may hold."""
+
+    max_fields: int = 256  # of a point
+    max_count: int = 4096  # of numbers in a field
+    max_expansion: int = 100  # LZF cannot grow data by more than 264 / 3
+
+
+_LIMITS = PcdLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +69,8 @@ def _header(data: bytes) -> _Header:
         if words:
             entries[words[0].upper()] = words[1:]
     names = entries.get("FIELDS", [])
-    if not 0 < len(names) <= _MOST_FIELDS:
-        raise BadText(f"FIELDS: expected 1 to {_MOST_FIELDS} names, got {len(names)}")
+    if not 0 < len(names) <= _LIMITS.max_fields:
+        raise BadText(f"FIELDS: expected 1 to {_LIMITS.max_fields} names, got {len(names)}")
     if "POINTS" in entries:
         points = _integers(entries, "POINTS", 1)[0]
     else:
@@ -81,8 +88,8 @@ def _integers(entries: dict[str, list[str]], key: str, length: int) -> list[int]
 
 def _row(entries: dict[str, list[str]], length: int) -> np.dtype[Any]:
     counts = _integers(entries, "COUNT", length) if "COUNT" in entries else [1] * length
-    if max(counts) > _MOST_COUNT:
-        raise BadText(f"COUNT: expected at most {_MOST_COUNT}, got {max(counts)}")
+    if max(counts) > _LIMITS.max_count:
+        raise BadText(f"COUNT: expected at most {_LIMITS.max_count}, got {max(counts)}")
     sizes, kinds = _integers(entries, "SIZE", length), entries.get("TYPE", [])
     if len(kinds) != length:
         raise BadText(f"TYPE: expected {length} letters, got {len(kinds)}")
@@ -119,7 +126,7 @@ def _compressed(header: _Header) -> list[NDArray[Any]]:
     packed, size = (int(v) for v in np.frombuffer(header.body, dtype="<u4", count=2))
     if packed > len(header.body) - 8:
         raise BadText(f"expected {packed} compressed bytes, got {len(header.body) - 8}")
-    if size != header.points * header.row.itemsize or size > _LZF_RATIO * packed:
+    if size != header.points * header.row.itemsize or size > _LIMITS.max_expansion * packed:
         raise BadText(f"expected {header.points * header.row.itemsize} bytes unpacked, the file says {size}")
     flat = lzf_unpacked(header.body[8 : 8 + packed], size)
     columns, at = [], 0

@@ -14,8 +14,8 @@ from handsight.msgspec_errors import decode_object
 from handsight.objects.files import read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
 from handsight.objects.files.write import ply_bytes
-from handsight.objects.library.bop import MM, info_of
-from handsight.objects.library.facts import VERSION, Facts
+from handsight.objects.library.bop import BOP_SYMMETRIES, info_of
+from handsight.objects.library.facts import FACTS_LIMITS, Facts
 from handsight.objects.library.folder import Folder
 from handsight.objects.library.index import FACTS, INFO, Documents, entries
 from handsight.objects.library.store import locked, new_file
@@ -69,7 +69,7 @@ def add(folder: Folder, new: NewObject) -> None:
         facts[str(number)], infos[str(number)] = new.facts, new.info
         with new_file(models / f"obj_{number:06d}.ply") as file:
             file.write(new.ply)
-        for name, document in ((FACTS, {"version": VERSION, "objects": facts}), (INFO, infos)):
+        for name, document in ((FACTS, {"version": FACTS_LIMITS.version, "objects": facts}), (INFO, infos)):
             with new_file(models / name) as file:
                 file.write(msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n")
 
@@ -88,7 +88,7 @@ def revise(folder: Folder, number: int, facts: Facts) -> None:
         before = known.get(str(number), entry)
         new = msgspec.to_builtins(facts) | {key: before[key] for key in entry}
         with new_file(models / FACTS) as file:
-            document = {"version": VERSION, "objects": {**known, str(number): new}}
+            document = {"version": FACTS_LIMITS.version, "objects": {**known, str(number): new}}
             file.write(msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n")
 
 
@@ -100,9 +100,9 @@ def _numbers(models: Path) -> list[int]:
 
 def _ply(file: Path, scale: float) -> bytes:
     """The file as PLY in millimetres; as it stands, with its colours, where it is that already."""
-    if file.suffix.lower() == ".ply" and scale == MM:
+    if file.suffix.lower() == ".ply" and scale == BOP_SYMMETRIES.metres:
         return content(file)
-    data = ply_bytes(read_shape(file), scale / MM)
+    data = ply_bytes(read_shape(file), scale / BOP_SYMMETRIES.metres)
     if len(data) > LARGEST_FILE:
         raise InvalidFile(f"{file.name}: expected at most {LARGEST_FILE} bytes as PLY, got {len(data)}")
     return data

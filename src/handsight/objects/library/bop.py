@@ -3,7 +3,7 @@
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -12,15 +12,22 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
-from handsight.objects.symmetry import MOST_ROTATIONS, Symmetries, about
+from handsight.objects.symmetry import SYMMETRY_LIMITS, Symmetries, about
 
-MM = 1e-3
-"""Metres of the file's unit."""
-NEAR = 0.01
-"""Turns as matrices, and shifts as parts of the diameter, that differ by less are meant to be one: files round them to
-a few digits."""
-ROUNDS = 6
-"""Each squares how far a group is off."""
+
+class BopOptions(NamedTuple):
+    """How symmetries of a BOP library are read."""
+
+    metres: float = 1e-3  # metres of the file's unit
+    tolerance: float = 0.01
+    """Turns as matrices, and shifts as parts of the diameter, that differ by less are meant to be one: files round
+    them to a few digits.
+    """
+    rounds: int = 6  # of making a group exact; each squares how far it is off
+
+
+BOP_SYMMETRIES = BopOptions()
+
 
 Vector = tuple[float, float, float]
 Matrix = tuple[
@@ -52,29 +59,37 @@ class Info(msgspec.Struct):
 
 def info_of(model: ObjectModel) -> dict[str, Any]:
     """What the file is to say of an object."""
-    low, high = model.bounds_object / MM
+    low, high = model.bounds_object / BOP_SYMMETRIES.metres
     of = model.symmetries
     return {
-        "diameter": model.diameter / MM,
+        "diameter": model.diameter / BOP_SYMMETRIES.metres,
         **{f"min_{axis}": float(low[k]) for k, axis in enumerate("xyz")},
         **{f"size_{axis}": float(high[k] - low[k]) for k, axis in enumerate("xyz")},
         "symmetries_discrete": [_flat(T) for T in of.rotations[1:]],
         "symmetries_continuous": [
-            {"axis": axis.tolist(), "offset": (point / MM).tolist()} for point, axis in of.axes
+            {"axis": axis.tolist(), "offset": (point / BOP_SYMMETRIES.metres).tolist()}
+            for point, axis in of.axes
         ],
     }
 
 
 def symmetries_of(info: Info) -> Symmetries:
     """The symmetries that the file means, exact however they are rounded; raises InvalidInput where these are none."""
-    near = NEAR * info.diameter * MM
+    near = BOP_SYMMETRIES.tolerance * info.diameter * BOP_SYMMETRIES.metres
     turns = [_turn(matrix, f"symmetries_discrete[{k}]") for k, matrix in enumerate(info.symmetries_discrete)]
     lines = [
-        (checks.position(MM * np.array(line.offset), f"symmetries_continuous[{k}].offset", (3,)), line.axis)
+        (
+            checks.position(
+                BOP_SYMMETRIES.metres * np.array(line.offset), f"symmetries_continuous[{k}].offset", (3,)
+            ),
+            line.axis,
+        )
         for k, line in enumerate(info.symmetries_continuous)
     ]
-    if len(turns) > MOST_ROTATIONS:
-        raise InvalidInput(f"symmetries_discrete: expected at most {MOST_ROTATIONS}, got {len(turns)}")
+    if len(turns) > SYMMETRY_LIMITS.max_rotations:
+        raise InvalidInput(
+            f"symmetries_discrete: expected at most {SYMMETRY_LIMITS.max_rotations}, got {len(turns)}"
+        )
     if not lines:
         return Symmetries(rotations=_exact(turns, near))
     found = Symmetries(lines)
@@ -91,15 +106,15 @@ def symmetries_of(info: Info) -> Symmetries:
 
 
 def _flat(T: Array) -> list[float]:
-    return [float(x) for x in se3.compose(T[:3, :3], T[:3, 3] / MM).reshape(-1)]
+    return [float(x) for x in se3.compose(T[:3, :3], T[:3, 3] / BOP_SYMMETRIES.metres).reshape(-1)]
 
 
 def _turn(matrix: Matrix, name: str) -> Array:
     """The rigid transform [m] that a matrix [mm] of few digits means."""
     given = np.array(matrix).reshape(4, 4)
-    shift = checks.position(MM * given[:3, 3], name, (3,))
+    shift = checks.position(BOP_SYMMETRIES.metres * given[:3, 3], name, (3,))
     R = _nearest_rotations(given[:3, :3])
-    if not (np.abs(R - given[:3, :3]).max() < NEAR and (given[3] == [0, 0, 0, 1]).all()):
+    if not (np.abs(R - given[:3, :3]).max() < BOP_SYMMETRIES.tolerance and (given[3] == [0, 0, 0, 1]).all()):
         raise InvalidInput(f"{name}: expected a rigid transform, got {checks.brief(given)}")
     return se3.compose(R, shift)
 
@@ -117,7 +132,7 @@ def _swapped_about(T: Array, found: Symmetries, near: float, k: int) -> Array | 
     shift = se3.apply(T, point[None])[0] - point
     along, cosine = float(shift @ axis), float(axis @ T[:3, :3] @ axis)
     gap = shift if found.round else shift - along * axis
-    if np.linalg.norm(gap) > near or (not found.round and abs(cosine) < 1 - NEAR):
+    if np.linalg.norm(gap) > near or (not found.round and abs(cosine) < 1 - BOP_SYMMETRIES.tolerance):
         raise InvalidInput(f"symmetries_discrete[{k}]: expected a turn that keeps the continuous axis")
     if found.round or (cosine > 0 and abs(along) < near):
         return None
@@ -138,7 +153,7 @@ def _exact(turns: list[Array], near: float) -> Array:
     products = group[:, None] @ group
     gaps = np.array([[_gap(product, group, near) for product in row] for row in products])
     table, R = gaps.argmin(axis=-1), group[:, :3, :3]
-    for _ in range(ROUNDS):
+    for _ in range(BOP_SYMMETRIES.rounds):
         R = _nearest_rotations(np.einsum("ghij,hkj->gik", R[table], R))
     center = group[:, :3, 3].mean(axis=0)
     exact = se3.compose(R, center - R @ center)
@@ -155,8 +170,8 @@ def _closed(turns: list[Array], near: float) -> Array:
             product = group[done] @ turn
             if _gap(product, group, near).min() > 1:
                 group = np.vstack([group, product[None]])
-        if len(group) > MOST_ROTATIONS:
-            message = f"expected a finite group, got over {MOST_ROTATIONS} products"
+        if len(group) > SYMMETRY_LIMITS.max_rotations:
+            message = f"expected a finite group, got over {SYMMETRY_LIMITS.max_rotations} products"
             raise InvalidInput(f"symmetries_discrete: {message}")
         done += 1
     return group
@@ -166,5 +181,8 @@ def _gap(T: Array, others: Array, near: float) -> Array:
     """How far a transform is off each of others (k, 4, 4); 1 where they may just be meant to be one."""
     differences = np.abs(others - T)
     return np.asarray(
-        np.maximum(differences[:, :3, :3].max(axis=(1, 2)) / NEAR, differences[:, :3, 3].max(axis=1) / near)
+        np.maximum(
+            differences[:, :3, :3].max(axis=(1, 2)) / BOP_SYMMETRIES.tolerance,
+            differences[:, :3, 3].max(axis=1) / near,
+        )
     )

@@ -1,7 +1,7 @@
 """`handsight.json`, beside a BOP folder's `models_info.json`: what that has no room for, by the object's number."""
 
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -9,11 +9,17 @@ from handsight import checks
 from handsight.errors import InvalidInput
 from handsight.objects.files.read import LARGEST_FILE
 
-VERSION = 1
-HEAVIEST = 100.0
-"""Of what a hand holds [kg]; beyond it the unit is wrong."""
-LONGEST_TEXT = 500
-"""Characters of a licence or a source."""
+
+class FactLimits(NamedTuple):
+    """What a library says of an object."""
+
+    version: int = 1  # of the file
+    max_mass: float = 100.0  # of what a hand holds [kg]; beyond it the unit is wrong
+    max_text: int = 500  # characters of a licence or a source
+
+
+FACTS_LIMITS = FactLimits()
+
 _NAME = re.compile(r"\w[\w .+-]*")
 _NUMBERED = re.compile(r"\d+|obj_\d{6,}")
 """What objects without a name are called."""
@@ -36,7 +42,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def __post_init__(self) -> None:
         check_name(self.name)
-        if self.mass is not None and checks.positive(self.mass, "mass") > HEAVIEST:
+        if self.mass is not None and checks.positive(self.mass, "mass") > FACTS_LIMITS.max_mass:
             raise InvalidInput(f"mass: expected kilograms, got {self.mass:g} (grams?)")
         if self.center_of_mass is not None:
             checks.in_reach(self.center_of_mass, "center_of_mass", (3,))
@@ -78,7 +84,7 @@ def check_name(name: Any) -> None:
 
 
 def _check_text(value: Any, key: str) -> None:
-    if not isinstance(value, str) or len(value) > LONGEST_TEXT:
+    if not isinstance(value, str) or len(value) > FACTS_LIMITS.max_text:
         raise InvalidInput(
-            f"{key}: expected a text of up to {LONGEST_TEXT} characters, got {checks.brief(value)}"
+            f"{key}: expected a text of up to {FACTS_LIMITS.max_text} characters, got {checks.brief(value)}"
         )

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.msgspec_errors import Form, decode, decode_object
-from handsight.objects.library.bop import MM, Info, symmetries_of
-from handsight.objects.library.facts import VERSION, Document, Record
+from handsight.objects.library.bop import BOP_SYMMETRIES, Info, symmetries_of
+from handsight.objects.library.facts import FACTS_LIMITS, Document, Record
 from handsight.objects.symmetry import Symmetries
 
 INFO, FACTS = "models_info.json", "handsight.json"
@@ -51,13 +51,17 @@ class Entry:
     @property
     def diameter(self) -> float:
         """Largest distance between two surface points [m]."""
-        return MM * self.info.diameter
+        return BOP_SYMMETRIES.metres * self.info.diameter
 
     @property
     def size(self) -> tuple[float, float, float] | None:
         """Along x, y, z [m]; None where the documents do not say."""
         x, y, z = self.info.size_x, self.info.size_y, self.info.size_z
-        return None if x is None or y is None or z is None else (MM * x, MM * y, MM * z)
+        return (
+            None
+            if x is None or y is None or z is None
+            else (BOP_SYMMETRIES.metres * x, BOP_SYMMETRIES.metres * y, BOP_SYMMETRIES.metres * z)
+        )
 
     @cached_property
     def symmetries(self) -> Symmetries:
@@ -91,8 +95,8 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
 
 def _records(data: bytes, where: str) -> dict[str, Record]:
     version = decode_object(data, where).get("version")
-    if version != VERSION:
-        raise InvalidFile(f"{where}: version: expected {VERSION}, got {checks.brief(version)}")
+    if version != FACTS_LIMITS.version:
+        raise InvalidFile(f"{where}: version: expected {FACTS_LIMITS.version}, got {checks.brief(version)}")
     return decode(data, Document, where).objects
 
 

@@ -16,7 +16,7 @@ from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
 from handsight.objects.library.add import add, check_inside, new_object, revise
-from handsight.objects.library.bop import MM
+from handsight.objects.library.bop import BOP_SYMMETRIES
 from handsight.objects.library.facts import Facts
 from handsight.objects.library.folder import Folder
 from handsight.objects.library.index import Entry, entries
@@ -75,7 +75,9 @@ class Library:
     def model(self, name: str) -> ObjectModel:
         """The object so called, with its symmetries; raises as `entry` and `file`."""
         entry = self.entry(name)
-        model = ObjectModel.from_file(self.file(entry), scale=MM, symmetries=entry.symmetries)
+        model = ObjectModel.from_file(
+            self.file(entry), scale=BOP_SYMMETRIES.metres, symmetries=entry.symmetries
+        )
         facts = entry.facts
         if facts is not None and (facts.mass is not None or facts.center_of_mass is not None):
             model = model.with_weight(

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,13 +11,23 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
 from handsight.objects.surface import Triangles
-from handsight.objects.symmetry import MOST_ROTATIONS, Symmetries, about
+from handsight.objects.symmetry import SYMMETRY_LIMITS, Symmetries, about
 from handsight.objects.symmetry_search import propose_symmetries
 
 WORDS = "find, an axis (z: any turn about it), or an axis and a number (z/4: quarter turns)"
-FAR = 0.04
-"""Of the diameter: a shape that a turn takes so far off itself, but for a fiftieth of it, has not that symmetry."""
-SAMPLES, MOST_PLACES = 1000, 98
+
+
+class NotationOptions(NamedTuple):
+    """When a declared symmetry is refused."""
+
+    tolerance: float = 0.04
+    """Of the diameter: a shape that a turn takes this far off itself, but for a fiftieth of it, has not that symmetry.
+    """
+    samples: int = 1000  # surface points that are compared
+    percentile: int = 98  # of the samples' distances that is compared
+
+
+NOTATION = NotationOptions()
 
 
 def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
@@ -31,12 +42,12 @@ def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
     center, axes, turns = _center(model), [], list[Array]()
     for word in words:
         found = re.fullmatch(r"([xyz])(?:/([1-9]\d{0,2}))?", word)
-        if found is None or int(found[2] or 1) > MOST_ROTATIONS:
+        if found is None or int(found[2] or 1) > SYMMETRY_LIMITS.max_rotations:
             raise InvalidInput(f"symmetry: expected {WORDS}, got {word!r}")
         axis = np.eye(3)["xyz".index(found[1])]
         angles = [2 * np.pi / int(found[2])] if found[2] else 2 * np.pi * np.arange(1, 12) / 12
         off = max(_off(model, about(center, angle * axis)) for angle in angles)
-        if off > FAR * model.diameter:
+        if off > NOTATION.tolerance * model.diameter:
             raise InvalidInput(
                 f"symmetry: expected turns that leave the surface in place, got {word}, which is {1e3 * off:.1f} mm off"
             )
@@ -56,5 +67,5 @@ def _center(model: ObjectModel) -> Array:
 
 def _off(model: ObjectModel, T: Array) -> float:
     """How far a turn takes nearly all of the surface off itself, at most [m]."""
-    moved = se3.apply(T, model.sample(SAMPLES)[0])
-    return float(np.percentile(np.abs(model.fine.evaluate(moved).distance), MOST_PLACES))
+    moved = se3.apply(T, model.sample(NOTATION.samples)[0])
+    return float(np.percentile(np.abs(model.fine.evaluate(moved).distance), NOTATION.percentile))

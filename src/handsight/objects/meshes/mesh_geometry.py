@@ -1,6 +1,7 @@
 """What is measured on a triangle mesh: its two distance fields, and which side of it is inside."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,16 +11,25 @@ from handsight.objects.geometry import Geometry, measured, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
 from handsight.objects.scans.scan import smoothed
-from handsight.objects.surface import LARGEST_HOLE, Triangles, diameter
+from handsight.objects.surface import SURFACE, Triangles, diameter
 
-CLOSED_SHARE = 0.95
+
+class MeshOptions(NamedTuple):
+    """When a mesh is closed, and on which side of it a node is."""
+
+    closed_share: float = 0.95  # of the edges that have two triangles, for a mesh to count as closed
+    slit: float = 0.1
+    """How near to its rim a hole is looked for [fine cells], and how far winding numbers there are from integers: at
+    least 0.375 at one of four places around a rim. Slits up to about half as wide are none.
+    """
+    max_open_share: float = 0.25  # of the nodes near a rim that may be open
+    votes: int = 16  # nodes of each connected set whose winding numbers are taken
+
+
+MESH = MeshOptions()
+
 LINK_MARGINS = (1.001, 1.5, np.inf)
 """Nodes are linked when their distances add up to this many steps; the last links none."""
-SLIT, MAX_OPEN_SHARE = 0.1, 0.25
-"""How near to its rim a hole is looked for [fine cells], and how far winding numbers there are from whole ones: at
-least 0.375 at one of four places around a rim. Slits up to about half as wide are none."""
-VOTES = 16
-"""Nodes of each linked set whose winding numbers are taken."""
 
 
 def mesh_geometry(mesh: Triangles) -> Geometry:
@@ -72,9 +82,9 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     lateral = np.cross(normal, along)
     normal, lateral = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, lateral))
     turns = np.stack([normal + lateral, normal - lateral, -normal + lateral, -normal - lateral], axis=1)
-    around = middles[:, None] + SLIT * cell / np.sqrt(2) * turns[edge]
+    around = middles[:, None] + MESH.slit * cell / np.sqrt(2) * turns[edge]
     number = winding.at(around.reshape(-1, 3)).reshape(-1, 4)
-    open_piece = np.abs(number - np.round(number)).max(axis=1) > MAX_OPEN_SHARE
+    open_piece = np.abs(number - np.round(number)).max(axis=1) > MESH.max_open_share
     rim[rim] = np.bincount(edge, open_piece, minlength=len(start)) > 0
     return rim
 
@@ -107,14 +117,14 @@ def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
 
 def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
     """Whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
-    if holes.extents.max(initial=0.0) > LARGEST_HOLE * diameter:
+    if holes.extents.max(initial=0.0) > SURFACE.max_hole * diameter:
         return False
     points, normals, _ = side_samples(mesh)
     step = 1e-4 * diameter
     behind, front = winding.at(points - step * normals), winding.at(points + step * normals)
     # Where pieces overlap the count goes to 2 and the surface is no boundary: that is closed too.
     good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
-    return bool(good.mean() >= CLOSED_SHARE)
+    return bool(good.mean() >= MESH.closed_share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +167,7 @@ class ByWinding:
         order = np.argsort(label, kind="stable")
         size = np.bincount(label)
         start = np.cumsum(size) - size
-        spread = np.random.default_rng(4).random((len(size), VOTES))
+        spread = np.random.default_rng(4).random((len(size), MESH.votes))
         voters = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
         asked, which = np.unique(voters, return_inverse=True)
         inside = self.winding.inside(points[asked])[which].reshape(voters.shape)

@@ -1,5 +1,7 @@
 """A mesh as it should be, from a mesh as it came, and what had to be done to it in words."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -10,14 +12,19 @@ from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
 from handsight.objects.surface import Triangles, check_extent, distinct, edges_of
 
-_FLAT = 1e-12
-"""A triangle whose height is below this part of its longest side has no area."""
-SIDE_SAMPLES = 400
-INSIDE_OUT = -0.55
-"""A patch sees -0.5 in front of it, an inside-out solid -1."""
-SMALL_PIECE = 0.01
-SAME_CORNER = 1e-4
-"""Corners of edges with one triangle that are closer than this part of the extent are one: files round."""
+
+class RepairOptions(NamedTuple):
+    """What is repaired in a mesh."""
+
+    flat: float = 1e-12  # a triangle whose height is below this part of its longest side has no area
+    side_samples: int = 400  # places at which a mesh is asked which side is outside
+    inside_out: float = -0.55  # a patch sees a winding number of -0.5 in front of it, an inside-out solid -1
+    small_piece: float = 0.01  # part of the area below which a loose piece is left out
+    same_corner: float = 1e-4
+    """Corners of edges with one triangle that are closer than this part of the extent are one: files round."""
+
+
+REPAIR = RepairOptions()
 
 
 def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
@@ -63,7 +70,7 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     longest2 = (sides * sides).sum(axis=2).max(axis=1)
-    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) <= _FLAT * longest2
+    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) <= REPAIR.flat * longest2
     if flat.all():
         raise InvalidObject(f"faces: expected triangles with an area, got {len(flat)} without")
     if flat.any():
@@ -79,7 +86,7 @@ def _joined(points: Array, triangles: Indices, boundary: Indices) -> tuple[Array
     """Points and triangles where corners (b, 2) of edges with one triangle that are nearly the same are the same."""
     used = np.unique(boundary)
     extent = float(np.ptp(points, axis=0).max())
-    near = cKDTree(points[used]).query_pairs(SAME_CORNER * extent, output_type="ndarray")
+    near = cKDTree(points[used]).query_pairs(REPAIR.same_corner * extent, output_type="ndarray")
     if not len(near):
         return points, triangles
     label = components(near[:, 0], near[:, 1], len(used))
@@ -116,12 +123,12 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     front = Winding.of_mesh(mesh, tree).at(points + step * normals)
     inverted = np.zeros(count, dtype=bool)
     for k in np.unique(piece[face]):
-        inverted[k] = np.median(front[piece[face] == k]) < INSIDE_OUT
+        inverted[k] = np.median(front[piece[face] == k]) < REPAIR.inside_out
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
     share = np.bincount(piece, mesh.areas) / mesh.area
-    small = share < SMALL_PIECE
+    small = share < REPAIR.small_piece
     if small.any():
         percent = f"{100 * share[small].sum():.2g} %"
         remarks.append(f"{int(small.sum())} small separate pieces ({percent} of the area) were left in")
@@ -141,7 +148,7 @@ def _turned_over(faces: Indices, flip: Mask) -> Indices:
 
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
     """Surface points (n, 3) [m], the normals (n, 3) and indices (n,) of their triangles."""
-    return mesh.draw_on_faces(SIDE_SAMPLES, np.random.default_rng(3))
+    return mesh.draw_on_faces(REPAIR.side_samples, np.random.default_rng(3))
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:

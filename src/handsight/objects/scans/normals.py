@@ -1,5 +1,7 @@
 """Normals of points that have none."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree
@@ -9,11 +11,16 @@ from handsight.checks import Array, Indices
 from handsight.objects.meshes.repair import agreeing, components
 from handsight.objects.scans.windows import Points
 
-NEIGHBOURS = 12
-"""Points through which a plane is laid, and among which normals are made to agree."""
-MOST_NEIGHBOURS = 60
-REACH = 6.0
-"""Deviations of noise that a plane must be wide to have a direction."""
+
+class NormalOptions(NamedTuple):
+    """How normals are computed from a scan's points."""
+
+    neighbours: int = 12  # points through which a plane is laid, and among which normals are brought to agree
+    max_neighbours: int = 60  # the same where noise is large
+    min_width: float = 6.0  # deviations of noise that a plane must be wide to have a direction
+
+
+NORMALS = NormalOptions()
 
 
 def planes(points: Points, places: Array, count: int) -> Array:
@@ -22,20 +29,25 @@ def planes(points: Points, places: Array, count: int) -> Array:
     Of more than there are reasons to look at, a part as wide.
     """
     thinned = points.places[
-        : max(len(points.places) * MOST_NEIGHBOURS // max(count, MOST_NEIGHBOURS), NEIGHBOURS)
+        : max(
+            len(points.places) * NORMALS.max_neighbours // max(count, NORMALS.max_neighbours),
+            NORMALS.neighbours,
+        )
     ]
-    nearest = cKDTree(thinned).query(places, k=min(count, MOST_NEIGHBOURS, len(thinned)))[1]
+    nearest = cKDTree(thinned).query(places, k=min(count, NORMALS.max_neighbours, len(thinned)))[1]
     return _through(thinned[nearest])
 
 
-def enough_neighbours(sigma: float, spacing: float, least: int = NEIGHBOURS) -> int:
+def enough_neighbours(sigma: float, spacing: float, least: int = NORMALS.neighbours) -> int:
     """How many points a plane takes where these are off by `sigma` and `spacing` apart [m]."""
-    return int(max(np.pi * (REACH * sigma / spacing) ** 2, least))
+    return int(max(np.pi * (NORMALS.min_width * sigma / spacing) ** 2, least))
 
 
 def estimated_normals(points: Array, tree: cKDTree) -> Array:
     """Unit outward normals (n, 3) of surface points (n, 3) [m]: of the plane through each one's neighbours."""
-    return outwards(points, _through(points[tree.query(points, k=min(NEIGHBOURS, len(points)))[1]]), tree)
+    return outwards(
+        points, _through(points[tree.query(points, k=min(NORMALS.neighbours, len(points)))[1]]), tree
+    )
 
 
 def _through(patch: Array) -> Array:
@@ -64,7 +76,7 @@ def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = Fa
     the way from one to the next says how it turns there.
     """
     normals = normals.copy()
-    neighbours = tree.query(points, k=min(NEIGHBOURS, len(points)))[1]
+    neighbours = tree.query(points, k=min(NORMALS.neighbours, len(points)))[1]
     row = np.repeat(np.arange(len(points)), neighbours.shape[1] - 1)
     column = neighbours[:, 1:].reshape(-1)
     cost = 1.0 - np.abs(_likeness(points, normals, (row, column), turning)) + 1e-6

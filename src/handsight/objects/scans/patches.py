@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,31 +21,34 @@ from handsight.objects.scans.windows import (
     widths,
 )
 
-PATCHES = 4000
-FIRST, RATIO, LAST = 3.0, 1.35, 0.3
-"""Windows: the least [spacings], how much wider each is, and the widest [diameters]."""
-MOST_WIDENED = 9.0
-"""Points that share one noise widen the least window, up to as many."""
-THICK = 3.0
-"""Deviations of noise that a window must be wide."""
-MAX_DRIFT = 5.0
-"""Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
-TOLERANCE = 2e-4
-"""Of a quadric's residual, what an object's shape may add to the noise [diameters]."""
-BEND = 8.0
-"""One standard deviation of curvatures [1/diameters] before anything is measured."""
-LEAST_SIGMA = 1e-4
-"""No scan is taken for better [diameters]."""
-ROUGHLY = 3
-"""Windows that tell the faces of an object apart."""
-MIN_INFORMED = 0.5
-"""Of a spacing, noise below which the way from a patch to the next has a direction."""
-MANY = 4096
-"""Nodes that are worth another thread."""
-BLENDED = 24
-"""Patches that are averaged at a place."""
-ALIKE, LEAST_TRUST = 0.05, 0.02
-"""A patch counts by the inverse variance of its normal and of this part of the median one; the least that it counts."""
+
+class PatchOptions(NamedTuple):
+    """How quadrics are fitted to a scan in windows whose size the data choose (Lepski 1991)."""
+
+    patches: int = 4000  # quadrics
+    first: float = 3.0  # the least window [spacings]
+    ratio: float = 1.35  # how much wider each is than the one before
+    last: float = 0.3  # the widest [diameters]
+    max_widened: float = 9.0  # points that share one noise widen the least window, up to as many
+    min_width: float = 3.0  # of a window, in deviations of the noise
+    min_lever: float = 5.0
+    """Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
+    shape_error: float = (
+        2e-4  # of a quadric's residual, what an object's shape may add to the noise [diameters]
+    )
+    sigma_curvature: float = 8.0  # of curvatures before anything is measured [1/diameters]
+    min_sigma: float = 1e-4  # no scan is taken for better [diameters]
+    rough_windows: int = 3  # windows that tell the faces of an object apart
+    min_noise: float = 0.5  # of a spacing: noise below which the way from a patch to the next has a direction
+    parallel: int = 4096  # nodes that are enough for another thread
+    blended: int = 24  # patches that are averaged at a place
+    similar: float = (
+        0.05  # a patch counts by the inverse variance of its normal and of this part of the median one
+    )
+    min_trust: float = 0.02  # the least that a patch counts
+
+
+PATCH_FIT = PatchOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +72,11 @@ class ScannedSurface:
     def blended(self, nodes: Array, nearest: Indices) -> Array:
         """(n, 4) signed distances [m] of nodes (n, 3) near the surface, and ways outwards; `nearest` patches (n,)."""
         out = np.empty((len(nodes), 4))
-        in_parts(partial(blended, self.patches, self.spacing, self.around), (nearest, nodes, out), MANY)
+        in_parts(
+            partial(blended, self.patches, self.spacing, self.around),
+            (nearest, nodes, out),
+            PATCH_FIT.parallel,
+        )
         return out
 
     def heights(self, nodes: Array, nearest: Indices) -> Array:
@@ -85,46 +93,46 @@ class ScannedSurface:
 
 def fitted(points: Points, noise: Noise) -> ScannedSurface:
     """The surface through noisy points; where their normals are not known, they are estimated first."""
-    noise = replace(noise, sigma=max(noise.sigma, LEAST_SIGMA * points.diameter))
+    noise = replace(noise, sigma=max(noise.sigma, PATCH_FIT.min_sigma * points.diameter))
     if np.isfinite(points.normals).all():
-        patches = _fits(points, points.normals[:PATCHES], noise)
+        patches = _fits(points, points.normals[: PATCH_FIT.patches], noise)
     else:
-        centres = points.places[:PATCHES]
+        centres = points.places[: PATCH_FIT.patches]
         tree = cKDTree(centres)
         count = enough_neighbours(noise.sigma, points.spacing)
         normals = outwards(centres, planes(points, centres, count), tree)
         nearest = tree.query(points.places)[1]
         # Planes tell faces apart, but quadrics do so better: what they found decides once more.
-        patches = _fits(replace(points, normals=normals[nearest]), normals, noise, ROUGHLY)
+        patches = _fits(replace(points, normals=normals[nearest]), normals, noise, PATCH_FIT.rough_windows)
         normals = patches["normal"].copy()
-        if noise.sigma < MIN_INFORMED * points.spacing:
+        if noise.sigma < PATCH_FIT.min_noise * points.spacing:
             normals = outwards(patches["point"], normals, cKDTree(patches["point"]), turning=True)
         patches = _fits(replace(points, normals=normals[nearest]), normals, noise)
     variance = patches["covariance"][:, 1, 1] + patches["covariance"][:, 2, 2]
     typical = np.median(variance)
-    trust = (1 + ALIKE) * typical / (variance + ALIKE * typical)
-    patches["trust"] = np.clip(trust, LEAST_TRUST, 1 / LEAST_TRUST)
+    trust = (1 + PATCH_FIT.similar) * typical / (variance + PATCH_FIT.similar * typical)
+    patches["trust"] = np.clip(trust, PATCH_FIT.min_trust, 1 / PATCH_FIT.min_trust)
     tree = cKDTree(patches["point"])
-    around = tree.query(patches["point"], k=min(BLENDED, len(patches)))[1]
+    around = tree.query(patches["point"], k=min(PATCH_FIT.blended, len(patches)))[1]
     return ScannedSurface(patches, tree, around, spacing_of(patches["point"]))
 
 
 def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None) -> Patches:
     """Patches about the first of the points, one for each of the normals (m, 3); in so many windows."""
     patches = started(points.places[: len(normals)], normals)
-    shared = min(noise.together, MOST_WIDENED)
+    shared = min(noise.together, PATCH_FIT.max_widened)
     least = max(
-        FIRST * points.spacing * np.sqrt(shared),
-        THICK * noise.sigma,
-        MAX_DRIFT * np.sqrt(noise.sigma * points.spacing),
+        PATCH_FIT.first * points.spacing * np.sqrt(shared),
+        PATCH_FIT.min_width * noise.sigma,
+        PATCH_FIT.min_lever * np.sqrt(noise.sigma * points.spacing),
     )
     level = {
         "variance": noise.sigma**2,
         "together": noise.together,
-        "tolerance": (TOLERANCE * points.diameter) ** 2,
-        "bend": BEND / points.diameter,
+        "tolerance": (PATCH_FIT.shape_error * points.diameter) ** 2,
+        "bend": PATCH_FIT.sigma_curvature / points.diameter,
     }
-    windows = widths(least, max(LAST * points.diameter, least), RATIO)
+    windows = widths(least, max(PATCH_FIT.last * points.diameter, least), PATCH_FIT.ratio)
     widened(points, patches, windows[:most], **level)
     alone = patches["fits"] == 0
     unknown = np.repeat([noise.sigma**2 * noise.together, 1.0, level["bend"] ** 2], (1, 2, 3))

@@ -1,5 +1,7 @@
 """How far a scanned surface is off the object it was scanned from, place by place."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -7,16 +9,25 @@ from handsight._kernels.posterior.spurious_information import LEND
 from handsight.checks import Array
 from handsight.objects.geometry import Roughness
 from handsight.objects.scans.patches import ScannedSurface
-from handsight.objects.scans.windows import CROWD, Noise, Points
+from handsight.objects.scans.windows import WINDOWS, Noise, Points
 
-SHARED = 0.25
-"""The power of its weight in the surface that a patch's variances count by. By the first they would be what the surface
-is off by on the average; but a patch that ended early by chance still bends it, where it is."""
-CHANCE, BY_WEIGHT, FITTED = 4.0, 5 / 9, 6
-"""Deviations by which residuals may exceed the noise; points of a window that count, for its weights, and how many of
-them a quadric takes."""
-SHARES, LEAST, MOST = 30, 30, 150
-"""Each place is compared with this many points for a patch, within these bounds."""
+
+class RoughnessOptions(NamedTuple):
+    """How far a scan's surface is off, place by place."""
+
+    shared: float = 0.25
+    """The power of its weight in the surface that a patch's variances count by. By the first they would be what the
+    surface is off by on the average; but a patch that ended early by chance still bends it, where it is.
+    """
+    chance: float = 4.0  # deviations by which residuals may exceed the noise
+    effective: float = 5 / 9  # points of a window that count, for its weights
+    fitted: int = 6  # and how many of them a quadric takes
+    per_patch: int = 30  # each place is compared with this many points for a patch
+    min_points: int = 30  # and with so many at least
+    max_points: int = 150  # and at most
+
+
+ROUGHNESS = RoughnessOptions()
 
 
 def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Roughness:
@@ -31,12 +42,18 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     # Detail that the surface has not is missing in its normals; it has no bumps from it to lend.
     missing = 2 * detail / points.spacing**2
     variances = np.stack([height + by_height + detail, slope + missing, LEND * slope, LEND * bend], axis=1)
-    return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** SHARED)
+    return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** ROUGHNESS.shared)
 
 
 def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
     """(m,) squared mean [m²] and slope [rad²] of the points' residuals around each patch, less their noise."""
-    count = int(np.clip(SHARES * len(points.places) / len(surface.patches), LEAST, MOST))
+    count = int(
+        np.clip(
+            ROUGHNESS.per_patch * len(points.places) / len(surface.patches),
+            ROUGHNESS.min_points,
+            ROUGHNESS.max_points,
+        )
+    )
     count = min(count, len(points.places))
     centres = surface.patches["point"]
     near = cKDTree(points.places).query(centres, k=count)[1].reshape(-1, count)
@@ -59,7 +76,10 @@ def _unresolved(surface: ScannedSurface, points: Points, noise: Noise) -> Array:
     """(m,) squared height [m²] of what each patch leaves of the points, beyond their noise: detail as fine as these are
     apart, which from one to the next is off independently."""
     patches = surface.patches
-    many = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, CROWD) * BY_WEIGHT - FITTED
-    chance = 1 + CHANCE * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
+    many = (
+        np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, WINDOWS.thinned) * ROUGHNESS.effective
+        - ROUGHNESS.fitted
+    )
+    chance = 1 + ROUGHNESS.chance * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
     known = 0.0 if noise.is_shape else noise.sigma**2 * chance
     return np.asarray(np.maximum(patches["spread"] - known, 0.0))

@@ -1,35 +1,36 @@
 """Which clouds are scans, and the surface behind one."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 
 from handsight.checks import Array, Indices
 from handsight.objects.geometry import Roughness
-from handsight.objects.scans.noise import QUIET, measured_noise
+from handsight.objects.scans.noise import NOISE, measured_noise
 from handsight.objects.scans.patches import ScannedSurface, fitted
 from handsight.objects.scans.roughness import roughness_of
 from handsight.objects.scans.windows import Noise, Points, spacing_of
 from handsight.objects.surface import Triangles, edges_of
 
-MOST_POINTS = 20_000
-"""More say little more about an object that fits into a hand."""
-LEAST_POINTS = 200
-"""Fewer do not tell noise from shape."""
-CLEAN = 5e-4
-"""Points with normals whose noise is below this [diameters] are taken for surface."""
-LEAST_VERTICES = 1000
-"""Meshes of fewer were drawn, not scanned."""
-FLAT, DRAWN = 1e-3, 0.1
-"""Triangles that meet at less than this angle [rad] lie in one plane; where they do so at more than this share of the
-edges, the mesh was drawn: noise leaves none."""
-FAR = 5.0
-"""Deviations of noise."""
-OWN = 0.7
-"""Vertices of a scan have at least this part of its noise each of its own."""
-QUARTER_OF_GAUSSIAN = 0.3186
-"""Of a standard deviation: a quarter of a Gaussian's draws are smaller."""
+
+class ScanOptions(NamedTuple):
+    """When points are a scan, and which."""
+
+    max_points: int = 20_000  # more say little more about an object that fits into a hand
+    min_points: int = 200  # fewer do not tell noise from shape
+    clean: float = 5e-4  # points with normals whose noise is below this are taken for surface [diameters]
+    min_vertices: int = 1000  # meshes of fewer were drawn, not scanned
+    flat_angle: float = 1e-3  # triangles that meet at less than this angle lie in one plane [rad]
+    flat_share: float = 0.1
+    """Where they do so at more than this share of the edges, the mesh was drawn: noise leaves none."""
+    outlying: float = 5.0  # deviations of noise beyond which a point is an outlier
+    own_noise: float = 0.7  # vertices of a scan have at least this part of its noise each of its own
+    gaussian_quarter: float = 0.3186  # of a standard deviation: a quarter of a Gaussian's draws are smaller
+
+
+SCAN = ScanOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,14 +47,14 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 
     They are where they have normals and no noise to speak of; so are too few to tell.
     """
-    if len(points) < LEAST_POINTS:
+    if len(points) < SCAN.min_points:
         return None
-    order = np.random.default_rng(5).permutation(len(points))[:MOST_POINTS]
+    order = np.random.default_rng(5).permutation(len(points))[: SCAN.max_points]
     places = points[order]
     unknown = np.full_like(places, np.nan)
     given = Points(places, unknown if normals is None else normals[order], spacing_of(places), diameter)
     given, noise = measured_noise(given)
-    if normals is not None and (noise.is_shape or noise.sigma < CLEAN * diameter):
+    if normals is not None and (noise.is_shape or noise.sigma < SCAN.clean * diameter):
         return None
     surface = fitted(given, noise)
     return Scan(noise, surface, roughness_of(surface, given, noise))
@@ -62,19 +63,19 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | None]:
     """A mesh with noisy vertices, moved to the surface behind them, and how far that is off; any other as it is."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
-    if len(used) < LEAST_VERTICES or _flat_share(mesh) > DRAWN:
+    if len(used) < SCAN.min_vertices or _flat_share(mesh) > SCAN.flat_share:
         return mesh, None
     vertices, faces = mesh.vertices[used], faces.reshape(mesh.faces.shape)
     normals = _vertex_normals(Triangles(vertices, faces))
     own = _own_noise(vertices, faces, normals)
-    scan = scanned(vertices, normals, diameter) if own > OWN * CLEAN * diameter else None
-    if scan is None or own < OWN * scan.noise.sigma:
+    scan = scanned(vertices, normals, diameter) if own > SCAN.own_noise * SCAN.clean * diameter else None
+    if scan is None or own < SCAN.own_noise * scan.noise.sigma:
         return mesh, None
     there = scan.surface.blended(vertices, scan.surface.tree.query(vertices)[1])
     way = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
     off = there[:, :1]
     # What is further off is no noise: a corner that no quadric reaches stays where it is.
-    vertices = np.where(np.abs(off) < FAR * scan.noise.sigma, vertices - off * way, vertices)
+    vertices = np.where(np.abs(off) < SCAN.outlying * scan.noise.sigma, vertices - off * way, vertices)
     return Triangles(vertices, faces), scan.roughness
 
 
@@ -85,7 +86,7 @@ def _flat_share(mesh: Triangles) -> float:
     first = (np.cumsum(count) - count)[count == 2]
     normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
     differences = np.linalg.norm(normals[order[first]] - normals[order[first + 1]], axis=1)
-    return float((differences < FLAT).mean()) if len(differences) else 1.0
+    return float((differences < SCAN.flat_angle).mean()) if len(differences) else 1.0
 
 
 def _vertex_normals(mesh: Triangles) -> Array:
@@ -112,4 +113,4 @@ def _own_noise(vertices: Array, faces: Indices, normals: Array) -> float:
     twice = (difference @ difference).tocsr()
     off = np.abs(((twice @ vertices) * normals).sum(axis=1))
     scale = np.sqrt(twice.multiply(twice).sum(axis=1))
-    return float(np.quantile(off / scale, QUIET) / QUARTER_OF_GAUSSIAN)
+    return float(np.quantile(off / scale, NOISE.smoothest) / SCAN.gaussian_quarter)

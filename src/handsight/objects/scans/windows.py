@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,19 @@ from handsight.checks import Array, Indices
 
 Patches = NDArray[np.void]
 """(m,) PATCH."""
-CROWD = 300
-"""Points about which a window is thinned to: more say little more."""
-NEIGHBOURS, ASKED = 8, 2000
-MOST_WINDOWS = 20
-FEW = 64
-"""Patches that are worth another thread."""
+
+
+class WindowOptions(NamedTuple):
+    """How points are gathered in windows."""
+
+    thinned: int = 300  # points to about which a window is thinned: more say little more
+    neighbours: int = 8  # points by which the spacing is measured
+    sampled: int = 2000  # points at which it is
+    max_windows: int = 20  # sizes of windows
+    serial: int = 64  # patches that are not enough for another thread
+
+
+WINDOWS = WindowOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,11 +75,11 @@ def spacing_of(places: Array, least: float = 0.0) -> float:
 
     share = 1.0
     while True:
-        some = places[: max(int(share * len(places)), 4 * NEIGHBOURS)]
-        reach = cKDTree(some).query(some[:ASKED], k=NEIGHBOURS + 1)[0][:, -1]
+        some = places[: max(int(share * len(places)), 4 * WINDOWS.neighbours)]
+        reach = cKDTree(some).query(some[: WINDOWS.sampled], k=WINDOWS.neighbours + 1)[0][:, -1]
         # A disc holds its neighbours and half the one on its rim.
-        spacing = float(np.sqrt(np.median(np.pi * reach**2) / (NEIGHBOURS + 0.5)))
-        if spacing >= least or len(some) < 8 * NEIGHBOURS:
+        spacing = float(np.sqrt(np.median(np.pi * reach**2) / (WINDOWS.neighbours + 0.5)))
+        if spacing >= least or len(some) < 8 * WINDOWS.neighbours:
             return spacing * float(np.sqrt(len(some) / len(places)))
         share /= 2
 
@@ -80,7 +87,7 @@ def spacing_of(places: Array, least: float = 0.0) -> float:
 def widths(least: float, most: float, ratio: float) -> Array:
     """Radii of windows [m], from the least to the most."""
     count = int(np.log(max(most / least, 1.0)) / np.log(ratio)) + 1
-    return np.asarray(least * ratio ** np.arange(max(count - MOST_WINDOWS, 0), count))
+    return np.asarray(least * ratio ** np.arange(max(count - WINDOWS.max_windows, 0), count))
 
 
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
@@ -91,15 +98,15 @@ def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> A
         for name, value in {**level, "window": window, "place": place}.items():
             given[name] = value
         cloud, keys = _in_cells(points, given, patches)
-        in_parts(partial(kernel.widen, cloud, keys, given), (patches, fitted), FEW)
+        in_parts(partial(kernel.widen, cloud, keys, given), (patches, fitted), WINDOWS.serial)
     return fitted
 
 
 def _in_cells(points: Points, level: NDArray[np.void], patches: Patches) -> tuple[Array, Indices]:
     """As many of the points as a window needs, (n, 6) with their normals, in the order of cells as wide as it."""
     window = float(level["window"][0])
-    share = CROWD / (np.pi * (window / points.spacing) ** 2)
-    count = max(int(min(share, 1.0) * len(points.places)), min(len(points.places), CROWD))
+    share = WINDOWS.thinned / (np.pi * (window / points.spacing) ** 2)
+    count = max(int(min(share, 1.0) * len(points.places)), min(len(points.places), WINDOWS.thinned))
     places = points.places[:count]
     low = np.minimum(places.min(axis=0), patches["point"].min(axis=0))
     high = np.maximum(places.max(axis=0), patches["point"].max(axis=0))

@@ -6,7 +6,7 @@ whose handle the hand hides fits at any turn, and only its covariance tells.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,23 +24,29 @@ from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 
 State = Literal["tracking", "uncertain", "lost"]
 
-GOES_ON = 0.8
-"""Of its velocity, that an object in nobody's grip is expected to have until the next image."""
+
+class DepthTrackerOptions(NamedTuple):
+    """How an object is followed from image to image."""
+
+    velocity_share: float = 0.8
+    """Of its velocity, that an object in nobody's grip is expected to have until the next image."""
+    max_gap: float = 0.5  # between images, for a velocity to be used [s]
+    min_points: int = 15  # below so many near it an image says nothing of a pose
+    min_pixels: float = 20.0  # below so many explained by it an image says nothing of a pose
+    min_against: float = 30.0  # pixels that contradict a pose, at least, for an image to do so
+    uncertain: float = 0.08  # how far off its surface may be for a pose to be known [diameters]
+    lost: float = 0.12  # and for it to be kept while nothing is detected [diameters]
+    min_twin: float = 0.05
+    """Weight of a pose that was found, of the likeliest's, for it to be taken where the object was turned like that."""
+    search_period: float = 0.2  # between searches of the entire image [s]
+    min_found: float = 0.6  # share of the pixels that it would fill, for an object to be found
+
+
+DEPTH_TRACKER = DepthTrackerOptions()
+
 WANDERS, WANDERS_IN_PALM = (0.15, 1.0), (0.02, 0.15)
 """How far off that is, and how an object moves in the palm [m/s, rad/s]."""
-LONGEST = 0.5
-"""Between images, for a velocity to go on [s]."""
-LEAST_POINTS, LEAST_PIXELS = 15, 20.0
-"""Below so many near it, or explained by it, an image says nothing of a pose."""
-LEAST_AGAINST = 30.0
-"""Pixels that speak against a pose, at least, for an image to do so."""
-UNCERTAIN, GONE = 0.08, 0.12
-"""How far off its surface may be [diameters] for a pose to be known, and for it to be kept while nothing is seen."""
-TWIN = 0.05
-"""Weight of a pose that was found, of the likeliest's, for it to be taken where the object was turned like that."""
 HIDDEN = "hardly anything of it is seen"
-SEARCH_EVERY, LEAST_FOUND = 0.2, 0.6
-"""Between searches of all of the image [s]; share of the pixels that it would fill, for an object to be found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +136,7 @@ class DepthTracker:
         frame = _Frame(now, depth, hand, plane, T_palm, gripped)
         before = self._belief, self._searched
         sighting = self._observed(frame, self._predicted(frame, hint))
-        if before[0] is not None and 0 < before[0].stamp - now <= LONGEST:
+        if before[0] is not None and 0 < before[0].stamp - now <= DEPTH_TRACKER.max_gap:
             self._belief, self._searched = before
         return sighting
 
@@ -152,10 +158,12 @@ class DepthTracker:
         """Why the object is lost; empty if it is not."""
         candidate, enough = refined.candidate[0], _is_enough(refined)
         against = candidate["passed"] + candidate["hidden"]
-        if against > max(candidate["explained"], LEAST_AGAINST):
+        if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
             share = candidate["explained"] / (candidate["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
-        if enough or not (predicted.lost or self._unsure(predicted) > GONE * self.model.diameter):
+        if enough or not (
+            predicted.lost or self._unsure(predicted) > DEPTH_TRACKER.lost * self.model.diameter
+        ):
             return ""
         return HIDDEN
 
@@ -171,7 +179,9 @@ class DepthTracker:
             )
         dt = max(frame.stamp - last.stamp, 0.0)
         T, P, wanders = last.T_camera_object, last.covariance, WANDERS
-        velocity = GOES_ON * last.velocity if dt <= LONGEST else np.zeros(6)
+        velocity = (
+            DEPTH_TRACKER.velocity_share * last.velocity if dt <= DEPTH_TRACKER.max_gap else np.zeros(6)
+        )
         if frame.gripped and frame.T_camera_palm is not None and last.T_camera_palm is not None:
             moved = frame.T_camera_palm @ se3.inverse(last.T_camera_palm)
             T, P, wanders = moved @ T, se3.rotate_covariance(moved[:3, :3], P), WANDERS_IN_PALM
@@ -182,7 +192,7 @@ class DepthTracker:
 
     def _found(self, frame: _Frame) -> tuple[_Belief, RefinedPose] | None:
         """The object somewhere in the image, if it is time to search and it is there."""
-        if abs(frame.stamp - self._searched) < SEARCH_EVERY:
+        if abs(frame.stamp - self._searched) < DEPTH_TRACKER.search_period:
             return None
         self._searched = frame.stamp
         found = locate(
@@ -193,8 +203,10 @@ class DepthTracker:
             table=frame.table,
             noise=self._refiner.noise,
         )
-        fits = found.candidates["explained"] >= LEAST_FOUND * found.candidates["expected"]
-        chosen = np.flatnonzero(fits & (found.weights >= TWIN * found.weights.max(initial=0.0)))
+        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
+        chosen = np.flatnonzero(
+            fits & (found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0))
+        )
         if not len(chosen):
             return None
         T = self._likeliest(found.Ts_camera_object[chosen])
@@ -215,7 +227,7 @@ class DepthTracker:
         T, candidate, unsure = now.T_camera_object, refined.candidate, self._unsure(now)
         candidate["pose"]["rotation"], candidate["pose"]["position"] = T[:3, :3], T[:3, 3]
         reason = "" if enough else HIDDEN
-        if enough and unsure > UNCERTAIN * self.model.diameter:
+        if enough and unsure > DEPTH_TRACKER.uncertain * self.model.diameter:
             reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
         return Sighting(
             frame.stamp, T, now.covariance, "uncertain" if reason else "tracking", reason, candidate
@@ -230,7 +242,7 @@ class DepthTracker:
         velocity = predicted.velocity
         if last is None or predicted.lost:
             velocity = np.zeros(6)
-        elif 0 < frame.stamp - last.stamp <= LONGEST:
+        elif 0 < frame.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
             was, now = self._center(last.T_camera_object), self._center(T)
             velocity = se3.difference(now, was) / (frame.stamp - last.stamp)
         return _Belief(frame.stamp, T, (P + P.T) / 2, velocity, frame.T_camera_palm, False)
@@ -272,4 +284,7 @@ class DepthTracker:
 
 def _is_enough(refined: RefinedPose) -> bool:
     """Whether as much is seen as a pose takes."""
-    return refined.points >= LEAST_POINTS and refined.candidate["explained"][0] >= LEAST_PIXELS
+    return (
+        refined.points >= DEPTH_TRACKER.min_points
+        and refined.candidate["explained"][0] >= DEPTH_TRACKER.min_pixels
+    )

@@ -1,6 +1,7 @@
 """An object's first pose from a depth image, without a guess."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +18,35 @@ from handsight.vision.object.pose_covariance import pose_covariances
 from handsight.vision.object.presence import log_odds, probabilities
 from handsight.vision.object.region import Scene, observed_points
 
-SPACING, MOST_POINTS = 1 / 24, 900
-"""Of seen points [diameters], and how many at most."""
-REFERENCES, LEAST_REFERENCES, PARTNERS = 28, 4, 140
-"""Points that vote, at least so many of each part, and others that each is paired with."""
-MIN_PIXELS = 10
-"""Points with a normal that a part must have to vote."""
-MAX_VOTED, VOTED_SPACING = 90, 0.05
-"""Poses that were voted for and are laid on the image, and how far apart these are [diameters]."""
+
+class FirstPoseOptions(NamedTuple):
+    """How a first pose is found: points that vote, poses that are compared."""
+
+    spacing: float = 1 / 24  # of observed points [diameters]
+    max_points: int = 900  # observed points
+    references: int = 28  # points that vote
+    min_references: int = 4  # of each part at least
+    partners: int = 140  # points that each is paired with
+    min_pixels: int = 10  # points with a normal that a part must have to vote
+    max_voted: int = 90  # poses that were voted for and are compared with the image
+    voted_spacing: float = 0.05  # how far apart these are [diameters]
+    candidate_spacing: float = 0.08  # how far apart those are that go on [diameters]
+    bound: float = 0.006  # what is explained lies within this [m]
+    bound_sigmas: float = 4.0  # or within so many deviations of the depth: no bound is less
+    close_sigmas: float = 1.25
+    """Deviations of the depth, its bias with it, within which an observed point lies on the surface."""
+
+
+FIRST_POSE = FirstPoseOptions()
+
 STAGES = (
     (80, False, 0.12, 0.08, 4, 24),
     (160, False, 0.08, 0.05, 4, 12),
     (300, True, 0.05, 0.03, 4, 8),
-    (MOST_POINTS, True, 0.03, 0.0, 5, 8),
+    (FIRST_POSE.max_points, True, 0.03, 0.0, 5, 8),
 )
 """Seen points, whether on the fine field, Tukey's bound at first and at last [diameters], steps, and how many go on."""
-CANDIDATE_SPACING = 0.08
-"""How far apart those are that go on [diameters]."""
-BOUND, SIGMAS = 0.006, 4.0
-"""What is explained lies within this [m], or so many deviations of the depth: no bound is less."""
 
-CLOSE = 1.25
-"""Deviations of the depth, its bias with it, within which a seen point lies on the surface."""
 SCORE_WEIGHTS = 1.2, 22.0
 """What the score, and the pixels that such points stand for to the power of the score's units, are worth in the
 logarithm of a mode's weight: chosen by hand between fits to two sets of drawn pictures, which differ
@@ -71,23 +79,37 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     Votes of point pairs, each of them laid on the image by more and more of its points, those that the image as a
     whole supports best going on. At last it counts too how many points lie on the surface as close as noise lets them.
     """
-    observed, appearance = observed_points(scene, SPACING * model.diameter, MOST_POINTS), appearance_of(model)
+    observed, appearance = (
+        observed_points(scene, FIRST_POSE.spacing * model.diameter, FIRST_POSE.max_points),
+        appearance_of(model),
+    )
     D, references = model.diameter, _references(observed, len(scene.sizes))
     voted = np.zeros((len(references), votes.PEAKS), dtype=CANDIDATE)
-    votes.vote(appearance.pairs, appearance.voters, observed, references, np.array([D, PARTNERS]), voted)
+    votes.vote(
+        appearance.pairs, appearance.voters, observed, references, np.array([D, FIRST_POSE.partners]), voted
+    )
     candidates = voted.reshape(-1)
-    candidates = candidates[distinct(model, candidates, candidates["votes"], MAX_VOTED, VOTED_SPACING)]
-    limits = np.array([appearance.sample_area, BOUND, *model.center_object])
+    candidates = candidates[
+        distinct(model, candidates, candidates["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
+    ]
+    limits = np.array([appearance.sample_area, FIRST_POSE.bound, *model.center_object])
     for points, fine, first, last, steps, kept in STAGES:
-        candidates["bound"] = np.maximum(BOUND, SIGMAS * noise.sigma(depths(model, candidates)))
+        candidates["bound"] = np.maximum(
+            FIRST_POSE.bound, FIRST_POSE.bound_sigmas * noise.sigma(depths(model, candidates))
+        )
         stage = np.array([fine, first * D, last * D, steps])
         depth_term.refine_poses(*model.record[:2], observed[:points], stage, candidates)
         image = scene.depth, scene.labels
         pose_score.score_all(scene.camera.record, image, appearance.sides, scene.sizes, limits, candidates)
-        candidates = candidates[distinct(model, candidates, candidates["score"], kept, CANDIDATE_SPACING)]
+        candidates = candidates[
+            distinct(model, candidates, candidates["score"], kept, FIRST_POSE.candidate_spacing)
+        ]
     z = depths(model, candidates)
     depth_term.closeness(
-        *model.record[:2], observed, CLOSE * np.hypot(noise.sigma(z), noise.bias(z)), candidates
+        *model.record[:2],
+        observed,
+        FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z)),
+        candidates,
     )
     candidates["close"] *= scene.sizes.sum() / max(len(observed), 1)
     score = scores(candidates) @ SCORE_WEIGHTS
@@ -107,7 +129,9 @@ def poses_of(candidates: Candidates) -> Array:
 
 def scores(candidates: Candidates) -> Array:
     """(k, 2) of LOOK (k,): score, and close pixels in its units."""
-    return np.stack([candidates["score"], candidates["close"] ** (1 - pose_score.POWER)], axis=1)
+    return np.stack(
+        [candidates["score"], candidates["close"] ** (1 - pose_score.POSE_SCORE.size_exponent)], axis=1
+    )
 
 
 def depths(model: ObjectModel, candidates: Candidates) -> Array:
@@ -122,8 +146,8 @@ def _references(observed: Candidates, parts: int) -> Indices:
     counts = np.bincount(observed["part"][has], minlength=parts)
     share = np.sqrt(counts)
     chosen = []
-    for part in np.flatnonzero(counts >= MIN_PIXELS):
-        number = max(LEAST_REFERENCES, round(REFERENCES * share[part] / share.sum()))
+    for part in np.flatnonzero(counts >= FIRST_POSE.min_pixels):
+        number = max(FIRST_POSE.min_references, round(FIRST_POSE.references * share[part] / share.sum()))
         chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
     return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.int64)
 

@@ -1,5 +1,7 @@
 """Where an object is in one depth image: the region, the table and the hand, then the pose."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from handsight._kernels.image.vision_records import CANDIDATE
@@ -11,13 +13,19 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.region import Scene, scene_of, table_plane
 
-WIDER_THAN_OBJECT = 1.5
-"""A plane that is so many of the object's diameters wide is no part of it."""
-LEAST_PROBABILITY = 0.02
-"""Of the best pose, for the object to be there: real cameras are less alike what was fitted than drawn pictures
-(`experiments/sight_recognition.py` prints what is kept and claimed)."""
-FARTHEST = 20.0
-"""An image half of which is beyond it [m] is in another unit."""
+
+class LocateOptions(NamedTuple):
+    """When an object is found in an image."""
+
+    max_plane: float = 1.5  # a plane that is so many of the object's diameters wide is no part of it
+    min_probability: float = 0.02
+    """Of the best pose, for the object to be there: real cameras are less like what was fitted than drawn pictures
+    (`experiments/sight_recognition.py` prints what is kept and claimed).
+    """
+    max_range: float = 20.0  # an image half of which is beyond it is in another unit [m]
+
+
+LOCATE = LocateOptions()
 
 
 def locate(
@@ -36,12 +44,12 @@ def locate(
     n towards it; else the widest plane. noise: of the depth. Raises InvalidInput for images of another size than the
     camera's, and for depth that is not in metres.
     """
-    extent = WIDER_THAN_OBJECT * model.diameter
+    extent = LOCATE.max_plane * model.diameter
     scene = scene_in(camera, depth, extent, wanted=wanted, hand=hand, table=table)
     if not len(scene.sizes):
         return _nowhere(nothing_in(scene))
     found = first_pose(model, scene, noise=noise)
-    if found.probability >= LEAST_PROBABILITY:
+    if found.probability >= LOCATE.min_probability:
         return found
     if not len(found.candidates):
         return _nowhere("no surface there is large enough to tell its shape")
@@ -66,7 +74,7 @@ def scene_in(
         if mask is not None:
             camera.check_size(mask, name)
     known = depth[np.isfinite(depth) & (depth > 0)]
-    if len(known) and np.median(known) > FARTHEST:
+    if len(known) and np.median(known) > LOCATE.max_range:
         guess = f"a median of {np.median(known):.4g} (millimetres?)"
         raise InvalidInput(f"depth: expected metres, got {guess}")
     where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)

@@ -13,16 +13,23 @@ from handsight.checks import Array, Mask
 from handsight.objects import ObjectModel
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import BOUND, SIGMAS, depths, poses_of
+from handsight.vision.object.first_pose import FIRST_POSE, depths, poses_of
 from handsight.vision.object.pose_covariance import pose_covariances
-from handsight.vision.object.region import TABLE_WITHIN
+from handsight.vision.object.region import REGION
 
-WITHIN, MARGIN = 0.12, 0.15
-"""Of the expected surface, for a point to count, and what is looked at around its silhouette [diameters]."""
-MOST_POINTS, MAX_PIXELS = 400, 2000
-"""Points that settle a pose, and pixels of the window that they are chosen from."""
-FEW = 50
-"""Of them do for the covariance."""
+
+class RefinerOptions(NamedTuple):
+    """How a pose is refined on an image."""
+
+    within: float = 0.12  # of the expected surface, for a point to count [diameters]
+    margin: float = 0.15  # what is searched around its silhouette [diameters]
+    max_points: int = 400  # points that refine a pose
+    max_pixels: int = 2000  # pixels of the window that they are chosen from
+    covariance_points: int = 50  # of them are enough for the covariance
+
+
+REFINER = RefinerOptions()
+
 STAGES = ((False, 0.12, 0.05, 4, 4), (True, 0.05, 0.0, 3, 1))
 """Whether on the fine field, Tukey's bound at first and at last [diameters], steps, every so manieth point."""
 ONE_PART = np.zeros(1)
@@ -51,10 +58,13 @@ class PoseRefiner:
         self._depth = np.zeros(camera.size[::-1], dtype=np.float32)
         self._labels = np.full(camera.size[::-1], pose_score.OUT, dtype=np.int32)
         self._window = np.zeros(1, dtype=WINDOW)
-        self._window["within"], self._window["plane_within"] = WITHIN * model.diameter, TABLE_WITHIN
-        self._points = np.zeros(MOST_POINTS, dtype=DEPTH_POINT)
+        self._window["within"], self._window["plane_within"] = (
+            REFINER.within * model.diameter,
+            REGION.table_within,
+        )
+        self._points = np.zeros(REFINER.max_points, dtype=DEPTH_POINT)
         self._stages = np.array(STAGES) * [1, model.diameter, model.diameter, 1, 1]
-        self._limits = np.array([self._appearance.sample_area, BOUND, *model.center_object])
+        self._limits = np.array([self._appearance.sample_area, FIRST_POSE.bound, *model.center_object])
 
     def at(
         self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None
@@ -72,12 +82,12 @@ class PoseRefiner:
         count = near_points.near_points((model, nodes), image, self._window, candidate, self._points)
         points, z = self._points[:count], depths(self.model, candidate)
         sigma = self.noise.sigma(z)
-        candidate["bound"] = np.maximum(BOUND, SIGMAS * sigma)
+        candidate["bound"] = np.maximum(FIRST_POSE.bound, FIRST_POSE.bound_sigmas * sigma)
         one_point = sigma**2 + self.noise.bias(z) ** 2
         depth_term.refine_near(model, nodes, points, self._stages, one_point * known, candidate)
         sides = self._appearance.sides
         pose_score.score_all(self.camera.record, image[1:], sides, ONE_PART, self._limits, candidate)
-        some = np.ascontiguousarray(points[:: max(count // FEW, 1)])
+        some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         return RefinedPose(poses_of(candidate)[0], covariance, candidate, count)
 
@@ -90,7 +100,7 @@ class PoseRefiner:
         if np.isnan(low[0]):
             return slice(0, 0), slice(0, 0)
         focal = self.camera.matrix[0, 0]
-        margin = 1 + MARGIN * self.model.diameter * focal / max(points[:, 2].min(), MARGIN)
+        margin = 1 + REFINER.margin * self.model.diameter * focal / max(points[:, 2].min(), REFINER.margin)
         (left, top), (right, bottom) = (low - margin).tolist(), (high + margin + 1).tolist()
         width, height = self.camera.size
         rows = slice(int(min(max(top, 0), height)), int(min(max(bottom, 0), height)))
@@ -109,7 +119,7 @@ class PoseRefiner:
         rows, columns = box
         here["rows"], here["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)
         area = (rows.stop - rows.start) * (columns.stop - columns.start)
-        here["step"] = max(1, round(float(np.sqrt(area / MAX_PIXELS))))
+        here["step"] = max(1, round(float(np.sqrt(area / REFINER.max_pixels))))
         if table is not None:
             here["plane"] = table
             near_points.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)

@@ -11,7 +11,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
-from handsight.vision.object.locate import WIDER_THAN_OBJECT, nothing_in, scene_in
+from handsight.vision.object.locate import LOCATE, nothing_in, scene_in
 from handsight.vision.object.presence import log_odds, probabilities
 
 
@@ -51,7 +51,7 @@ def recognise(
     """
     if not models:
         raise InvalidInput("models: expected at least one, got none")
-    extent = WIDER_THAN_OBJECT * max(model.diameter for model in models.values())
+    extent = LOCATE.max_plane * max(model.diameter for model in models.values())
     scene = scene_in(camera, depth, extent, wanted=wanted, hand=hand, table=table)
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
     detected = [name for name, one in found.items() if len(one.candidates)]

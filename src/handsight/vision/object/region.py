@@ -1,6 +1,7 @@
 """Where in a depth image an object may be: a box or all of it, without the table, in connected parts."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +11,21 @@ from handsight._kernels.image.vision_records import DEPTH_POINT
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 
-TABLE_WITHIN = 0.010
-"""What is nearer to a table's plane is the table's [m]."""
+
+class RegionOptions(NamedTuple):
+    """How an image is divided into table and parts."""
+
+    table_within: float = 0.010  # what is nearer to a table's plane is the table's [m]
+    trials: int = 200  # planes through three points each
+    trial_pixels: int = 750  # pixels that choose among them
+    refine_pixels: int = 3000  # pixels that place the chosen one
+    min_part: int = 40  # pixels of a part that is used
+
+
+REGION = RegionOptions()
+
 NO_TABLE = np.array([0, 0, 0, np.inf])
 """All is above it."""
-TRIALS, TRIED_ON, REFINED_ON = 200, 750, 3000
-"""Planes through three points each, and pixels that choose among them and that place the chosen one."""
-LEAST_PART = 40
-"""Pixels of a part that is looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +48,10 @@ def scene_of(
     known, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
     masks = wanted, np.zeros(depth.shape, dtype=bool) if hand is None else hand
     image = depth.astype(np.float32, copy=False), *masks
-    plane = np.append(NO_TABLE if table is None else table, TABLE_WITHIN)
+    plane = np.append(NO_TABLE if table is None else table, REGION.table_within)
     depth_image.sort_pixels(camera.rays, tuple(map(np.ascontiguousarray, image)), plane, known, labels)
-    sizes = np.empty(labels.size // LEAST_PART + 1)
-    count = depth_image.label_parts(known, labels, LEAST_PART, sizes)
+    sizes = np.empty(labels.size // REGION.min_part + 1)
+    count = depth_image.label_parts(known, labels, REGION.min_part, sizes)
     return Scene(camera, known, labels, sizes[:count].copy())
 
 
@@ -56,15 +64,15 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, se
     if len(pixels) < 500:
         return None
     rng = np.random.default_rng(seed)
-    chosen = pixels[rng.choice(len(pixels), min(len(pixels), REFINED_ON), replace=False)]
+    chosen = pixels[rng.choice(len(pixels), min(len(pixels), REGION.refine_pixels), replace=False)]
     z = depth.reshape(-1)[chosen].astype(np.float64)
     points = np.c_[camera.rays.reshape(-1, 2)[chosen] * z[:, None], z]
-    within = TABLE_WITHIN * np.maximum(z * z, 1)  # as depth is known
-    a, b, c = (points[rng.integers(len(points), size=TRIALS)] for _ in range(3))
+    within = REGION.table_within * np.maximum(z * z, 1)  # as depth is known
+    a, b, c = (points[rng.integers(len(points), size=REGION.trials)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
     normals, a = normals[length > 1e-6] / length[length > 1e-6, None], a[length > 1e-6]
-    offsets, some = (a * normals).sum(axis=1), slice(TRIED_ON)
+    offsets, some = (a * normals).sum(axis=1), slice(REGION.trial_pixels)
     near = np.abs(points[some] @ normals.T - offsets) < within[some, None]
     best = near.sum(axis=0).argmax()
     on = np.abs(points @ normals[best] - offsets[best]) < within

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -16,19 +17,21 @@ from handsight.hand import Hand
 from handsight.hand.chains import Chains
 from handsight.hand.surface import HandShape, sample_by_area
 
-POINTS = 1200
-"""By which a hand is laid onto an image."""
-COARSE = 0.005
-"""Vertices nearer than this are one where it is only told which points are seen [m]."""
-FINER = 4
-"""Pixels of an image for each that is drawn for that."""
-BEHIND, LEAST_FACING = 0.006, 0.1
-"""What of a point may lie behind what is drawn [m], and the least cosine of its normal with the way to the camera."""
 
-BESIDE = 0.02
-"""Off its outline there is air, with a belief as rough as the steps of a search [m]."""
-GOES_ON = 0.015
-"""What is seen beside the outline goes on where it is no farther behind the hand than this [m]."""
+class AppearanceOptions(NamedTuple):
+    """What of a hand a camera can see."""
+
+    points: int = 1200  # by which a hand is aligned with an image
+    merge_distance: float = 0.005  # vertices nearer than this are one where only visibility is asked for [m]
+    pixel_stride: int = 4  # pixels of an image for each that is drawn for that
+    max_depth: float = 0.006  # how far a point may lie behind what is drawn [m]
+    min_facing: float = 0.1  # the least cosine of its normal with the way to the camera
+    beside: float = 0.02  # off its outline there is air, with a belief as rough as the steps of a search [m]
+    continued_depth: float = 0.015
+    """What is visible beside the outline continues it where it is no farther behind the hand than this [m]."""
+
+
+APPEARANCE = AppearanceOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,7 @@ class HandAppearance:
             raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
         corners, link = shape.vertices_body[shape.faces], shape.body_of[shape.faces[:, 0]]
         body, points, normals = sample_by_area(
-            [corners[link == b] for b in range(len(shape.bodies))], POINTS, 0
+            [corners[link == b] for b in range(len(shape.bodies))], APPEARANCE.points, 0
         )
         order = np.random.default_rng(0).permutation(len(points))
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -114,17 +117,24 @@ class PlacedHand:
         drawn = _drawn(self, camera, T_camera_palm.tobytes())
         near = minimum_filter(drawn, size=3)
         around = np.isfinite(near) & ~np.isfinite(drawn)
-        rows, columns = (FINER * k + FINER // 2 for k in np.nonzero(around))
+        rows, columns = (
+            APPEARANCE.pixel_stride * k + APPEARANCE.pixel_stride // 2 for k in np.nonzero(around)
+        )
         inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
         observed, hand = depth[rows[inside], columns[inside]], near[around][inside]
-        counts = (observed > 0) & (observed > hand - GOES_ON)
-        return float((observed[counts] < hand[counts] + GOES_ON).mean()) if counts.any() else 1.0
+        counts = (observed > 0) & (observed > hand - APPEARANCE.continued_depth)
+        return (
+            float((observed[counts] < hand[counts] + APPEARANCE.continued_depth).mean())
+            if counts.any()
+            else 1.0
+        )
 
     def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
-        """(k, 3) points in the air, in the palm's axes, `BESIDE` off the hand's outline and as near as it [m]."""
+        """(k, 3) points in the air, in the palm's axes, `APPEARANCE.beside` off the hand's outline and as near as it
+        [m]."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
-        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], BESIDE)
-        off = max(round(BESIDE * small.matrix[0, 0] / distance), 1)
+        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE.beside)
+        off = max(round(APPEARANCE.beside * small.matrix[0, 0] / distance), 1)
         near, nearer = (minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
         rows, columns = np.nonzero(np.isfinite(near) & ~np.isfinite(nearer))
         chosen = np.random.default_rng(0).permutation(len(rows))[:most]
@@ -138,21 +148,25 @@ class PlacedHand:
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
-        facing = -np.einsum("mi,mi->m", points, normals) > LEAST_FACING * way
+        facing = -np.einsum("mi,mi->m", points, normals) > APPEARANCE.min_facing * way
         pixels = small.project(points)
         columns, rows = np.round(np.where(np.isfinite(pixels), pixels, -1)).astype(np.int64).T
         inside = (columns >= 0) & (rows >= 0) & (columns < small.size[0]) & (rows < small.size[1])
         front = drawn[np.where(inside, rows, 0), np.where(inside, columns, 0)]
-        slack = BEHIND + points[:, 2] / (2 * small.matrix[0, 0])
+        slack = APPEARANCE.max_depth + points[:, 2] / (2 * small.matrix[0, 0])
         return np.asarray(facing & (~inside | (points[:, 2] < front + slack)))
 
 
 @lru_cache(maxsize=8)
 def _smaller(camera: Camera) -> Camera:
     K = camera.matrix.copy()
-    K[:2] /= FINER
-    K[:2, 2] -= 0.5 - 0.5 / FINER
-    return Camera(K, (-(-camera.size[0] // FINER), -(-camera.size[1] // FINER)), camera.lens)
+    K[:2] /= APPEARANCE.pixel_stride
+    K[:2, 2] -= 0.5 - 0.5 / APPEARANCE.pixel_stride
+    return Camera(
+        K,
+        (-(-camera.size[0] // APPEARANCE.pixel_stride), -(-camera.size[1] // APPEARANCE.pixel_stride)),
+        camera.lens,
+    )
 
 
 @lru_cache(maxsize=4)  # where a hand comes to lie it is drawn for its outline and for what is seen of it
@@ -164,7 +178,7 @@ def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
 
 def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
     """Vertices, their links and faces, with those vertices of a link made one that share a cell."""
-    cells = np.c_[shape.body_of, np.floor(shape.vertices_body / COARSE)]
+    cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
     _, where = np.unique(cells, axis=0, return_inverse=True)
     where = where.reshape(-1)
     count = np.bincount(where)

@@ -7,7 +7,7 @@ seen goes on beside the hand. Where the last picture has had it, it is only move
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,32 @@ from handsight.vision.palm.hand_appearance import PlacedHand
 from handsight.vision.palm.palm_covariance import palm_covariance
 from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture_of, searched
 
-LIMIT, ON_THE_WAY = 4.0, 2.5
-"""Sigmas of the belief beyond which no answer is taken; times that, none goes on to become one."""
+
+class DetectorOptions(NamedTuple):
+    """When a palm is detected."""
+
+    max_sigmas: float = 4.0  # of the belief, beyond which no answer is taken
+    search_factor: float = 2.5  # times that, beyond which none goes on to become one
+    min_fit_followed: float = 0.65
+    """Of a hand that is followed: the least share explained of what is neither hidden nor out of the picture."""
+    max_passed: float = 0.15  # and the largest share that the camera sees past
+    near_best: float = 0.6  # share of the best score from which others are compared with all points too
+    min_score: float = 2.0  # of an answer
+    min_pixels: float = 400.0  # pixels that the hand explains
+    min_fit: float = 0.25  # and their share of those that it should fill
+    continued_weight: float = 0.3
+    """What all of the hand's outline counts, against the pixels that it should fill, where the image continues beside
+    it.
+    """
+    max_continued: float = (
+        0.55  # share of it above which no answer is taken: the hand was found in a table or a wall
+    )
+    candidate_spacing: float = 0.025  # poses farther from each other than this are others [m]
+    as_good: float = 0.85  # one whose score is so much of the best is as good
+
+
+DETECTOR = DetectorOptions()
+
 STAGES = ((300, (0.02, 0.010, 7, 0.015), 12, 0.010), (500, (0.012, 0.008, 6, 0.010), 5, 0.008))
 """Points; Tukey's bound at first and at last [m], steps, what is explained within [m]; how many poses go on, and how
 far they are apart [m]. A wide bound lets what is held pull the hand away."""
@@ -33,19 +57,7 @@ LAST = (0.015, 0.006, 8, 0.010)
 """The same with all points."""
 FOLLOWED, NEXT = (0.010, float(np.deg2rad(3.0))), (0.02, 0.006, 10, 0.010)
 """How far off a hand that is followed may be [m, rad], and as LAST for it."""
-FITS, PASSED = 0.65, 0.15
-"""Of a hand that is followed: the least share explained of what is neither hidden nor out of the picture, and the most
-that the camera sees past."""
-NEARLY = 0.6
-"""Share of the best score from which others are laid on with all points too."""
 
-LEAST_SCORE, LEAST_PIXELS, LEAST_FIT = 2.0, 400.0, 0.25
-"""Of an answer: LOOK's score, pixels that the hand explains, and their share of those that it should fill."""
-CONTINUED, MOST_CONTINUED = 0.3, 0.55
-"""What all of the hand's outline weighs, against the pixels that it should fill, where what is seen goes on beside it;
-and of how much of it no answer is taken: the hand was laid into a table or a wall."""
-CANDIDATE_SPACING, AS_GOOD = 0.025, 0.85
-"""Poses farther from each other than this [m] are others, and one whose score is so much of the best is as good."""
 
 Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
 
@@ -104,8 +116,10 @@ def detect_palm(
     rows = np.flatnonzero(there)
     for count, stage, kept, spacing in STAGES:
         candidates = _laid(picture, hand, rows, (count, *stage), candidates)
-        candidates = distinct(hand, _believed(belief, candidates, ON_THE_WAY * LIMIT), spacing, kept)
-    candidates = candidates[candidates["score"] > NEARLY * candidates["score"].max(initial=0.0)]
+        candidates = distinct(
+            hand, _believed(belief, candidates, DETECTOR.search_factor * DETECTOR.max_sigmas), spacing, kept
+        )
+    candidates = candidates[candidates["score"] > DETECTOR.near_best * candidates["score"].max(initial=0.0)]
     candidates = np.concatenate(
         [candidates[:0], *(_finished(picture, hand, candidates[k : k + 1]) for k in range(len(candidates)))]
     )
@@ -133,7 +147,10 @@ def follow_palm(
     candidate = _believed(Belief(hand, T, FOLLOWED), _finished(picture, hand, candidate, NEXT))
     if len(candidate):
         free = candidate["explained"] + candidate["passed"] + candidate["unexplained"]
-        if not (candidate["explained"] > FITS * free and candidate["passed"] < PASSED * free).all():
+        if not (
+            candidate["explained"] > DETECTOR.min_fit_followed * free
+            and candidate["passed"] < DETECTOR.max_passed * free
+        ).all():
             return PalmNotFound("no_fit")
     return _answer(picture, hand, candidate, noise)
 
@@ -176,12 +193,17 @@ def _finished(
         hand.outline_continued(picture.camera, picture.depth, poses_of(candidate)[0]),
     )
     candidate["score"] -= (
-        CONTINUED * goes_on * expected / np.maximum(expected, hand_term.LEAST_EXPECTED) ** hand_term.POWER
+        DETECTOR.continued_weight
+        * goes_on
+        * expected
+        / np.maximum(expected, hand_term.HAND_SCORE.min_expected) ** hand_term.HAND_SCORE.size_exponent
     )
     return candidate
 
 
-def _believed(belief: Belief, candidates: NDArray[np.void], limit: float = LIMIT) -> NDArray[np.void]:
+def _believed(
+    belief: Belief, candidates: NDArray[np.void], limit: float = DETECTOR.max_sigmas
+) -> NDArray[np.void]:
     """Those that the belief can be off by, so many sigmas; the best first."""
     hand, T, sigmas = belief.hand, belief.T, belief.sigmas
     Ts = poses_of(candidates)
@@ -195,16 +217,16 @@ def _answer(
     picture: Picture, hand: PlacedHand, candidates: NDArray[np.void], noise: DepthNoise
 ) -> PalmDetection | PalmNotFound:
     """The best, where it is good enough and no other is nearly as good."""
-    if not len(candidates) or not candidates["score"][0] > LEAST_SCORE:
+    if not len(candidates) or not candidates["score"][0] > DETECTOR.min_score:
         return PalmNotFound("no_fit")
     best, fits = candidates[:1].copy(), candidates["explained"] / np.maximum(candidates["expected"], 1.0)
-    if best["explained"][0] < LEAST_PIXELS or fits[0] < LEAST_FIT:
+    if best["explained"][0] < DETECTOR.min_pixels or fits[0] < DETECTOR.min_fit:
         return PalmNotFound("hardly_seen")
-    others = distinct(hand, candidates, CANDIDATE_SPACING, 2)[1:]
-    if len(others) and others["score"][0] > AS_GOOD * best["score"][0]:
+    others = distinct(hand, candidates, DETECTOR.candidate_spacing, 2)[1:]
+    if len(others) and others["score"][0] > DETECTOR.as_good * best["score"][0]:
         return PalmNotFound("ambiguous")
     T = poses_of(best)[0]
-    if hand.outline_continued(picture.camera, picture.depth, T) > MOST_CONTINUED:
+    if hand.outline_continued(picture.camera, picture.depth, T) > DETECTOR.max_continued:
         return PalmNotFound("no_fit")
     rows = np.flatnonzero(hand.visible_from(picture.camera, T))
     covariance = palm_covariance(picture, hand, best, (rows, LAST[1]), noise)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +15,29 @@ from handsight.checks import Array, Indices, Mask
 from handsight.vision.object.first_pose import poses_of
 from handsight.vision.palm.hand_appearance import PlacedHand
 
-CELL, MOST_CELLS = 0.005, 160
-"""Of the image as the search has it, at the hand [m]; how many there are to a side at most."""
-SHIFT, LAYER, TURN = 0.025, 0.10, float(np.deg2rad(12))
-"""Between poses that are tried: across and along the way to the camera [m], and turns [rad]."""
-WITHIN = 2.6
-"""Sigmas of the belief that are searched."""
-PRIOR = 0.01
-"""What a squared sigma that a pose is off the belief takes from the share of points that agree."""
-BIN = 0.010
-"""Distances that are told apart there [m]."""
-SCANNED, AROUND, KEPT, SAMPLED_POINTS = 80, 48, 40, (300, 30)
+
+class PalmSearchOptions(NamedTuple):
+    """How poses of the palm are searched."""
+
+    cell: float = 0.005  # of the image as the search has it, at the hand [m]
+    max_cells: int = 160  # to a side
+    shift: float = 0.025  # between poses that are tried, across the way to the camera [m]
+    layer: float = 0.10  # and along it [m]
+    rotation: float = float(np.deg2rad(12))  # and between their rotations [rad]
+    max_sigmas: float = 2.6  # of the belief that are searched
+    prior_weight: float = 0.01
+    """What a squared sigma that a pose is off the belief takes from the share of points that agree."""
+    bin: float = 0.010  # distances that are told apart there [m]
+    scanned: int = 80  # points in the search
+    refined: int = 48  # poses whose neighbours are tried
+    kept: int = 40  # poses that go on
+    compared: int = 8  # points of the hand by which poses are told apart
+
+
+PALM_SEARCH = PalmSearchOptions()
+
+SAMPLED_POINTS = (300, 30)
 """Points in the search; poses that are looked around of; that go on; how many of all, and around each, are compared."""
-COMPARED = 8
-"""Points of the hand by which poses are told apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +56,14 @@ class Picture:
 
 def picture_of(camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigma: float) -> Picture | None:
     """None where the hand cannot be in the image."""
-    middle, reach = se3.apply(T, hand.middle[None])[0], WITHIN * sigma + hand.radius
+    middle, reach = se3.apply(T, hand.middle[None])[0], PALM_SEARCH.max_sigmas * sigma + hand.radius
     nearest = max(middle[2] - reach, 0.1)
     if not middle[2] > -reach:
         return None
     known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     far = max(middle[2], 0.1)
-    size, half = CELL / far, reach / max(nearest, 0.5 * far)
-    count = min(int(2 * half / size) + 1, MOST_CELLS)
+    size, half = PALM_SEARCH.cell / far, reach / max(nearest, 0.5 * far)
+    count = min(int(2 * half / size) + 1, PALM_SEARCH.max_cells)
     size = 2 * half / count
     corner = np.array([middle[0] / far - half, middle[1] / far - half, size])
     cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
@@ -83,18 +93,23 @@ class Belief:
 def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
     """LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around them."""
     hand, rows = belief.hand, np.flatnonzero(there)
-    air = hand.beside(picture.camera, belief.T, SCANNED)
-    turns, shifts = _turns(WITHIN * belief.sigmas[1]), _shifts(WITHIN * belief.sigmas[0])
-    points = _scanned(hand, rows[:SCANNED], air[: SCANNED // 2])
-    candidates = _tried(picture, belief, points, belief.T, (turns, shifts), (BIN, SAMPLED_POINTS[0]))
-    candidates = distinct(hand, candidates, SHIFT, AROUND)
-    points = _scanned(hand, rows[: 2 * SCANNED], air)
-    finer = _turns(TURN / 2, TURN / 2), np.zeros((1, 3))
+    air = hand.beside(picture.camera, belief.T, PALM_SEARCH.scanned)
+    turns, shifts = (
+        _turns(PALM_SEARCH.max_sigmas * belief.sigmas[1]),
+        _shifts(PALM_SEARCH.max_sigmas * belief.sigmas[0]),
+    )
+    points = _scanned(hand, rows[: PALM_SEARCH.scanned], air[: PALM_SEARCH.scanned // 2])
+    candidates = _tried(
+        picture, belief, points, belief.T, (turns, shifts), (PALM_SEARCH.bin, SAMPLED_POINTS[0])
+    )
+    candidates = distinct(hand, candidates, PALM_SEARCH.shift, PALM_SEARCH.refined)
+    points = _scanned(hand, rows[: 2 * PALM_SEARCH.scanned], air)
+    finer = _turns(PALM_SEARCH.rotation / 2, PALM_SEARCH.rotation / 2), np.zeros((1, 3))
     around = [
-        _tried(picture, belief, points, near, finer, (BIN / 2, SAMPLED_POINTS[1]))
+        _tried(picture, belief, points, near, finer, (PALM_SEARCH.bin / 2, SAMPLED_POINTS[1]))
         for near in poses_of(candidates)
     ]
-    return distinct(hand, np.concatenate([candidates[:0], *around]), SHIFT / 2, KEPT)
+    return distinct(hand, np.concatenate([candidates[:0], *around]), PALM_SEARCH.shift / 2, PALM_SEARCH.kept)
 
 
 def _scanned(hand: PlacedHand, rows: Indices, air: Array) -> Array:
@@ -118,7 +133,7 @@ def _tried(
     found = np.empty((len(rotations), len(middles), 2))
     palm_scan.scan(picture.cells, np.append(picture.corner, fine[0]), points, middles, rotations, found)
     places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
-    scores = (found[..., 0] - PRIOR * belief.chi2(places, rotations[:, None])).reshape(-1)
+    scores = (found[..., 0] - PALM_SEARCH.prior_weight * belief.chi2(places, rotations[:, None])).reshape(-1)
     best = np.argpartition(-scores, min(fine[1], len(scores) - 1))[: fine[1]]
     best = best[np.isfinite(scores[best])]
     r, s = np.divmod(best, len(middles))
@@ -129,7 +144,7 @@ def _tried(
 
 
 @lru_cache(maxsize=16)
-def _turns(reach: float, step: float = TURN) -> Array:
+def _turns(reach: float, step: float = PALM_SEARCH.rotation) -> Array:
     """(r, 3, 3) turns so far apart, up to `reach`; none but 0 where that is less than half a step."""
     count = max(int(np.ceil(reach / step - 0.5)), 0)
     steps = step * np.arange(-count, count + 1)
@@ -138,20 +153,22 @@ def _turns(reach: float, step: float = TURN) -> Array:
     return np.stack([se3.rotation_exp(turn) for turn in turns[inside]])
 
 
-def _shifts(reach: float, step: float = SHIFT) -> Array:
+def _shifts(reach: float, step: float = PALM_SEARCH.shift) -> Array:
     """(s, 3) shifts, so close together across the way to the camera, in layers along it."""
-    count, layers = (max(int(np.ceil(reach / each - 0.5)), 0) for each in (step, LAYER))
-    across, along = step * np.arange(-count, count + 1), LAYER * np.arange(-layers, layers + 1)
+    count, layers = (max(int(np.ceil(reach / each - 0.5)), 0) for each in (step, PALM_SEARCH.layer))
+    across, along = step * np.arange(-count, count + 1), PALM_SEARCH.layer * np.arange(-layers, layers + 1)
     shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
     # A cell counts where any of it is within reach: by its nearest corner, not by its middle.
-    nearest = np.maximum(np.abs(shifts) - np.array([step, step, LAYER]) / 2, 0.0)
+    nearest = np.maximum(np.abs(shifts) - np.array([step, step, PALM_SEARCH.layer]) / 2, 0.0)
     return np.asarray(shifts[np.linalg.norm(nearest, axis=1) <= reach])
 
 
 def distinct(hand: PlacedHand, candidates: NDArray[np.void], spacing: float, most: int) -> NDArray[np.void]:
     """The best first, each at least so far [m] from all better ones, by its points' root mean square."""
     candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
-    places = se3.apply(poses_of(candidates), hand.skin[0, :COMPARED]).reshape(len(candidates), 3 * COMPARED)
+    places = se3.apply(poses_of(candidates), hand.skin[0, : PALM_SEARCH.compared]).reshape(
+        len(candidates), 3 * PALM_SEARCH.compared
+    )
     taken = np.zeros(len(candidates), dtype=bool)
     kept = list[int]()
     for k in range(len(candidates)):
@@ -161,5 +178,5 @@ def distinct(hand: PlacedHand, candidates: NDArray[np.void], spacing: float, mos
         if len(kept) == most:
             break
         away = places - places[k]
-        taken |= np.einsum("ki,ki->k", away, away) < COMPARED * spacing**2
+        taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
     return candidates[kept]

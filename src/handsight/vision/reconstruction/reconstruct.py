@@ -1,6 +1,7 @@
 """An object's surface out of depth images of many sides of it, their poses given or found by the growing surface."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +18,26 @@ from handsight.objects.record import field_record
 from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.reconstruction.volume import Volume
 
-CELL, MOST_CELLS = 0.002, 160
-"""Of the volume [m]: finer is below what depth cameras resolve; of a large one, so many along its longest side."""
-COARSE = 4
-"""How much larger the cells are that a pose from farther away is laid on."""
+
+class ReconstructionOptions(NamedTuple):
+    """How views are aligned and fused."""
+
+    cell: float = 0.002  # of the volume [m]: finer is below what depth cameras resolve
+    max_cells: int = 160  # along the longest side of a large one
+    coarse_factor: int = 4  # how much larger the cells are with which a pose from farther away is aligned
+    spacing: float = 0.003  # of the points that align a view with the surface [m]
+    max_points: int = 3000  # of them
+    min_fit: float = 0.4  # of a view's points, on the surface so far, or the view is left out
+    min_points: int = 100  # of a view
+    near: float = 0.5  # what fits is nearer than this [bounds]
+    min_shift: float = 0.02  # a view that has not moved so far since the last one says nothing new [m]
+    min_rotation: float = np.deg2rad(3)  # or turned so much [rad]
+
+
+RECONSTRUCTION = ReconstructionOptions()
+
 STAGES = ((False, 1.0, 0.5, 6), (True, 1.0, 0.6, 8))
 """Whether on the fine volume, Tukey's bound at first and at last [bounds], and steps."""
-SPACING, MOST_POINTS = 0.003, 3000
-"""Of the points that lay a view on the surface [m], and how many at most."""
-LEAST_FIT = 0.4
-"""Of a view's points, on the surface so far, or the view is left out."""
-LEAST_POINTS = 100
-NEAR = 0.5
-"""What fits is nearer than this [bounds]."""
-MOVED, TURNED = 0.02, np.deg2rad(3)
-"""A view that has not moved so far [m] or turned so much [rad] since the last one says nothing new."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +56,12 @@ class Reconstruction:
     def __init__(self, camera: Camera, bounds_object: Array) -> None:
         """`bounds_object` (2, 3): the least and the largest coordinates of what is looked at [m]."""
         self.camera, self.bounds_object = camera, bounds_object
-        cell = max(CELL, float((bounds_object[1] - bounds_object[0]).max()) / MOST_CELLS)
-        self.volume, self._coarse = (Volume(bounds_object, k * cell) for k in (1, COARSE))
+        cell = max(
+            RECONSTRUCTION.cell, float((bounds_object[1] - bounds_object[0]).max()) / RECONSTRUCTION.max_cells
+        )
+        self.volume, self._coarse = (
+            Volume(bounds_object, k * cell) for k in (1, RECONSTRUCTION.coarse_factor)
+        )
         self._surface: _Surface | None = None
         self._fused: View | None = None
         self._last: tuple[View, View] | None = None
@@ -78,13 +88,18 @@ class Reconstruction:
     def laid_on(self, view: View) -> View | None:
         """The view at the pose where its points lie on the surface so far; None where they do not."""
         surface = self._surface = self._surface or _Surface(self._coarse, self.volume)
-        points, T = observed_points(self._scene(view), SPACING, MOST_POINTS), view.T_camera_object
+        points, T = (
+            observed_points(self._scene(view), RECONSTRUCTION.spacing, RECONSTRUCTION.max_points),
+            view.T_camera_object,
+        )
         for fine, first, last, steps in STAGES:
             bound = (self.volume if fine else self._coarse).bound
             known = points[surface.tells(fine, se3.apply(se3.inverse(T), points["point"]))]
             T = surface.refined(known, T, np.array([fine, first * bound, last * bound, steps]))
         off = surface.distances(se3.apply(se3.inverse(T), known["point"]))
-        fits = (np.abs(off) < NEAR * self.volume.bound).sum() > max(LEAST_FIT * len(known), LEAST_POINTS)
+        fits = (np.abs(off) < RECONSTRUCTION.near * self.volume.bound).sum() > max(
+            RECONSTRUCTION.min_fit * len(known), RECONSTRUCTION.min_points
+        )
         return View(view.depth, T) if fits else None
 
     def _scene(self, view: View) -> Scene:
@@ -136,4 +151,6 @@ class _Surface:
 def _has_moved(T_camera_object: Array, to: Array) -> bool:
     """Whether the camera has, seen from the object."""
     shift, turn = np.split(se3.difference(se3.inverse(to), se3.inverse(T_camera_object)), 2)
-    return bool(np.linalg.norm(shift) > MOVED or np.linalg.norm(turn) > TURNED)
+    return bool(
+        np.linalg.norm(shift) > RECONSTRUCTION.min_shift or np.linalg.norm(turn) > RECONSTRUCTION.min_rotation
+    )

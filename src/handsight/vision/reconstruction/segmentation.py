@@ -1,6 +1,7 @@
 """Where in a depth image an object is that nobody has a model of yet: what stands on a table, or what a hand holds."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,19 +15,25 @@ from handsight.hand import Hand
 from handsight.hand.surface import sample_by_area
 from handsight.vision.object.region import scene_of, table_plane
 
-TABLE_EXTENT = 0.15
-"""What is wider [m] and flat is a table."""
-LEAST_PIXELS = 200
-"""Of an object in its first view."""
-MARGIN, BELOW, LARGEST = 0.03, 0.02, 0.3
-"""Around what the first view shows, and below a table [m]; nothing is taken to be larger than the last."""
-IN_HAND_BOUNDS = LARGEST / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
+
+class SegmentationOptions(NamedTuple):
+    """What of an image is the object."""
+
+    min_table: float = 0.15  # what is wider and flat is a table [m]
+    min_pixels: int = 200  # of an object in its first view
+    margin: float = 0.03  # around what the first view shows [m]
+    below: float = 0.02  # below a table [m]
+    max_extent: float = 0.3  # nothing is taken to be larger [m]
+    skin_points: int = 12_000  # of a hand, on its palm some four millimetres apart
+    hand_margin: float = 0.005  # what is nearer to the hand may be the hand [m]
+    joint_sigmas: float = 3.0  # and so may what is as far as its joints may move it, in standard deviations
+    neighbours: int = 8  # of the hand's points that are compared
+
+
+SEGMENTATION = SegmentationOptions()
+
+IN_HAND_BOUNDS = SEGMENTATION.max_extent / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
 """About the middle of the fingertips, of what a hand holds [m]."""
-SKIN = 12_000
-"""Points of a hand, on its palm some four millimetres apart."""
-CLOSE, DEVIATIONS, AMONG = 0.005, 3.0, 8
-"""What is nearer to the hand may be the hand [m], and so may what is as far as its joints may move it, in standard
-deviations; how many of its points are asked."""
 
 
 def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
@@ -35,12 +42,12 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     Its frame: z up from the table, the origin on it. None where no table is seen, or nothing on it.
     """
     everywhere = np.ones(depth.shape, dtype=bool)
-    plane = table_plane(camera, depth, everywhere, extent=TABLE_EXTENT)
+    plane = table_plane(camera, depth, everywhere, extent=SEGMENTATION.min_table)
     if plane is None:
         return None
     scene = scene_of(camera, depth, wanted=everywhere, table=plane)
     rows, columns = np.nonzero(scene.labels >= 0)
-    big = scene.sizes[scene.labels[rows, columns]] >= LEAST_PIXELS
+    big = scene.sizes[scene.labels[rows, columns]] >= SEGMENTATION.min_pixels
     rows, columns = rows[big], columns[big]
     if not len(rows):
         return None
@@ -53,9 +60,12 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     T = se3.compose(np.column_stack([x, np.cross(z, x), z]), middle - (z @ middle + plane[3]) * z)
     there = se3.apply(se3.inverse(T), points)
     # Behind what is seen there is as much again.
-    side = min(1.5 * float(np.linalg.norm(there[:, :2], axis=1).max()) + MARGIN, LARGEST / 2)
-    top = min(float(there[:, 2].max()) + MARGIN, LARGEST)
-    return T, np.array([[-side, -side, -BELOW], [side, side, top]])
+    side = min(
+        1.5 * float(np.linalg.norm(there[:, :2], axis=1).max()) + SEGMENTATION.margin,
+        SEGMENTATION.max_extent / 2,
+    )
+    top = min(float(there[:, 2].max()) + SEGMENTATION.margin, SEGMENTATION.max_extent)
+    return T, np.array([[-side, -side, -SEGMENTATION.below], [side, side, top]])
 
 
 class InHandView:
@@ -71,7 +81,7 @@ class InHandView:
             self._shape.body_of[self._shape.faces[:, 0]],
         )
         body, points, _ = sample_by_area(
-            [corners[link == b] for b in range(len(self._shape.bodies))], SKIN, 0
+            [corners[link == b] for b in range(len(self._shape.bodies))], SEGMENTATION.skin_points, 0
         )
         self._bodies: Indices = body.astype(np.int64)
         self._points = np.ascontiguousarray(points)
@@ -99,12 +109,14 @@ class InHandView:
         skin = np.empty_like(self._points)
         chain.transform_points(self._points, self._bodies, Ts, skin)
         moves = self._shape.chains.jacobians(skin, self._bodies, axes)[:, :3]
-        slack = CLOSE + DEVIATIONS * self._sigma_joint * np.linalg.norm(moves, axis=(1, 2))
+        slack = SEGMENTATION.hand_margin + SEGMENTATION.joint_sigmas * self._sigma_joint * np.linalg.norm(
+            moves, axis=(1, 2)
+        )
         points = se3.apply(se3.inverse(T_camera_palm), camera.points(depth).reshape(-1, 3).astype(np.float64))
         low, high = skin.min(axis=0) - slack.max(), skin.max(axis=0) + slack.max()
         with np.errstate(invalid="ignore"):
             around = np.flatnonzero((depth.reshape(-1) > 0) & ((points > low) & (points < high)).all(axis=1))
-        gap, which = cKDTree(skin).query(points[around], k=AMONG)
+        gap, which = cKDTree(skin).query(points[around], k=SEGMENTATION.neighbours)
         alone = depth.copy()
         alone.reshape(-1)[around[(gap < slack[which]).any(axis=1)]] = 0
         return alone
