@@ -5,7 +5,7 @@ A measurement that was not taken is None, or has no entry in its mapping; no num
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,7 @@ class Observation:
     contacts: Mapping[str, ContactMeasurement | None] = field(default_factory=dict)
     """By finger, contacts of tips that sense them directly; None: the tip touches nothing. No contact is then computed
     from that finger's wrench."""
-    skin: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    skin: Mapping[str, Array] = field(default_factory=dict)
     """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has none."""
 
     __repr__ = short_repr

@@ -249,7 +249,7 @@ def _fields(line: bytes) -> ProblemFields:
         raise InvalidInput(f"line: expected text, got half a character in {error.object[:40]!r}") from None
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     unique = dict(pairs)
     if len(unique) < len(pairs):
         twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
@@ -327,7 +327,7 @@ def _weight(fields: WeightFields | None) -> WeightEvidence | None:
     return WeightEvidence(fields.center_object, fields.center_palm, covariance)
 
 
-def _radians(degrees: Any, name: str, most: float) -> float:
+def _radians(degrees: float, name: str, most: float) -> float:
     """A standard deviation that comes in degrees, up to `most` [rad]; its bounds are told in degrees."""
     radians = float(np.deg2rad(checks.positive(degrees, name)))
     if not checks.MIN_SIGMA <= radians <= most:

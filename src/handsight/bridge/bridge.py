@@ -129,7 +129,7 @@ class Bridge:
             if name.startswith("rt/"):
                 self._types.on_topic(name[2:], ros_name(each.type_name))
 
-    def _topic(self, topic: str, kind: str) -> Any:
+    def _topic(self, topic: str, kind: str) -> Topic:
         return Topic(self._network.participant, carried(topic), message_type(kind))
 
     def _reader(self, topic: str, kind: str) -> Any:

@@ -72,9 +72,9 @@ def _keep(self: Sample, data: bytes) -> None:
     self.data = data
 
 
-def _bytes(self: Sample, *_: Any, **__: Any) -> bytes:
+def _bytes(self: Sample, *_: object, **__: object) -> bytes:
     return self.data
 
 
-def _from_bytes(cls: Any, data: bytes, *_: Any, **__: Any) -> Any:
+def _from_bytes(cls: type[Any], data: bytes, /, *_: object, **__: object) -> Any:
     return cls(data)

@@ -2,12 +2,15 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
 from handsight.cli.terminal import announce_compiling, say
+
+if TYPE_CHECKING:
+    pass
 
 
 class WithColumns(TyperCommand):

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from handsight.cli.terminal import FAILED, End, kept_going
 from handsight.files import write_errors
@@ -83,7 +83,7 @@ class Run:
         wrong = Counter(finger for step in self.steps for finger in step.rejected)
         return {finger: wrong[finger] / count for finger, count in touching.items()}
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """The run in numbers, as JSON's values."""
         tally = self.tally
         return {
@@ -179,7 +179,7 @@ def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
-def weight_numbers(weight: "ObjectWeight") -> dict[str, Any]:
+def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
     """The same as JSON's values."""
     return {
         "mass_kg": weight.mass,

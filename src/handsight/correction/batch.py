@@ -18,7 +18,11 @@ AT_ONCE = 4096
 KEYS = ("contacts", "vision", "outside", "answer", "samples", "budget", "weight", "method")
 
 
-def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstimate]:
+Arguments = dict[str, Any]
+"""Of `correct_pose`, by name."""
+
+
+def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEstimate]:
     """The estimates of many problems of one object, in their order: `correct_pose` of each, on all cores.
 
     A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `answer`, `samples`,
@@ -44,17 +48,17 @@ def correct_poses(model: ObjectModel, problems: Iterable[Any]) -> list[PoseEstim
     ]
 
 
-def _solved(model: ObjectModel, problem: dict[str, Any], name: str) -> PoseEstimate:
+def _solved(model: ObjectModel, problem: Arguments, name: str) -> PoseEstimate:
     try:
         return correct_pose(model, **problem)
     except InvalidInput as error:
         raise InvalidInput(f"{name}: {error}") from None
 
 
-def _arguments(problem: Any, name: str) -> dict[str, Any]:
+def _arguments(problem: object, name: str) -> Arguments:
     """What `correct_pose` is to be called with; arguments that say nothing are left out."""
     if isinstance(problem, Contacts):
-        given: dict[str, Any] = {"contacts": problem}
+        given: Arguments = {"contacts": problem}
     elif isinstance(problem, Mapping):
         given = dict(problem)
     elif isinstance(problem, tuple | list) and len(problem) == 2:

@@ -27,9 +27,8 @@ class OutlierOptions(NamedTuple):
     contacts.
     """
     max_outliers: int = 10  # contacts that may be called wrong
-    accept_p: float = (
-        0.05  # without the wrong one, contacts fit better than this part of those that are right
-    )
+    accept_p: float = 0.05
+    """Without the wrong one, contacts fit better than this part of those that are right."""
 
 
 OUTLIERS = OutlierOptions()

@@ -172,7 +172,7 @@ def _links(value: ArrayLike, n: int) -> Indices:
 
 def outside_records(
     model: ObjectModel, contacts: Contacts, outside: ArrayLike | Outside | None
-) -> NDArray[Any]:
+) -> NDArray[np.void]:
     """(m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
     if outside is None:
         return NO_OUTSIDE
@@ -194,7 +194,7 @@ def outside_records(
     return rows
 
 
-def _fill(points: NDArray[Any], given: Any) -> None:
+def _fill(points: NDArray[np.void], given: Any) -> None:
     """Writes what is said of the points beside where they are; those of a link then stand together."""
     for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
         if values is not None:

@@ -26,9 +26,8 @@ class FrictionOptions(NamedTuple):
     min_turns: int = 5  # turns in a heap at least
     min_share: float = 0.1  # and in parts of the largest heap's
     max_below: int = 20  # that is at most so many bins above it
-    certain_turns: int = (
-        20  # turns of a heap that counts alone, if the highest ratio is within `max_above` of it
-    )
+    certain_turns: int = 20
+    """Turns of a heap that counts alone, if the highest ratio is within `max_above` of it."""
     noise_margin: float = 0.98
     """Friction is at least this share of the highest ratio that two fingers have measured, noise and all."""
     near_heap: float = 1.1  # as far as that is above the heap by this factor at most

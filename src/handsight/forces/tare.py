@@ -23,9 +23,8 @@ class TareOptions(NamedTuple):
     min_travel: float = 0.005
     """A tip that has moved this far in the palm over a window pushes nothing along by chance [m]."""
     max_force: float = 0.5  # more than this is a load, or a broken sensor [N]
-    unsteady_p: float = (
-        0.001  # readings that noise alone spreads this far with that chance change by more than noise
-    )
+    unsteady_p: float = 0.001
+    """Readings that noise alone spreads this far with that chance change by more than noise."""
 
 
 TARE = TareOptions()

@@ -37,12 +37,10 @@ class WeigherOptions(NamedTuple):
     sigma_gravity: float = float(np.deg2rad(1.0))  # how far a world is off plumb, about each axis [rad]
     wrong_mass: float = 3.3  # in sigmas: a mass that is farther off is another one
     biased: float = 5.0  # in sigmas of a reading: by a larger bias a sensor is not as it was calibrated
-    restart_after: float = (
-        3.0  # how long loads may contradict what was kept before all of that is dropped [s]
-    )
-    trusted_directions: int = (
-        3  # directions that must fit then before any is believed: one fits whatever presses
-    )
+    restart_after: float = 3.0
+    """How long loads may contradict what was kept before all of that is dropped [s]."""
+    trusted_directions: int = 3
+    """Directions that must fit then before any is believed: one fits whatever presses."""
 
 
 WEIGHER = WeigherOptions()

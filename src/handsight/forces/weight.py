@@ -38,14 +38,12 @@ class WeightOptions(NamedTuple):
     gyration: float = 0.05
     """Of what a hand holds: the torque to turn it faster is not subtracted, but counts as this uncertain [m]."""
     passes: int = 2  # what gravity's direction does to the torque depends on m c: the second pass knows it
-    min_p: float = (
-        0.003  # a fit less likely than this is none: something else bears part of the load, or adds to it
-    )
+    min_p: float = 0.003
+    """A fit less likely than this is none: something else bears part of the load, or adds to it."""
     min_p_fixed: float = 0.02
     """The same of a bias that is fixed in the palm, as what a link of the hand bears nearly is."""
-    unobservable: float = (
-        1e-6  # in parts of what is known best: what the loads know so much less of may be anything
-    )
+    unobservable: float = 1e-6
+    """In parts of what is known best: what the loads know so much less of may be anything."""
 
 
 WEIGHT_FIT = WeightOptions()

@@ -1,13 +1,11 @@
 """What a CameraInfo says of its camera."""
 
-from typing import Any
-
 import numpy as np
 
 from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.messages.topics import MessageRejected
+from handsight.messages.topics import MessageRejected, RosMessage
 
 LENSES = {"plumb_bob": 5, "rational_polynomial": 8}
 """Distortion models of CameraInfo that a pinhole behind a lens is, and how many numbers they have."""
@@ -15,7 +13,7 @@ MAX_PIXELS_ACROSS = 1e6
 """No focal length or principal point is larger [pixels]."""
 
 
-def intrinsics(message: Any) -> Camera:
+def intrinsics(message: RosMessage) -> Camera:
     """Returns the camera of a CameraInfo of ROS 1 or 2; raises MessageRejected."""
     K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(K).all():
@@ -32,7 +30,7 @@ def intrinsics(message: Any) -> Camera:
         raise MessageRejected(str(error)) from None
 
 
-def _lens(message: Any) -> Array:
+def _lens(message: RosMessage) -> Array:
     """The lens' numbers, none where they are all zero; raises MessageRejected for a lens of another kind."""
     model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
     if not np.isfinite(lens).all():
@@ -46,7 +44,7 @@ def _lens(message: Any) -> Array:
     return lens if lens.any() else np.zeros(0)
 
 
-def _cut(K: Array, message: Any) -> tuple[Array, tuple[int, int]]:
+def _cut(K: Array, message: RosMessage) -> tuple[Array, tuple[int, int]]:
     """The intrinsics and the size of the images that come, cut out and binned: the message's are the whole sensor's."""
     K, roi, size = K.copy(), message.roi, [int(message.width), int(message.height)]
     for axis, (first, side, binned) in enumerate(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from math import hypot, isfinite
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,16 @@ from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import camera_info, images, taxels, touch
 from handsight.messages.fast import FastReaders, StampedTransform
-from handsight.messages.topics import CONTACT, TF, TF_ROS1, MessageRejected, RawMessage, Role, TopicReport
+from handsight.messages.topics import (
+    CONTACT,
+    TF,
+    TF_ROS1,
+    MessageRejected,
+    RawMessage,
+    Role,
+    RosMessage,
+    TopicReport,
+)
 from handsight.observation import VISION_FRAMES, PoseMeasurement
 
 
@@ -78,7 +88,7 @@ def decode(
         return []
 
 
-def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float, Any] | None:
+def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float, object] | None:
     """Stamp and value; None: rosbags must read it."""
     reader = fast.get(raw.encoding)
     if reader is None:
@@ -106,7 +116,7 @@ def _transforms(raw: RawMessage, topic: TopicReport, fast: FastReaders) -> list[
     return found
 
 
-def _transforms_of(message: Any) -> list[StampedTransform]:
+def _transforms_of(message: RosMessage) -> list[StampedTransform]:
     if len(message.transforms) > DECODE.max_transforms:
         raise MessageRejected(
             f"expected at most {DECODE.max_transforms} transforms, got {len(message.transforms)}"
@@ -122,21 +132,22 @@ def _transforms_of(message: Any) -> list[StampedTransform]:
     ]
 
 
-def _numbers(position: Any, orientation: Any) -> tuple[float, ...]:
+def _numbers(position: RosMessage, orientation: RosMessage) -> tuple[float, ...]:
     p, q = position, orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
-def _deserialized(raw: RawMessage) -> Any:
+def _deserialized(raw: RawMessage) -> RosMessage:
     store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
     if len(raw.data) < DECODE.min_bytes:  # millions of them may come
         raise MessageRejected(f"expected a {kind}, got {len(raw.data)} bytes that are none")
     try:
-        return getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
+        message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
+        return message
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
-        message = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
-        raise MessageRejected(message) from None
+        expected = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
+        raise MessageRejected(expected) from None
 
 
 @lru_cache
@@ -153,7 +164,7 @@ def typestore(encoding: str) -> Any:
     return store
 
 
-def rosbags_module(name: str) -> Any:
+def rosbags_module(name: str) -> ModuleType:
     """The module of rosbags, or of what it brings, loaded when it is needed; raises MissingExtra."""
     try:
         return import_module(name)
@@ -161,7 +172,7 @@ def rosbags_module(name: str) -> Any:
         raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
 
 
-def _stamp(message: Any) -> float:
+def _stamp(message: RosMessage) -> float:
     if not hasattr(message, "header"):
         return 0.0  # timed by when it was logged
     stamp = message.header.stamp
@@ -202,7 +213,7 @@ def _wrench(values: Sequence[float]) -> Array:
     return np.array(values)
 
 
-def _wrench_message(message: Any, _: Mapping[str, str]) -> Array:
+def _wrench_message(message: RosMessage, _: Mapping[str, str]) -> Array:
     force, torque = message.wrench.force, message.wrench.torque
     return _wrench((force.x, force.y, force.z, torque.x, torque.y, torque.z))
 
@@ -231,7 +242,7 @@ def _rigid_transform(*numbers: float) -> Array:
     )
 
 
-def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
+def _vision(message: RosMessage, frames: Mapping[str, str]) -> PoseMeasurement:
     pose, covariance = message.pose, None
     if hasattr(pose, "covariance"):
         covariance, pose = np.array(pose.covariance, dtype=np.float64).reshape(6, 6), pose.pose
@@ -251,7 +262,7 @@ def _vision(message: Any, frames: Mapping[str, str]) -> PoseMeasurement:
         raise MessageRejected(str(error)) from None
 
 
-def _truth(message: Any, frames: Mapping[str, str]) -> Array:
+def _truth(message: RosMessage, frames: Mapping[str, str]) -> Array:
     pose = _vision(message, frames)
     if pose.frame != "palm":
         raise MessageRejected(

@@ -2,14 +2,14 @@
 
 import struct
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight.camera import Depth
 from handsight.errors import InvalidInput
-from handsight.messages.topics import MessageRejected
+from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
 
@@ -27,7 +27,7 @@ Input = TypeVar("Input")
 Output = TypeVar("Output")
 
 
-def color(message: Any) -> Color:
+def color(message: RosMessage) -> Color:
     """The colour image of an Image or CompressedImage; raises MessageRejected."""
     if hasattr(message, "format"):
         return _accepted(pixels.color, bytes(message.data))
@@ -35,14 +35,14 @@ def color(message: Any) -> Color:
     return np.ascontiguousarray(found if message.encoding == "rgb8" else found[..., ::-1])
 
 
-def depth(message: Any) -> Depth:
+def depth(message: RosMessage) -> Depth:
     """The depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
     if hasattr(message, "format"):
         return _compressed_depth(bytes(message.data), str(message.format))
     return _metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
 
 
-def values(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
+def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:
     """(h, w, channels) as the encoding says, rows padded to `step`; raises MessageRejected."""
     if message.encoding not in expected:
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
@@ -58,7 +58,7 @@ def values(message: Any, expected: tuple[str, ...]) -> NDArray[Any]:
     return np.ascontiguousarray(np.ndarray((h, w, channels), dtype, message.data, strides=strides))
 
 
-def _metres(values: NDArray[Any]) -> Depth:
+def _metres(values: NDArray[np.generic]) -> Depth:
     """Millimetres if the values are whole numbers, else metres; raises MessageRejected where they are not."""
     return _accepted(pixels.metres, values)
 

@@ -1,7 +1,6 @@
 """Readings of tactile arrays, out of messages and into them."""
 
 from types import SimpleNamespace as Message
-from typing import Any
 
 import numpy as np
 
@@ -9,12 +8,12 @@ from handsight.checks import Array
 from handsight.contact.taxels import TaxelArray
 from handsight.errors import InvalidInput
 from handsight.messages import images
-from handsight.messages.topics import MessageRejected
+from handsight.messages.topics import MessageRejected, RosMessage
 
 ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1", "32FC1")
 
 
-def reading(message: Any, shape: tuple[int, int]) -> Array:
+def reading(message: RosMessage, shape: tuple[int, int]) -> Array:
     """(rows, columns) of a Float32MultiArray or an Image; NaN where a taxel reads nothing. Raises MessageRejected.
 
     Row by row from the grid's corner at -x, -y; the layout of an array may say so, or nothing.
@@ -29,11 +28,11 @@ def reading(message: Any, shape: tuple[int, int]) -> Array:
     return values
 
 
-def _image(message: Any) -> Array:
+def _image(message: RosMessage) -> Array:
     return np.asarray(images.values(message, ENCODINGS)[..., 0].astype(np.float64))
 
 
-def _array(message: Any, shape: tuple[int, int]) -> Array:
+def _array(message: RosMessage, shape: tuple[int, int]) -> Array:
     """As its layout says, or, where that says no more than how many there are, in the rows of the grid."""
     offset, sizes = int(message.layout.data_offset), [int(each.size) for each in message.layout.dim]
     data = np.asarray(message.data, dtype=np.float64)[offset:]
@@ -45,7 +44,7 @@ def _array(message: Any, shape: tuple[int, int]) -> Array:
     return np.asarray(data.reshape(shape))
 
 
-def fields(values: Array, array: TaxelArray | None, name: str) -> dict[str, Any]:
+def fields(values: Array, array: TaxelArray | None, name: str) -> dict[str, object]:
     """Of a Float32MultiArray of an array's readings (rows, columns); raises InvalidInput."""
     if array is None:
         raise InvalidInput(f"skin[{name!r}]: expected a tactile array of the rig, got none of that name")

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 from handsight.rig import Rig
 
@@ -25,12 +25,18 @@ class TopicOptions(NamedTuple):
 
     max_gap: float = 0.1  # joint states farther apart are counted as a gap [s]
     max_clock_difference: float = 0.1  # clocks farther apart are reported [s]
-    max_reasons: int = (
-        8  # different reasons that are kept for a topic; a message's own words may be among them
-    )
+    max_reasons: int = 8
+    """Different reasons that are kept for a topic; a message's own words may be among them."""
 
 
 TOPICS = TopicOptions()
+
+
+class RosMessage(Protocol):
+    """A `RosMessage` is a decoded message of ROS 1 or 2: its fields are attributes."""
+
+    def __getattr__(self, name: str, /) -> Any:
+        """Returns the field of that name; raises AttributeError where the type has none."""
 
 
 class RawMessage(NamedTuple):

@@ -1,12 +1,11 @@
 """Contacts of fingertips that sense them themselves."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from handsight.errors import InvalidInput
-from handsight.messages.topics import MessageRejected
+from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.observation import ContactMeasurement
 
 SHADOW_CONTACT = """\
@@ -20,7 +19,7 @@ float64 l_torque
 """ShadowContactStateStamped; its vectors are in the core of the fingertip, unless the header names a frame."""
 
 
-def contact(message: Any, frames: Mapping[str, str]) -> ContactMeasurement | None:
+def contact(message: RosMessage, frames: Mapping[str, str]) -> ContactMeasurement | None:
     """The contact of a ShadowContactStateStamped; None: nothing is touched. Raises MessageRejected.
 
     `frames`: what messages call the palm, and as `tip` the body that the tip moves with.

@@ -45,7 +45,7 @@ class _Kind(Generic[T]):
     suffix: str = ""
 
 
-def key(kind: str, *arrays: NDArray[Any]) -> str:
+def key(kind: str, *arrays: NDArray[np.generic]) -> str:
     """The name under which what is computed from these is kept."""
     digest = hashlib.sha256(f"{VERSION} {kind}".encode())
     for array in arrays:
@@ -119,13 +119,13 @@ def _tell(folder: Path, why: str) -> None:
         warnings.warn(f"{folder}: {why}; each run builds them", ObjectWarning, stacklevel=3)
 
 
-def _packed(array: NDArray[Any]) -> msgspec.msgpack.Ext:
+def _packed(array: NDArray[np.generic]) -> msgspec.msgpack.Ext:
     stream = io.BytesIO()
     np.save(stream, array, allow_pickle=False)
     return msgspec.msgpack.Ext(0, stream.getvalue())
 
 
-def _unpacked(_: int, data: memoryview) -> NDArray[Any]:
+def _unpacked(_: int, data: memoryview) -> NDArray[np.generic]:
     return frozen(np.load(io.BytesIO(data), allow_pickle=False))
 
 
@@ -146,7 +146,7 @@ def _loaded(data: memoryview) -> Geometry:
     return geometry
 
 
-def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[Any], type, tuple[int | None, ...]]]:
+def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[np.generic], type, tuple[int | None, ...]]]:
     """Each array with its type and its shape, None for any length: a kernel reads as far as these say."""
     yield geometry.points_object, np.float64, (GEOMETRY.samples, 3)
     yield geometry.normals_object, np.float64, (GEOMETRY.samples, 3)
@@ -171,7 +171,7 @@ def _grids(geometry: Geometry) -> tuple[Any, ...]:
     return geometry.coarse, geometry.fine, geometry.field_error
 
 
-def _fits(array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> bool:
+def _fits(array: NDArray[np.generic], dtype: type, shape: tuple[int | None, ...]) -> bool:
     """Whether an array is of that type and shape, not empty, and of numbers that an object can have."""
     return (
         array.dtype == dtype

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +160,10 @@ def with_error(geometry: Geometry, variances_at: Callable[[Array], Array]) -> Ge
     return replace(geometry, field_error=FieldError(error.origin, error.cell, values))
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+Number = TypeVar("Number", bound=np.generic)
+
+
+def frozen(array: NDArray[Number]) -> NDArray[Number]:
     """The array, which can no longer be written to."""
     array.flags.writeable = False
     return array

@@ -27,9 +27,8 @@ class RecordOptions(NamedTuple):
 
     edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
     facet_margin: float = 0.01  # facets may be this far within the surface that they stand for [diameters]
-    normal_weight: float = (
-        1.3  # what a unit of normal counts as when contacts are matched with samples [diameters]
-    )
+    normal_weight: float = 1.3
+    """What a unit of normal counts as when contacts are matched with samples [diameters]."""
     band: float = 1.6  # of the samples' spacing: the tangential distance that costs nothing
     tangential: float = 0.32  # the standard deviation of what is beyond it, of the samples' spacing
     patch: float = 0.02  # how far a patch is off its sample's plane, of the samples' spacing

@@ -19,9 +19,8 @@ from handsight.errors import InvalidInput
 class SymmetryOptions(NamedTuple):
     """How symmetries are kept and compared."""
 
-    max_rotations: int = (
-        120  # more than the icosahedron's 60: a larger group is a continuous axis, or a mistake
-    )
+    max_rotations: int = 120
+    """More than the icosahedron's 60: a larger group is a continuous axis, or a mistake."""
     spin_samples: int = 33  # angles tried about a continuous axis
     spin_steps: int = 6  # newton steps from the best of them
 

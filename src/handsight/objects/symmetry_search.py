@@ -19,14 +19,12 @@ class SymmetrySearchOptions(NamedTuple):
     samples: int = 400  # surface points that are compared
     max_start_error: float = 0.06
     """Of the diameter: a root mean square distance from which no refinement leads to a symmetry."""
-    equal_moments: float = (
-        0.15  # principal moments within this part of each other leave the axes between them open
-    )
+    equal_moments: float = 0.15
+    """Principal moments within this part of each other leave the axes between them open."""
     steps: int = 6  # of a refinement
     directions: int = 150  # directions tried on the half sphere where no axis is distinguished
-    percentile: int = (
-        98  # per cent of the samples must be within the tolerance: the field rounds off what few see
-    )
+    percentile: int = 98
+    """Per cent of the samples must be within the tolerance: the field rounds off what few see."""
 
 
 SEARCH = SymmetrySearchOptions()

@@ -12,13 +12,15 @@ from collections.abc import Collection, Iterable, Iterator
 from heapq import heappop, heappush
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, NamedTuple
+from typing import BinaryIO, ClassVar, NamedTuple, TypeVar
 from zlib import crc32
 
 from handsight.errors import InvalidFile
 from handsight.files import open_regular
 from handsight.messages import RawMessage
 from handsight.messages.decode import rosbags_module
+
+Each = TypeVar("Each")
 
 
 class ChunkLimits(NamedTuple):
@@ -212,7 +214,7 @@ class Budget:
             )
         return None if self.records > 0 else TOO_MANY
 
-    def limited(self, records: Iterable[Any]) -> Iterator[Any]:
+    def limited(self, records: Iterable[Each]) -> Iterator[Each]:
         """As many of them as may still be read."""
         left = self.records
         try:

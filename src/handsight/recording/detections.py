@@ -53,7 +53,7 @@ class Located:
         return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
-def answer(located: Located) -> dict[str, Any]:
+def answer(located: Located) -> dict[str, object]:
     """The answer as JSON has it; poses are T_camera_object, in the camera's optical frame."""
     frame, found = located.frame, located.found
     fields: dict[str, Any] = {"frame": frame.name}

@@ -157,7 +157,7 @@ class RecordingWriter(McapFile):
         )
 
     def _write_image(
-        self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[Any]
+        self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[np.generic]
     ) -> None:
         """An image that was logged at the first stamp and taken at the second."""
         stamp, taken = stamps

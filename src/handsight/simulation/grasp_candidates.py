@@ -39,9 +39,8 @@ class GraspOptions(NamedTuple):
     examined: int = 60  # holds of each rest whose forces are balanced, best by their shape first
     same_side_cosine: float = np.cos(np.deg2rad(15.0))  # between normals of one side
     flat_cosine: float = np.cos(np.deg2rad(4.0))  # between normals of a plane side
-    stable_margin: float = (
-        0.001  # how far beyond a side's edge what rests on it may have its centre of mass [m]
-    )
+    stable_margin: float = 0.001
+    """How far beyond a side's edge what rests on it may have its centre of mass [m]."""
     max_rests: int = 6  # stable poses that are tried
     thin: float = 0.018
     """Half of what is thin, across row and grip [m]: fingers to either side of it, by turns, keep it from rolling."""

@@ -1,13 +1,17 @@
 """What an object weighs, where its centre of mass is, and what else presses on it."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from handsight.checks import Array
 from handsight.simulation.scenario import SCENARIO, Scenario
 from handsight.simulation.scene import PALM, Scene, scene
+
+if TYPE_CHECKING:
+    from mujoco import MjData
+
 
 OUTERMOST = 1 / 3
 """Of the object's size each way: so far off its middle a centre of mass may be."""
@@ -47,7 +51,7 @@ class Payload:
         weighing = scene(scenario.object, mass, tuple(shift.tolist()), friction=friction)
         return cls(weighing, *presses)
 
-    def press(self, data: Any) -> None:
+    def press(self, data: "MjData") -> None:
         """Lets what no sensor feels press on the object, from now to the next step."""
         if not self.force_palm.any() and not self.support:
             return

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.simulation.grasp_candidates import Hold, forces, wished
 from handsight.simulation.motion import Grasp
 from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, Scene, mujoco_module, tip_shape
@@ -140,7 +140,7 @@ class Posture:
         from_object = (at @ body.normals.T - body.offsets).max(axis=1)
         return from_object - self._radii, at[:, 2] - self._radii
 
-    def _links(self) -> tuple[Any, Array, Array]:
+    def _links(self) -> tuple[Indices, Array, Array]:
         """Balls that stand for what should touch nothing: geoms, centres in them (n, 3) and radii (n,) [m]."""
         kinds = self._mujoco.mjtGeom
         rows: list[tuple[int, Any, float]] = []

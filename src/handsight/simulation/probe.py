@@ -55,9 +55,8 @@ class ProbeOptions(NamedTuple):
     min_height: float = 0.022
     """Of the tip's middle above the table, which is known to some millimetres and a degree [m]."""
     top_margin: float = 0.012  # of the tip's middle below the object's top [m]
-    table_start: float = (
-        0.05  # height above where the table is expected at which the tip starts to search for it [m]
-    )
+    table_start: float = 0.05
+    """Height above where the table is expected at which the tip starts to search for it [m]."""
     table_unevenness: float = 0.015
     """A table off plumb by a degree is not more uneven [m]: what is lower was felt by the finger's side, at its edge.
     """

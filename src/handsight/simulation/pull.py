@@ -12,9 +12,8 @@ from handsight.simulation.scenario import SCENARIO, Profile, Scenario
 class PullOptions(NamedTuple):
     """How something pulls at the object until it slips."""
 
-    begin: float = (
-        3.4  # when it pulls, as `motion.PULLED` has it: the object is lifted and at rest by then [s]
-    )
+    begin: float = 3.4
+    """When it pulls, as `motion.PULLED` has it: the object is lifted and at rest by then [s]."""
     duration: float = 3.0  # how long [s]
     step: float = 0.5  # length of a step of the force [s]
     rise: float = 0.05  # how long it takes to rise [s]

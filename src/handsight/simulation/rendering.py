@@ -3,7 +3,7 @@
 import os
 from contextlib import closing
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,10 @@ from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, Scene, mujoco_module, scene
+
+if TYPE_CHECKING:
+    from mujoco.gl_context import GLContext
+
 
 NO_LIBRARY = (ImportError, RuntimeError, AttributeError, OSError)
 """What PyOpenGL raises for a missing library."""
@@ -144,7 +148,7 @@ def render(
         return renderer.draw(sample.configuration, T, ghost=wanted, show_object=show_object)
 
 
-def _context() -> Any:
+def _context() -> "GLContext":
     """An OpenGL context without a screen: the one $MUJOCO_GL names, else EGL, else OSMesa."""
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")

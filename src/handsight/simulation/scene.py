@@ -6,9 +6,11 @@ World: the table's top is at height 0, z up; the object stands at the origin unt
 
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +18,10 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra
 from handsight.simulation.scenario import SCENARIO
+
+if TYPE_CHECKING:
+    from mujoco import MjModel, MjSpec
+
 
 HAND_FILE = "envs/assets/hand/reach.xml"
 """Within gymnasium-robotics; the only scene of it without an object."""
@@ -31,9 +37,8 @@ class SceneOptions(NamedTuple):
     sensor_z: float = 0.002  # of a sensor's frame along its distal link [m]
     tip_mass: float = 0.004  # of a tip [kg]
     focal_length: float = 525.0  # of the camera's images, as a Kinect's [pixels]
-    supersampling: int = (
-        2  # how many times larger, each way, a picture for people is drawn before it is averaged
-    )
+    supersampling: int = 2
+    """How many times larger, each way, a picture for people is drawn before it is averaged."""
     table_collision_bit: int = 2
     """Of what the table stops: object and fingertips. A draw may lower the palm's edge by some mm into the table; it
     passes through, for it would bend the wrist.
@@ -85,13 +90,12 @@ def tip_shape(finger: str) -> tuple[Array, float]:
     return np.array([0.009, 0.009, 0.0145]), 0.0165 - SCENE.sensor_z
 
 
-def mujoco_module() -> Any:
+def mujoco_module() -> ModuleType:
     """mujoco; raises MissingExtra."""
     try:
-        import mujoco
+        return import_module("mujoco")
     except ImportError:
         raise MissingExtra("simulation needs mujoco: pip install 'handsight[sim]'") from None
-    return mujoco
 
 
 @lru_cache(maxsize=8)
@@ -137,7 +141,7 @@ def hand_file() -> Path:
     return Path(found.origin).parent / HAND_FILE
 
 
-def _set_options(mujoco: Any, spec: Any) -> None:
+def _set_options(mujoco: ModuleType, spec: "MjSpec") -> None:
     spec.option.gravity = GRAVITY
     spec.option.timestep = 1 / SCENARIO.steps_per_second
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -153,7 +157,7 @@ def _set_options(mujoco: Any, spec: Any) -> None:
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
 
 
-def _make_tips(mujoco: Any, spec: Any, friction: float) -> None:
+def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
     """An ellipsoid on a sensor for each distal link's collision shape: all force on the link goes through it."""
     worn = {f"robot0:C_{finger}distal" for finger in FINGERS}
     for pair in list(spec.pairs):
@@ -180,7 +184,7 @@ def _make_tips(mujoco: Any, spec: Any, friction: float) -> None:
         spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
 
 
-def _let_mount_move(mujoco: Any, spec: Any) -> None:
+def _let_mount_move(mujoco: ModuleType, spec: "MjSpec") -> None:
     """The hand floats, welded to a mocap body that stands for the arm."""
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its euler angles win over what is set
@@ -199,7 +203,7 @@ def _let_mount_move(mujoco: Any, spec: Any) -> None:
             body.gravcomp = 1.0
 
 
-def _add_table_and_camera(mujoco: Any, spec: Any) -> None:
+def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     for texture in list(spec.textures):
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             spec.delete(texture)
@@ -224,7 +228,7 @@ def _add_table_and_camera(mujoco: Any, spec: Any) -> None:
     )
 
 
-def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
+def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str) -> Array:
     """Adds it; its bounds (2, 3) [m]."""
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
@@ -249,7 +253,7 @@ def _add_object(mujoco: Any, spec: Any, name: str) -> Array:
     return np.asarray(bounds)
 
 
-def _weigh_object(spec: Any, usual: Any, mass: float, shift: tuple[float, float, float]) -> None:
+def _weigh_object(spec: "MjSpec", usual: "MjModel", mass: float, shift: tuple[float, float, float]) -> None:
     """Gives the object a mass and its centre a shift; its inertia about that grows with the mass."""
     body = spec.body("object")
     body.explicitinertial, body.mass = True, mass

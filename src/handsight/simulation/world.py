@@ -1,6 +1,6 @@
 """The simulated world, a step at a time: the hand closes on the object, lets its holder go, and moves."""
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from handsight.simulation.payload import Payload
 from handsight.simulation.pull import PULL, Pull, pulls
 from handsight.simulation.scenario import SCENARIO, Phase, Scenario, TipContact
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module
+
+if TYPE_CHECKING:
+    from mujoco import MjContact, MjData
 
 
 class WorldOptions(NamedTuple):
@@ -162,7 +165,7 @@ class World:
             if int(geom) in self.scene.tips and contact.exclude == 0
         )
 
-    def _tip_contact(self, i: int, contact: Any, side: int, T_palm_world: Array) -> TipContact:
+    def _tip_contact(self, i: int, contact: "MjContact", side: int, T_palm_world: Array) -> TipContact:
         """Contact i as its first or second geom, a tip, has it."""
         sign = 1.0 if side == 1 else -1.0  # MuJoCo's normal and force are from the first geom to the second
         axes = np.asarray(contact.frame).reshape(3, 3)
@@ -222,7 +225,7 @@ class World:
         free = self.data.joint("object")
         free.qpos[:], free.qvel[:] = row, 0.0
 
-    def _servo(self, joint: str) -> Any:
+    def _servo(self, joint: str) -> "MjData":
         return self.data.actuator(joint.replace("robot0:", "robot0:A_"))
 
     def _move_arm(self) -> None:

@@ -32,9 +32,8 @@ class HandOutsideOptions(NamedTuple):
     note_period: float = 0.2  # between two notes of one link's depth: not one bad pose in a row [s]
     min_notes: int = 5  # notes from which on a link counts as smaller than its shape
     max_notes: int = 25  # the last notes, which are kept
-    max_margin: float = (
-        0.02  # no shape is larger than its link by more [m]: what is deeper inside is a wrong pose
-    )
+    max_margin: float = 0.02
+    """No shape is larger than its link by more [m]: what is deeper inside is a wrong pose."""
 
 
 HAND_OUTSIDE = HandOutsideOptions()

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,11 @@ from handsight.errors import HandsightError, MissingExtra
 from handsight.files import write_errors
 from handsight.objects import ObjectModel
 from handsight.viewer.shapes import creases, middle, opened
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
+
 
 BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
 CLOUD = 900
@@ -29,7 +35,7 @@ class Panel(NamedTuple):
     """In the form of the command's answers."""
 
 
-def require_matplotlib() -> Any:
+def require_matplotlib() -> ModuleType:
     """pyplot on a backend that needs no screen; raises MissingExtra where matplotlib is absent."""
     try:
         import matplotlib
@@ -52,7 +58,7 @@ def draw_corrections(panels: Sequence[Panel], path: Path) -> None:
     save(figure, path)
 
 
-def save(figure: Any, path: Path) -> None:
+def save(figure: "Figure", path: Path) -> None:
     """Writes a figure with one legend to an image file of the kind that its name says, and closes it.
 
     Raises HandsightError.
@@ -69,7 +75,7 @@ def save(figure: Any, path: Path) -> None:
             require_matplotlib().close(figure)
 
 
-def _draw(axes: Any, panel: Panel) -> None:
+def _draw(axes: "Axes3D", panel: Panel) -> None:
     model, answer = panel.model, panel.answer
     T = se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
     shown = [draw_object(axes, model, T, AFTER, "corrected")]
@@ -91,7 +97,7 @@ def _draw(axes: Any, panel: Panel) -> None:
     axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}", fontsize=11)
 
 
-def draw_object(axes: Any, model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
+def draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
     """The points drawn (n, 3) [m], palm frame, after drawing the object's creases and a thin cloud of it."""
     cloud, _ = model.sample(CLOUD)
     cloud = se3.apply(T_palm_object, cloud)
@@ -105,7 +111,7 @@ def draw_object(axes: Any, model: ObjectModel, T_palm_object: Array, color: str,
 
 
 def _open_direction(
-    axes: Any, direction: Array, center: Array, model: ObjectModel, *, label: str | None
+    axes: "Axes3D", direction: Array, center: Array, model: ObjectModel, *, label: str | None
 ) -> None:
     """A double arrow for a slide, an arc about its axis for a turn, whichever the direction mostly is."""
     style = {"color": OPEN, "linewidth": 2.2, "label": label}
@@ -120,7 +126,7 @@ def _open_direction(
         axes.quiver(*center, *(end - center), color=OPEN, linewidth=2.2, arrow_length_ratio=0.12)
 
 
-def _frame(axes: Any, points: Array) -> None:
+def _frame(axes: "Axes3D", points: Array) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low).max() / 2
     middle = (low + high) / 2

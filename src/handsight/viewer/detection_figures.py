@@ -6,7 +6,7 @@ Needs matplotlib.
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,10 @@ from handsight.recording.frames import Frame
 from handsight.viewer.correction_figures import require_matplotlib, save
 from handsight.viewer.shapes import creases
 from handsight.viewer.silhouette import silhouette
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
 MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
@@ -60,7 +64,7 @@ def draw_located(rows: Sequence[Located], path: Path) -> None:
     save(figure, path)
 
 
-def _draw(left: Any, right: Any, row: Located) -> None:
+def _draw(left: "Axes", right: "Axes", row: Located) -> None:
     frame, found = row.frame, row.found
     left.imshow(_background(frame), interpolation="nearest")
     for axes in (left, right):
@@ -116,7 +120,7 @@ def _background(frame: Frame) -> Array:
     return np.asarray(image)
 
 
-def _outline(axes: Any, row: Located, T: Array, color: str, style: str) -> None:
+def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> None:
     """The silhouette's edge, and those edges within it that are seen."""
     drawn = silhouette(row.frame.camera, row.model, T)
     there = np.isfinite(drawn)
@@ -145,7 +149,7 @@ def _is_visible(drawn: Depth, pixel: Array, z: float) -> bool:
     return bool(z < np.nanmax(np.where(np.isfinite(around), around, -np.inf)) + FIGURE.edge_depth)
 
 
-def _crop(axes: Any, drawn: Depth) -> None:
+def _crop(axes: "Axes", drawn: Depth) -> None:
     """Shows the object with what is around it, as wide as the panel."""
     rows, columns = np.nonzero(np.isfinite(drawn))
     height, width = drawn.shape
@@ -161,7 +165,7 @@ def _crop(axes: Any, drawn: Depth) -> None:
     axes.set_ylim(low[1] + sides[1], low[1])
 
 
-def _residual(axes: Any, frame: Frame, drawn: Depth) -> None:
+def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
     """How far measured depth is behind the drawn object's, around the object."""
     there = np.isfinite(drawn)
     axes.set_title("measured depth less the best pose's", fontsize=10)

@@ -3,7 +3,9 @@
 import contextlib
 import io
 import threading
-from typing import Any, NamedTuple
+from importlib import import_module
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,13 +36,12 @@ class PageOptions(NamedTuple):
 PAGE = PageOptions()
 
 
-def require_viser() -> Any:
+def require_viser() -> ModuleType:
     """The package viser; raises MissingExtra where it is absent."""
     try:
-        import viser
+        return import_module("viser")
     except ImportError:
         raise MissingExtra("the viewer needs viser: pip install 'handsight[view]'") from None
-    return viser
 
 
 class Page:

@@ -3,7 +3,7 @@
 import base64
 import html
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from handsight.viewer.scene import LAYERS
 from handsight.viewer.sentence import sentence
 from handsight.vision.pixels import Color
 
+if TYPE_CHECKING:
+    from viser import GuiApi
+
+
 STATES: dict[State, str] = {"tracking": "#2e7d32", "uncertain": "#c77800", "lost": "#b71c1c"}
 SIGMA, ERROR, NOW, SLIP = "#1565c0", "#d81b60", "#111111", "#6a1b9a"
 MOST_CHANGES = 200
@@ -27,7 +31,9 @@ STATUS, CONTROLS, STRIP, CURVES, IMAGE, SHOWN = range(0, 60, 10)
 class Panel:
     """The control panel of a page."""
 
-    def __init__(self, gui: Any, title: str, layers: dict[str, bool], redraw: Callable[[], None]) -> None:
+    def __init__(
+        self, gui: "GuiApi", title: str, layers: dict[str, bool], redraw: Callable[[], None]
+    ) -> None:
         """`gui`: viser's, of the server; `layers`: which are wanted, changed in place before `redraw` is called."""
         from viser import uplot
 

@@ -5,12 +5,15 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.panel import CONTROLS
+
+if TYPE_CHECKING:
+    from viser import GuiApi, GuiEvent, GuiSliderHandle
 
 
 class PlayerOptions(NamedTuple):
@@ -110,14 +113,14 @@ class Player:
         if self._thread.is_alive():
             self._thread.join()
 
-    def _build(self, gui: Any) -> Any:
+    def _build(self, gui: "GuiApi") -> "GuiSliderHandle":
         """The slider and its buttons."""
         self._button = gui.add_button("Pause", order=CONTROLS)
         slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0, order=CONTROLS + 1)
         speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x", order=CONTROLS + 2)
         self._button.on_click(lambda _: self.play(not self.playing))
 
-        def moved(event: Any) -> None:
+        def moved(event: "GuiEvent") -> None:
             if event.client is not None:  # else it is ours
                 self._moved = time.monotonic()
                 self.seek(slider.value)

@@ -1,7 +1,7 @@
 """A moment in three dimensions, in the palm's frame, as nodes of a viser scene."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from handsight.viewer.moment import Moment
 from handsight.viewer.picture import Picture
 from handsight.viewer.sentence import LIKELY
 from handsight.viewer.shapes import ellipsoid, middle, opened
+
+if TYPE_CHECKING:
+    from viser import SceneApi, SceneNodeHandle
+
 
 Color = tuple[int, int, int]
 HAND: Color = (176, 182, 194)
@@ -55,7 +59,7 @@ REJECTED: Color = (30, 30, 30)
 class Scene:
     """Hand, object and contacts. Each `draw` sends what has changed."""
 
-    def __init__(self, scene: Any, rig: Rig, model: ObjectModel) -> None:
+    def __init__(self, scene: "SceneApi", rig: Rig, model: ObjectModel) -> None:
         """`scene`: viser's, of the server."""
         self._scene, self._rig, self._model = scene, rig, model
         self.layers = dict.fromkeys(LAYERS, True)
@@ -175,14 +179,14 @@ class Scene:
             self.depth.points, self.depth.colors = picture.points_palm, picture.colors
         _see(self.depth, there)
 
-    def _put(self, handle: Any, layer: str, T_palm_node: Array | None) -> None:
+    def _put(self, handle: "SceneNodeHandle", layer: str, T_palm_node: Array | None) -> None:
         """A node at a pose in the palm; gone where that is None or its layer is not wanted."""
         there = T_palm_node is not None and self.layers[layer]
         if there and T_palm_node is not None:
             handle.position, handle.wxyz = T_palm_node[:3, 3], quaternions_wxyz(T_palm_node)
         _see(handle, there)
 
-    def _set(self, handle: Any, points: Array, wanted: bool) -> None:
+    def _set(self, handle: "SceneNodeHandle", points: Array, wanted: bool) -> None:
         before = handle.points
         # viser takes ten times as long to find that nothing has changed.
         if (
@@ -193,7 +197,7 @@ class Scene:
             handle.points = points
         _see(handle, wanted and len(points) > 0)
 
-    def _copy(self, name: str, layer: str, opacity: float) -> Any:
+    def _copy(self, name: str, layer: str, opacity: float) -> "SceneNodeHandle":
         """The object, as triangles or as points."""
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
@@ -210,13 +214,13 @@ class Scene:
         points, _ = model.sample(STYLE.max_points)
         return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
 
-    def _arrows(self, name: str, layer: str, radius: float) -> Any:
+    def _arrows(self, name: str, layer: str, radius: float) -> "SceneNodeHandle":
         points, color = np.zeros((0, 2, 3), np.float32), LAYERS[layer][1]
         sizes = {"shaft_radius": radius, "head_radius": 2.6 * radius, "head_length": 6 * radius}
         return self._scene.add_arrows(name, points, color, **sizes, visible=False)
 
 
-def _see(handle: Any, visible: bool) -> None:
+def _see(handle: "SceneNodeHandle", visible: bool) -> None:
     if handle.visible is not visible:
         handle.visible = visible
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from handsight.tracking.propagation import point_covariance
 from handsight.tracking.replay import Step
 from handsight.viewer.correction_figures import require_matplotlib, save
 from handsight.viewer.curves import slips_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
 MOST_POINTS = 2000
@@ -58,7 +62,7 @@ def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
     return curves
 
 
-def _coordinate(axes: Any, times: Array, tracked: Array, vision: Array, true: Array, sigma: Array) -> None:
+def _coordinate(axes: "Axes", times: Array, tracked: Array, vision: Array, true: Array, sigma: Array) -> None:
     axes.fill_between(
         times, tracked - sigma, tracked + sigma, color=TRACKED, alpha=0.15, lw=0, label="tracked, ± 1 σ"
     )
@@ -73,7 +77,7 @@ def _coordinate(axes: Any, times: Array, tracked: Array, vision: Array, true: Ar
     axes.grid(alpha=0.3)
 
 
-def _slips(axes: Any, steps: Sequence[Step]) -> None:
+def _slips(axes: "Sequence[Axes]", steps: Sequence[Step]) -> None:
     """A mark over every plot while the object slips."""
     for k, (first, last) in enumerate(slips_of((step.stamp, step.slip) for step in steps)):
         for axis in axes:
@@ -82,7 +86,7 @@ def _slips(axes: Any, steps: Sequence[Step]) -> None:
             axes[3].text(0.5, -1.6, "slips", color=SLIP, transform=axes[3].transAxes, fontsize=9)
 
 
-def _states(axes: Any, steps: Sequence[Step]) -> None:
+def _states(axes: "Axes", steps: Sequence[Step]) -> None:
     """A strip in the state's colour."""
     from matplotlib.colors import ListedColormap
 

@@ -1,7 +1,7 @@
 """Depth, colour and intrinsics from files: PNG, JPEG, and a small JSON."""
 
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -15,6 +15,8 @@ from handsight.files import read_bytes
 from handsight.msgspec_errors import decode
 from handsight.vision import pixels
 from handsight.vision.pixels import MILLIMETRE, Color
+
+Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 class FileLimits(NamedTuple):
@@ -93,7 +95,7 @@ def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
         raise InvalidFile(f"{path}: {error}") from None
 
 
-def _of_size(image: NDArray[Any], camera: Camera | None) -> NDArray[Any]:
+def _of_size(image: NDArray[Pixel], camera: Camera | None) -> NDArray[Pixel]:
     height, width = image.shape[:2]
     if camera is not None and (width, height) != camera.size:
         expected, across = camera.size

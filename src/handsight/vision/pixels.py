@@ -3,7 +3,7 @@
 import io
 import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,10 @@ from handsight.camera import Depth
 from handsight.checks import MAX_DISTANCE
 from handsight.errors import InvalidInput, MissingExtra
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
 Color = NDArray[np.uint8]
 
 
@@ -19,9 +23,8 @@ class DepthLimits(NamedTuple):
     """What a depth image may hold."""
 
     max_pixels: int = 20_000_000  # of a compressed image, before it is unpacked; a kilobyte may hold as many
-    min_median: float = (
-        0.02  # median of what a depth camera measures, at least: below it the unit is another [m]
-    )
+    min_median: float = 0.02
+    """Median of what a depth camera measures, at least: below it the unit is another [m]."""
     max_median: float = 20.0  # and at most [m]
 
 
@@ -30,7 +33,7 @@ DEPTH_LIMITS = DepthLimits()
 MILLIMETRE = 1e-3
 
 
-def metres(pixels: NDArray[Any], scale: float = MILLIMETRE) -> Depth:
+def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
     """Depth (h, w) [m], NaN where there is none; of whole numbers, `scale` metres each and 0 for none, or of metres.
 
     Raises InvalidInput where the median says that the unit is another.
@@ -54,6 +57,9 @@ def _called(unit: float) -> str:
     return names.get(unit, f"units of {1e3 * unit:g} mm")
 
 
+Pixel = TypeVar("Pixel", bound=np.generic)
+
+
 def color(data: bytes) -> Color:
     """Red, green, blue (h, w, 3) of the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
     return _opened(data, lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
@@ -64,13 +70,13 @@ def sixteen_bits(data: bytes) -> NDArray[np.uint16]:
     return _opened(data, _sixteen_bits)
 
 
-def _sixteen_bits(image: Any) -> NDArray[np.uint16]:
+def _sixteen_bits(image: "Image") -> NDArray[np.uint16]:
     if not image.mode.startswith("I"):
         raise InvalidInput(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
     return np.asarray(image).astype(np.uint16)
 
 
-def _opened(data: bytes, read: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
+def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[Pixel]:
     try:
         from PIL import Image
     except ImportError:

@@ -26,9 +26,8 @@ class PoseScoreOptions(NamedTuple):
     hidden_weight: float = 0.3  # of a pixel that something hides
     unexplained_weight: float = 0.5  # of a pixel of the same part that the object does not explain
     max_unexplained: float = 2.0  # unexplained pixels that count at most, per explained one
-    size_exponent: float = (
-        0.7  # of the number of pixels: a sum prefers what is large and near, a share what is tiny
-    )
+    size_exponent: float = 0.7
+    """Of the number of pixels: a sum prefers what is large and near, a share what is tiny."""
     unknown_weight: float = 0.5  # of a pixel without depth that the object would fill
     min_expected: float = 30.0  # least number of expected pixels that a share is taken of [pixels]
 

@@ -6,7 +6,7 @@ https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 import codecs
 from dataclasses import dataclass
 from itertools import accumulate, chain, islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +35,19 @@ _LIMITS = PcdLimits()
 @dataclass(frozen=True, slots=True)
 class _Header:
     names: list[str]
-    row: np.dtype[Any]
+    row: np.dtype[np.void]
     """One point as it lies in a binary body: for each name a field of one or several numbers."""
     points: int
     kind: str
     body: bytes
 
     @property
-    def parts(self) -> list[tuple[np.dtype[Any], int]]:
+    def parts(self) -> list[tuple[np.dtype[np.void], int]]:
         """The type and count of each field's numbers."""
         return [(self.row[k].base, self.row[k].shape[0]) for k in range(len(self.names))]
 
 
-def pcd_columns(data: bytes) -> dict[str, NDArray[Any]]:
+def pcd_columns(data: bytes) -> dict[str, NDArray[np.generic]]:
     """The fields with one number a point, each (n,), by name; raises BadText."""
     header = _header(data)
     readers = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
@@ -86,7 +86,7 @@ def _integers(entries: dict[str, list[str]], key: str, length: int) -> list[int]
     return [int(word) for word in words]
 
 
-def _row(entries: dict[str, list[str]], length: int) -> np.dtype[Any]:
+def _row(entries: dict[str, list[str]], length: int) -> np.dtype[np.void]:
     counts = _integers(entries, "COUNT", length) if "COUNT" in entries else [1] * length
     if max(counts) > _LIMITS.max_count:
         raise BadText(f"COUNT: expected at most {_LIMITS.max_count}, got {max(counts)}")
@@ -100,7 +100,7 @@ def _row(entries: dict[str, list[str]], length: int) -> np.dtype[Any]:
     return np.dtype([(f"f{k}", _DTYPES[kind, size], (n,)) for k, (kind, size, n) in enumerate(parts)])
 
 
-def _ascii(header: _Header) -> list[NDArray[Any]]:
+def _ascii(header: _Header) -> list[NDArray[np.generic]]:
     ends = list(accumulate(count for _, count in header.parts))
     width = ends.pop()
     words = chain.from_iterable(rows(text_lines(header.body)))
@@ -111,7 +111,7 @@ def _ascii(header: _Header) -> list[NDArray[Any]]:
     return np.split(numbers.reshape(-1, width), ends, axis=1)
 
 
-def _binary(header: _Header) -> list[NDArray[Any]]:
+def _binary(header: _Header) -> list[NDArray[np.generic]]:
     size = header.points * header.row.itemsize
     if len(header.body) < size:
         raise BadText(f"expected {size} bytes of points, got {len(header.body)}")
@@ -119,7 +119,7 @@ def _binary(header: _Header) -> list[NDArray[Any]]:
     return [table[name] for name in header.row.names or ()]
 
 
-def _compressed(header: _Header) -> list[NDArray[Any]]:
+def _compressed(header: _Header) -> list[NDArray[np.generic]]:
     """Field after field rather than point after point, behind both sizes."""
     if len(header.body) < 8:
         raise BadText("expected two sizes before the compressed points")
@@ -129,7 +129,7 @@ def _compressed(header: _Header) -> list[NDArray[Any]]:
     if size != header.points * header.row.itemsize or size > _LIMITS.max_expansion * packed:
         raise BadText(f"expected {header.points * header.row.itemsize} bytes unpacked, the file says {size}")
     flat = lzf_unpacked(header.body[8 : 8 + packed], size)
-    columns, at = [], 0
+    columns, at = list[NDArray[np.generic]](), 0
     for dtype, count in header.parts:
         column = np.frombuffer(flat, dtype, header.points * count, offset=at)
         columns.append(column.reshape(-1, count))

@@ -51,8 +51,8 @@ class _Element:
 class _Column:
     """What an element has of a property, row after row."""
 
-    values: NDArray[Any]
-    counts: NDArray[Any] | None = None
+    values: NDArray[np.generic]
+    counts: NDArray[np.generic] | None = None
     """Of a list, how many each row has."""
 
 
@@ -142,9 +142,9 @@ class _Words:
         return {each.name: _Column(table[:, k]) for k, each in enumerate(of)}
 
 
-def _numbers(words: list[str], element: _Element) -> list[list[Any]]:
+def _numbers(words: list[str], element: _Element) -> list[list[float]]:
     """What a row has of each property."""
-    left, found = iter(words), list[list[Any]]()
+    left, found = iter(words), list[list[float]]()
     try:
         for each in element.properties:
             n = int(next(left)) if each.count else 1
@@ -182,21 +182,21 @@ class _Binary:
                 }
         return _of_rows(element, (self._row(element) for _ in range(element.rows)))
 
-    def _row_type(self, element: _Element, sizes: list[int]) -> np.dtype[Any]:
+    def _row_type(self, element: _Element, sizes: list[int]) -> np.dtype[np.generic]:
         parts: list[Any] = []
         for k, (each, n) in enumerate(zip(element.properties, sizes, strict=True)):
             parts += [(f"n{k}", self._order + each.count)] if each.count else []
             parts.append((f"v{k}", self._order + each.kind, (n,)))
         return np.dtype(parts)
 
-    def _row(self, element: _Element) -> list[tuple[Any, ...]]:
+    def _row(self, element: _Element) -> list[tuple[int, ...]]:
         """What the next row has of each property; struct.error where it ends beyond the file."""
         return [
             self._take(each.kind, self._take(each.count, 1)[0] if each.count else 1)
             for each in element.properties
         ]
 
-    def _take(self, kind: str, n: int) -> tuple[Any, ...]:
+    def _take(self, kind: str, n: int) -> tuple[int, ...]:
         numbers = struct.unpack_from(f"{self._order}{n}{kind}", self._data, self._at)
         self._at += struct.calcsize(f"{self._order}{n}{kind}")
         return numbers

@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +114,7 @@ def _pcd(data: bytes) -> Shape:
     return Shape(points, None, _three(columns, ("normal_x", "normal_y", "normal_z")))
 
 
-def _three(columns: dict[str, NDArray[Any]], names: tuple[str, str, str]) -> Array | None:
+def _three(columns: dict[str, NDArray[np.generic]], names: tuple[str, str, str]) -> Array | None:
     """(k, 3) of the columns so named, or None where one is missing."""
     if not all(name in columns for name in names):
         return None

@@ -3,7 +3,7 @@
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -57,7 +57,7 @@ class Info(msgspec.Struct):
     symmetries_continuous: list[ContinuousAxis] = []
 
 
-def info_of(model: ObjectModel) -> dict[str, Any]:
+def info_of(model: ObjectModel) -> dict[str, object]:
     """What the file is to say of an object."""
     low, high = model.bounds_object / BOP_SYMMETRIES.metres
     of = model.symmetries

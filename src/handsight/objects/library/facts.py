@@ -1,7 +1,7 @@
 """`handsight.json`, beside a BOP folder's `models_info.json`: what that has no room for, by the object's number."""
 
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -74,7 +74,7 @@ class Document(msgspec.Struct, forbid_unknown_fields=True):
     objects: dict[str, Record]
 
 
-def check_name(name: Any) -> None:
+def check_name(name: object) -> None:
     """Raises InvalidInput for what no object can be called: what a path or a terminal would obey, or a number."""
     message = f"expected up to {checks.MAX_NAME_LENGTH} letters, digits, blanks and _.+-, the first a letter or a digit"
     if not isinstance(name, str) or len(name) > checks.MAX_NAME_LENGTH or not _NAME.fullmatch(name):
@@ -83,7 +83,7 @@ def check_name(name: Any) -> None:
         raise InvalidInput(f"name: expected no number and no blank at its end, got {name!r}")
 
 
-def _check_text(value: Any, key: str) -> None:
+def _check_text(value: object, key: str) -> None:
     if not isinstance(value, str) or len(value) > FACTS_LIMITS.max_text:
         raise InvalidInput(
             f"{key}: expected a text of up to {FACTS_LIMITS.max_text} characters, got {checks.brief(value)}"

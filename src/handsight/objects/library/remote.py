@@ -9,7 +9,7 @@ import hashlib
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
 
 import msgspec
 
@@ -131,13 +131,13 @@ def fetched(url: str, most: int) -> bytes | None:
     return bytes(data)
 
 
-def _opened(url: str) -> AbstractContextManager[Any]:
+def _opened(url: str) -> AbstractContextManager[BinaryIO]:
     """What is at a URL: of http, https and file by the standard library, of any other kind by fsspec."""
     kind = url.partition("://")[0].lower()
     if kind in ("http", "https", "file"):
         from urllib.request import Request, urlopen
 
-        opened: AbstractContextManager[Any] = urlopen(
+        opened: AbstractContextManager[BinaryIO] = urlopen(
             Request(url, headers={"User-Agent": "handsight"}), timeout=SECONDS
         )
         return opened
@@ -145,7 +145,7 @@ def _opened(url: str) -> AbstractContextManager[Any]:
         import fsspec
     except ImportError:
         raise MissingExtra(f"{url}: {kind}:// needs fsspec: pip install 'handsight[library]'") from None
-    there: AbstractContextManager[Any] = fsspec.open(url, "rb")
+    there: AbstractContextManager[BinaryIO] = fsspec.open(url, "rb")
     return there
 
 

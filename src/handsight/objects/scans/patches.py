@@ -33,18 +33,16 @@ class PatchOptions(NamedTuple):
     min_width: float = 3.0  # of a window, in deviations of the noise
     min_lever: float = 5.0
     """Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
-    shape_error: float = (
-        2e-4  # of a quadric's residual, what an object's shape may add to the noise [diameters]
-    )
+    shape_error: float = 2e-4
+    """Of a quadric's residual, what an object's shape may add to the noise [diameters]."""
     sigma_curvature: float = 8.0  # of curvatures before anything is measured [1/diameters]
     min_sigma: float = 1e-4  # no scan is taken for better [diameters]
     rough_windows: int = 3  # windows that tell the faces of an object apart
     min_noise: float = 0.5  # of a spacing: noise below which the way from a patch to the next has a direction
     parallel: int = 4096  # nodes that are enough for another thread
     blended: int = 24  # patches that are averaged at a place
-    similar: float = (
-        0.05  # a patch counts by the inverse variance of its normal and of this part of the median one
-    )
+    similar: float = 0.05
+    """A patch counts by the inverse variance of its normal and of this part of the median one."""
     min_trust: float = 0.02  # the least that a patch counts
 
 

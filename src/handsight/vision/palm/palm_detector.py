@@ -41,9 +41,8 @@ class DetectorOptions(NamedTuple):
     """What all of the hand's outline counts, against the pixels that it should fill, where the image continues beside
     it.
     """
-    max_continued: float = (
-        0.55  # share of it above which no answer is taken: the hand was found in a table or a wall
-    )
+    max_continued: float = 0.55
+    """Share of it above which no answer is taken: the hand was found in a table or a wall."""
     candidate_spacing: float = 0.025  # poses farther from each other than this are others [m]
     as_good: float = 0.85  # one whose score is so much of the best is as good
 

@@ -30,9 +30,8 @@ class CompletionOptions(NamedTuple):
     max_wrong: float = 0.1  # share of them that may be
     min_known: float = 0.25  # share of all points that must come to known places
     max_cosine: float = 0.2  # of the angle between two mirrors that are taken for perpendicular
-    table_margin: float = (
-        2.5  # height above a table from which the object's surface can be told from it [cells]
-    )
+    table_margin: float = 2.5
+    """Height above a table from which the object's surface can be told from it [cells]."""
     base_height: float = 3.0  # and how far its lowest part reaches [cells]
     closed_gap: int = 4  # gaps in a foot's outline up to twice so wide are closed [cells]
     open_share: float = 0.6  # what fills less than this of its hull is open
