@@ -95,7 +95,8 @@ def _other_writer(folder: Path) -> str | None:
 
 
 def _is_private_group(gid: int) -> bool:
-    """Whether a group has the user as its only member; many systems create one for each user, with write permission."""
+    """Returns whether a group has the user as its only member; many systems create one for each user, with write
+    permission."""
     import grp
     import pwd
 

@@ -45,7 +45,7 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
 
 
 def _contains_bool(value: ArrayLike) -> bool:
-    """Whether a list of numbers has a truth value in it, which NumPy would read as 0 or 1."""
+    """Returns whether a list of numbers has a truth value in it, which NumPy would read as 0 or 1."""
     if isinstance(value, list | tuple):
         return any(_contains_bool(item) for item in value)
     return isinstance(value, bool)

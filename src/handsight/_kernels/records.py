@@ -13,7 +13,7 @@ MOST_ROTATIONS = 121
 
 
 def record(*fields: tuple[object, ...]) -> np.dtype[np.void]:
-    """A structured type, aligned as compiled code has it."""
+    """Returns a structured type, aligned as compiled code has it."""
     return np.dtype(list(fields), align=True)
 
 

@@ -14,7 +14,7 @@ Source = io.BufferedIOBase
 
 
 def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
-    """The lines that are not blank, without their ends, as many at a time as have come; closes the source.
+    """Yields the lines that are not blank, without their ends, as many at a time as have come; closes the source.
 
     A byte order mark at the beginning is dropped. Of a line longer than `LONGEST` there is the beginning, a byte longer
     than that; the rest is passed over. `single`: the entire source is one line. Raises InvalidFile.
@@ -34,7 +34,7 @@ def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
 
 
 def _split(source: Source) -> Iterator[list[bytes]]:
-    """All lines as they come, at least one at a time; each is cut where it is too long."""
+    """Yields all lines as they come, at least one at a time; each is cut where it is too long."""
     partial = bytearray()
     while block := source.read1(BLOCK_BYTES):
         *lines, rest = block.split(b"\n")

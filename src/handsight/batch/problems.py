@@ -83,7 +83,7 @@ class WeightFields(_Strict):
 
 
 class ProblemFields(_Strict):
-    """One line of a problem file; `handsight correct --help` explains each key."""
+    """A `ProblemFields` is one line of a problem file; `handsight correct --help` explains each key."""
 
     object: ObjectFields
     contacts: list[ContactFields]
@@ -99,7 +99,7 @@ class ProblemFields(_Strict):
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """A problem as `correct_pose` takes it."""
+    """A `Problem` is a problem as `correct_pose` takes it."""
 
     model: ObjectModel
     contacts: Contacts
@@ -122,7 +122,7 @@ class Reader:
         """The one used last at the end."""
 
     def read(self, line: bytes) -> Problem:
-        """The problem of one line; raises a HandsightError that names the field."""
+        """Returns the problem of one line; raises a HandsightError that names the field."""
         fields = _fields(line)
         if fields.method not in METHODS:
             raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
@@ -141,7 +141,7 @@ class Reader:
         return Problem(model, contacts, vision, outside, weight, answer, samples, budget, fields.method)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
-        """The object model, built once for all lines that name the same object."""
+        """Returns the object model, built once for all lines that name the same object."""
         key = repr(fields)
         self._models[key] = model = self._models.pop(key, None) or self._build(fields)
         if len(self._models) > MODELS_KEPT:
@@ -178,7 +178,8 @@ class Reader:
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """The answer to a problem as JSON has it, its lists of numbers as arrays, the keys in the contract's order."""
+    """Returns the answer to a problem as JSON has it, its lists of numbers as arrays, the keys in the contract's
+    order."""
     began = time.perf_counter()
     estimate = correct_pose(
         problem.model,
@@ -212,7 +213,7 @@ def answer(problem: Problem) -> dict[str, Any]:
 
 
 def answer_text(reader: Reader, line: bytes) -> str:
-    """The answer to a line as one line of JSON, without its end; `{"error": ...}` where there is none."""
+    """Returns the answer to a line as one line of JSON, without its end; `{"error": ...}` where there is none."""
     try:
         return json.dumps(answer(reader.read(line)), allow_nan=False, default=np.ndarray.tolist)
     except HandsightError as error:
@@ -328,7 +329,7 @@ def _weight(fields: WeightFields | None) -> WeightEvidence | None:
 
 
 def _radians(degrees: float, name: str, most: float) -> float:
-    """A standard deviation that comes in degrees, up to `most` [rad]; its bounds are told in degrees."""
+    """Returns a standard deviation that comes in degrees, up to `most` [rad]; its bounds are told in degrees."""
     radians = float(np.deg2rad(checks.positive(degrees, name)))
     if not checks.MIN_SIGMA <= radians <= most:
         lowest, highest = np.rad2deg([checks.MIN_SIGMA, most])

@@ -17,7 +17,7 @@ from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_
 
 
 class BatchLimits(NamedTuple):
-    """How much of a batch is in memory at once."""
+    """`BatchLimits` say how much of a batch is in memory at once."""
 
     chunk_lines: int = 256  # lines given to a worker at once
     max_pending_bytes: int = 64_000_000
@@ -69,7 +69,7 @@ def _here(source: Source, folder: Path, *, single: bool) -> Iterator[Answered]:
 
 
 def _cores() -> int:
-    """Those that this process may use."""
+    """Returns those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -156,7 +156,7 @@ class Run:
                 self._size = int(min(max(aim, self._size / 2, 1), 2 * self._size, BATCH.chunk_lines))
 
     def _one_by_one(self, lines: list[bytes]) -> Iterator[Answered]:
-        """Lines that were lost with a worker, while no others are at work: who dies, dies of the line."""
+        """Yields lines that were lost with a worker, while no others are at work: who dies, dies of the line."""
         while self._running:
             self._take(self._events.get())
         message = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"

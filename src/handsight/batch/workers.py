@@ -37,7 +37,7 @@ class WorkerFailure(HandsightError):
 
 
 class Answers(NamedTuple):
-    """What a worker made of a chunk of lines."""
+    """An `Answers` is what a worker made of a chunk of lines."""
 
     texts: list[str]
     """One line of JSON for each line, without its end."""
@@ -59,7 +59,7 @@ _one_at_a_time = threading.Lock()  # the models kept are not made to be shared b
 
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
-    """The answers to lines whose meshes are in `folder`, on one thread; models are built once in a process."""
+    """Returns the answers to lines whose meshes are in `folder`, on one thread; models are built once in a process."""
     from handsight._kernels.runtime.threads import alone
     from handsight.batch.problems import answer_text
 
@@ -71,7 +71,7 @@ def answer_lines(folder: str, lines: list[bytes]) -> Answers:
 
 
 def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
-    """The file that a worker's answers are in.
+    """Returns the file that a worker's answers are in.
 
     Its name goes through the pool's pipe whole or not at all. Of a longer message a worker that dies may leave a part,
     and the pool would wait for the rest forever.
@@ -120,7 +120,8 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             self._pool = None
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """The answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be had."""
+        """Returns the answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be
+        had."""
         while True:
             pool = self._pool or self._started()
             try:
@@ -144,7 +145,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             raise WorkerFailure(f"worker: {type(error).__name__}: {error}") from None
 
     def _started(self) -> ProcessPoolExecutor:
-        """A pool whose first worker is ready."""
+        """Returns a pool whose first worker is ready."""
         for _ in range(DEATHS):
             self._theirs, self._lifeline = self._context.Pipe(duplex=False)
             self._pool = ProcessPoolExecutor(self.room, self._context, _begin, (self._theirs,))
@@ -204,7 +205,8 @@ def _end_with(lifeline: Connection) -> None:
 
 
 class Cluster(contextlib.AbstractContextManager["Cluster"]):
-    """A Dask cluster's workers; use it in `with`. Dask runs a chunk again whose worker died; that changes no answer."""
+    """A `Cluster` is a Dask cluster's workers; use it in `with`. Dask runs a chunk again whose worker died; that
+    changes no answer."""
 
     chunk_seconds = 0.5
     room = 128
@@ -224,7 +226,7 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
             self._client.close(timeout=CONNECT_SECONDS)
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """The answers to come; raises WorkerFailure where the cluster was lost."""
+        """Returns the answers to come; raises WorkerFailure where the cluster was lost."""
         # Not by Client.get_executor(), whose futures never end where the scheduler is lost.
         try:
             there = self._client.submit(self._work, lines, pure=False)

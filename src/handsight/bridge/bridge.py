@@ -24,7 +24,7 @@ from handsight.tracking import Tracker
 
 
 class BridgeOptions(NamedTuple):
-    """How many messages wait, and for how long."""
+    """`BridgeOptions` say how many messages wait, and for how long."""
 
     max_taken: int = 100  # messages taken at once
     quiet: float = 0.1  # after so long without a message nothing waits for another one [s]
@@ -44,7 +44,7 @@ LASTING = Qos(
 
 
 def carried(topic: str) -> str:
-    """What DDS calls a topic of ROS 2."""
+    """Returns what DDS calls a topic of ROS 2."""
     return f"rt/{topic.lstrip('/')}"
 
 
@@ -84,7 +84,7 @@ class Bridge:
         return self._live.tracker
 
     def step(self, timeout: float) -> list[Answer]:
-        """What is to be published now; waits at most `timeout` [s] for something to come. From one thread.
+        """Returns what is to be published now; waits at most `timeout` [s] for something to come. From one thread.
 
         The thread that hears is the one that works: two would wait for each other's hold on Python. One of DDS' that
         called into Python would wait for it with a lock of DDS held.

@@ -12,13 +12,13 @@ from handsight.messages.decode import rosbags_module, typestore
 
 
 class Sample(Protocol):
-    """What a reader takes and a writer writes."""
+    """A `Sample` is what a reader takes and a writer writes."""
 
     data: bytes
 
 
 def dds_name(kind: str) -> str:
-    """What ROS 2 calls the type `package/msg/Name` on DDS."""
+    """Returns what ROS 2 calls the type `package/msg/Name` on DDS."""
     package, _, name = kind.split("/")
     return f"{package}::msg::dds_::{name}_"
 
@@ -33,7 +33,7 @@ def ros_name(dds: str) -> str:
 
 @cache
 def message_type(kind: str) -> Any:
-    """The class of DDS for messages of that type, `package/msg/Name`: made of bytes, `data` are they again.
+    """Returns the class of DDS for messages of that type, `package/msg/Name`: made of bytes, `data` are they again.
 
     The fields serve others alone, which may compare them with their own before they talk. Raises InvalidInput,
     MissingExtra.

@@ -43,7 +43,7 @@ def configuration(environment: Mapping[str, str]) -> str:
 
 
 class Network:
-    """A participant in a domain of DDS; one for each domain in a process."""
+    """A `Network` is a participant in a domain of DDS; one for each domain in a process."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         """Raises InvalidInput for a domain or a configuration that cannot be."""

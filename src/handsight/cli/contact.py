@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class WithColumns(TyperCommand):
-    """A command whose help ends with what it reads and writes, laid out as it stands."""
+    """A `WithColumns` is a command whose help ends with what it reads and writes, laid out as it stands."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Prints the help."""

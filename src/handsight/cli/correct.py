@@ -37,7 +37,7 @@ MOST_PANELS = 6
 
 @dataclass(slots=True)
 class Written:
-    """What has been written."""
+    """A `Written` is what has been written."""
 
     done: int = 0
     failed: int = 0
@@ -188,7 +188,7 @@ def _answer(
 
 
 def _source(problems: str) -> "Source":
-    """Where problems come from; raises InvalidFile."""
+    """Returns where problems come from; raises InvalidFile."""
     with naming("stdin" if problems == "-" else problems):
         # Stdin as a file of its own, so that no thread holds the interpreter's when it ends.
         place = sys.stdin.fileno() if problems == "-" else problems
@@ -202,7 +202,7 @@ def _source(problems: str) -> "Source":
 
 
 def _folder(problems: str) -> Path:
-    """Where meshes are looked for."""
+    """Returns where meshes are looked for."""
     return Path.cwd() if problems == "-" else Path(problems).parent.absolute()
 
 

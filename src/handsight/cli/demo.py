@@ -67,7 +67,7 @@ def demo(
 
 
 class Comparison(NamedTuple):
-    """One example's errors against its truth."""
+    """A `Comparison` is one example's errors against its truth."""
 
     name: str
     problem: "Problem"
@@ -119,7 +119,8 @@ def _corrections(found: Sequence[Comparison]) -> "Table":
 
 
 def _pictured(plot: Path) -> str:
-    """Where the can is found in the built-in picture, against its truth; the picture is drawn where that can be."""
+    """Returns where the can is found in the built-in picture, against its truth; the picture is drawn where that can
+    be."""
     from dataclasses import replace
 
     from handsight import se3
@@ -162,7 +163,7 @@ def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
 
 
 def _replayed(name: str, plot: Path, out: "Console") -> "Run":
-    """A recording tracked, and drawn where that can be."""
+    """Returns a recording tracked, and drawn where that can be."""
     from handsight.cli.track import draw, progress, run
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings

@@ -147,7 +147,7 @@ def locate(
 
 
 class Asked(NamedTuple):
-    """What is looked for, and in what kind of depth, as it was told."""
+    """An `Asked` is what is looked for, and in what kind of depth, as it was told."""
 
     names: list[str]
     rig: Path | None
@@ -157,7 +157,7 @@ class Asked(NamedTuple):
 
 
 def _opened(path: Path, beside: "Beside", asked: Asked, *, csv: bool) -> "tuple[Frames, Sought]":
-    """The pictures, and what is looked for in them."""
+    """Returns the pictures, and what is looked for in them."""
     from handsight.recording.open_frames import is_recording, open_frames
 
     if is_recording(path):
@@ -178,7 +178,7 @@ def _opened(path: Path, beside: "Beside", asked: Asked, *, csv: bool) -> "tuple[
 
 
 def _models(asked: Asked, library: str | None) -> "dict[str, ObjectModel]":
-    """Those named, else all of the library."""
+    """Returns those named, else all of the library."""
     if not asked.names:
         return library_objects(library)
     return by_name(object_named(name, library=library, scale=asked.scale) for name in asked.names)
@@ -212,7 +212,8 @@ def _is_csv(output: Path | None) -> bool:
 
 
 def _boxed(frames: "Frames", text: str) -> "Frames":
-    """The same, the object looked for in a box only; raises InvalidInput, of another size than a picture's later."""
+    """Returns the same, the object looked for in a box only; raises InvalidInput, of another size than a picture's
+    later."""
     from handsight.recording.frames import Frame, within
 
     try:

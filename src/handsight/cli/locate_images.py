@@ -28,7 +28,7 @@ COLUMNS = ("picture", "x, y, z in the camera [mm]", "± [mm]", "± [°]", "expla
 
 
 class Sought(NamedTuple):
-    """What is looked for in pictures."""
+    """A `Sought` is what is looked for in pictures."""
 
     models: "Mapping[str, ObjectModel]"
     """By name; of several it is said which a picture shows."""
@@ -77,7 +77,7 @@ class Run:
             self.panels.append(row)
 
     def sentences(self, output: Path | None) -> Iterator[str]:
-        """The run for a person."""
+        """Yields the run for a person."""
         for messages in self.unread[:MAX_MESSAGES]:
             yield f"handsight: {messages}"
         if len(self.unread) > MAX_MESSAGES:
@@ -122,7 +122,7 @@ def run(frames: "Frames", sought: Sought, output: Path | None) -> Run:
 
 
 def warmed(sought: Sought) -> "Callable[[Frame], Located]":
-    """A call that looks for it in a picture; what is compiled or worked out once is no picture's time."""
+    """Returns a call that looks for it in a picture; what is compiled or worked out once is no picture's time."""
     from handsight._kernels.runtime import warm_vision
     from handsight.recording.detections import Located
     from handsight.vision import locate, recognise
@@ -158,7 +158,7 @@ def draw(panels: "list[Located]", path: Path) -> str:
 
 
 def _rows(frames: "Frames", sought: Sought) -> "Iterator[Located | Unread]":
-    """An answer for each picture."""
+    """Yields an answer for each picture."""
     from handsight.recording.frames import Unread
 
     locate_in = None
@@ -184,7 +184,7 @@ def _write(sink: IO[str], line: str | None) -> None:
 
 
 def _cells(row: "Located | Unread", *, several: bool) -> list[str]:
-    """A picture's line of the table, of several objects with which it is."""
+    """Returns a picture's line of the table, of several objects with which it is."""
     from handsight.recording.frames import Unread
 
     if isinstance(row, Unread):
@@ -202,7 +202,7 @@ def _cells(row: "Located | Unread", *, several: bool) -> list[str]:
 
 
 def _which(answer: "Recognition") -> str:
-    """The likeliest, with its probability."""
+    """Returns the likeliest, with its probability."""
     if answer.name is None:
         return f"none: {answer.none:.2f}"
     return f"{answer.name}: {answer.scores[answer.name]:.2f}"

@@ -167,7 +167,7 @@ def _tell(library: "Library", entries: "list[Entry] | tuple[Entry, ...]") -> Non
 
 
 def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
-    """What is known of an object, in the units that people say it in."""
+    """Yields what is known of an object, in the units that people say it in."""
     yield "name", entry.name
     yield "file", f"{entry.file} of {entry.place}"
     yield "diameter", f"{1e3 * entry.diameter:.1f} mm"

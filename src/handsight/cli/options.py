@@ -85,7 +85,7 @@ def renamed(new: bool, old: bool, names: tuple[str, str]) -> bool:
 
 
 def with_settings(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose argument `settings` is made of a tracker's options, which stand in its place."""
+    """Returns a command whose argument `settings` is made of a tracker's options, which stand in its place."""
     options = signature(_settings, eval_str=False).parameters
     shown = dict[str, Parameter]()
     for name, parameter in signature(command, eval_str=False).parameters.items():
@@ -105,7 +105,7 @@ def with_settings(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":
-    """The rig of a recording and the model of the object in it, as told or as found; raises InvalidInput."""
+    """Returns the rig of a recording and the model of the object in it, as told or as found; raises InvalidInput."""
     found, path = _rig_of(recording, rig)
     if name is None:
         if len(found.objects) != 1:
@@ -117,7 +117,7 @@ def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tupl
 def rig_and_objects(
     recording: Path, rig: Path | None, names: Iterable[str]
 ) -> "tuple[Rig, dict[str, ObjectModel]]":
-    """The rig and, by name, the models of the objects told, else of all that it knows; raises InvalidInput."""
+    """Returns the rig and, by name, the models of the objects told, else of all that it knows; raises InvalidInput."""
     found, path = _rig_of(recording, rig)
     wanted = tuple(names) or tuple(found.objects)
     if not wanted:
@@ -126,7 +126,8 @@ def rig_and_objects(
 
 
 def library_objects(library: str | None) -> "dict[str, ObjectModel]":
-    """The models of all that a library (None: the usual one) has, by name; raises InvalidInput where it has none."""
+    """Returns the models of all that a library (None: the usual one) has, by name; raises InvalidInput where it has
+    none."""
     from handsight.objects import Library
     from handsight.objects.library import NoLibrary
 
@@ -158,7 +159,8 @@ def object_named(
     library: str | None = None,
     scale: float = 1.0,
 ) -> "ObjectModel":
-    """The object of a rig's `objects`, of a mesh file or of the library; raises InvalidInput where there is none.
+    """Returns the object of a rig's `objects`, of a mesh file or of the library; raises InvalidInput where there is
+    none.
 
     `of`: what the rig is called; `scale`: metres per unit of a mesh file; `library`: None: the usual one.
     """
@@ -185,17 +187,17 @@ def object_named(
 
 
 def rig_of_recording(recording: Path, rig: Path | None) -> "Rig":
-    """The rig of a recording, as told or as found beside it; raises InvalidInput."""
+    """Returns the rig of a recording, as told or as found beside it; raises InvalidInput."""
     return _rig_of(recording, rig)[0]
 
 
 def own_rig(recording: Path) -> Path:
-    """Where the rig of this one recording is."""
+    """Returns where the rig of this one recording is."""
     return recording.with_suffix(".rig.yaml")
 
 
 def _rig_of(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
-    """The rig as told or as found, and where it is."""
+    """Returns the rig as told or as found, and where it is."""
     from handsight.rig import Rig
 
     path = rig or _rig_beside(recording)
@@ -218,7 +220,7 @@ def _rig_beside(recording: Path) -> Path:
 
 
 def with_intrinsics(rig: "Rig", recording: "Recording") -> "Rig":
-    """The rig, its camera's intrinsics from the recording's first CameraInfo where it has none of its own."""
+    """Returns the rig, its camera's intrinsics from the recording's first CameraInfo where it has none of its own."""
     camera = rig.camera
     if camera is None or camera.intrinsics is not None or None in (rig.topics.depth, rig.topics.camera_info):
         return rig

@@ -93,7 +93,7 @@ def reconstruct(
 
 @dataclass(slots=True)
 class Run:
-    """A recording's way into a surface."""
+    """A `Run` is a recording's way into a surface."""
 
     estimate: bool
     in_hand: bool
@@ -136,7 +136,7 @@ class Run:
             watch(self)
 
     def model(self) -> "ReconstructedModel":
-        """The object; raises InvalidInput where too little of it was seen."""
+        """Returns the object; raises InvalidInput where too little of it was seen."""
         from handsight.vision.reconstruction.completion import closed, one_object
 
         if self.reconstruction is None:
@@ -158,7 +158,7 @@ class Run:
         return closed(surface, volume, table=not self.in_hand)
 
     def progress(self) -> list[tuple[str, str]]:
-        """How it goes, as names and values."""
+        """Returns how it goes, as names and values."""
         views = self.reconstruction.volume.views if self.reconstruction else 0
         return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(views))]
 

@@ -86,7 +86,7 @@ def _print_links(recording: Path, rig: Path, name: str | None) -> None:
 
 
 def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
-    """A sentence for each finger that was heard and never touched, with how near it came."""
+    """Returns a sentence for each finger that was heard and never touched, with how near it came."""
     from handsight.tracking.fingertips import FingertipSensors
 
     sensors, largest, touched = FingertipSensors(rig), dict[str, float](), set[str]()

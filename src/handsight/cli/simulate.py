@@ -97,7 +97,7 @@ def simulate(
 
 
 def nuisances(settings: Iterable[str]) -> "Nuisances":
-    """The usual nuisances with some of another size, from `name=value`; `none` begins with all of them off."""
+    """Returns the usual nuisances with some of another size, from `name=value`; `none` begins with all of them off."""
     from handsight import checks
     from handsight.simulation import Nuisances
 
@@ -127,7 +127,7 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
 def record(
     scenario: "Scenario", path: Path, grasp: "Grasp | None" = None, *, blind: bool = False
 ) -> tuple[int, bool]:
-    """How many observations were simulated into `path`, and whether the hand dropped the object in the end.
+    """Returns how many observations were simulated into `path`, and whether the hand dropped the object in the end.
 
     `grasp`: else the object's own, or one that is searched. `blind`: a finger searches the object first. The rig is
     written beside it. Ctrl-C, or an error, leaves what was simulated by then.
@@ -173,7 +173,7 @@ def _recordable(path: Path) -> None:
 
 
 def _found(scenario: "Scenario", path: Path) -> "Grasp":
-    """The scenario's grasp; one that was searched is said, and written beside the recording."""
+    """Returns the scenario's grasp; one that was searched is said, and written beside the recording."""
     from handsight.simulation import find_grasp, write_grasp
 
     with bar("searching a grasp") as advance:
@@ -188,7 +188,7 @@ def _found(scenario: "Scenario", path: Path) -> "Grasp":
 
 
 def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":
-    """The object in the size that the robot takes it to have."""
+    """Returns the object in the size that the robot takes it to have."""
     from handsight.rig import ObjectEntry
 
     entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))

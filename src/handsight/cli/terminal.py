@@ -140,7 +140,7 @@ def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterato
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 1, **style: Any) -> "Table":
-    """Rows under their names, numbers on the right; the first `texts` columns are none."""
+    """Returns rows under their names, numbers on the right; the first `texts` columns are none."""
     from rich.table import Table
 
     built = Table(**style)
@@ -153,7 +153,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int =
 
 @dataclass(slots=True)
 class End:
-    """How a part of a command ended: as it should, unless it has an exit code."""
+    """An `End` says how a part of a command ended: as it should, unless it has an exit code."""
 
     exit_code: int = 0
     error: Exception | None = None

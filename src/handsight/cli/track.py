@@ -81,7 +81,7 @@ def track(
 
 
 def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str, str]]:
-    """How a run goes, as names and values."""
+    """Returns how a run goes, as names and values."""
     position = 1e3 * step.estimate.T_palm_object[:3, 3]
     rate = tally.answered / max(tally.recorded, 1e-9)
     return [
@@ -97,7 +97,7 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
 
 
 def grip(slip: "Slip") -> str:
-    """How near to slipping the object is."""
+    """Returns how near to slipping the object is."""
     if slip.least is None:
         return "friction is not known yet" if slip.friction is None else "nothing is held"
     used = f"the finger that holds best uses {slip.least:.0%} of what friction {slip.friction:.2f} holds"
@@ -144,7 +144,7 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
 
 
 def without_pose(tally: "Tally", tracker: "Tracker") -> str:
-    """Why a run has no pose."""
+    """Returns why a run has no pose."""
     if not tally.observations:
         return "the recording has no observation"
     if tally.refused.total() == tally.observations:

@@ -25,7 +25,7 @@ OFTEN = 0.5
 
 @dataclass(slots=True)
 class Run:
-    """A recording's way through a tracker."""
+    """A `Run` is a recording's way through a tracker."""
 
     name: str
     tally: "Tally"
@@ -84,7 +84,7 @@ class Run:
         return {finger: wrong[finger] / count for finger, count in touching.items()}
 
     def summary(self) -> dict[str, object]:
-        """The run in numbers, as JSON's values."""
+        """Returns the run in numbers, as JSON's values."""
         tally = self.tally
         return {
             "recording": self.name,
@@ -116,7 +116,7 @@ class Run:
             path.write_text(text + "\n", encoding="utf-8")
 
     def sentences(self) -> list[str]:
-        """The run for a person."""
+        """Returns the run for a person."""
         tally = self.tally
         factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
         lines = [
@@ -148,7 +148,7 @@ class Run:
         return lines
 
     def _touch(self) -> Iterator[str]:
-        """What fingers and skin have to say."""
+        """Yields what fingers and skin have to say."""
         for finger, why in self.untouched.items():
             reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
             yield f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})"
@@ -169,7 +169,7 @@ class Run:
 
 
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
-    """What an object weighs, and where its centre of mass is in it, in a line, or `why` it was not weighed."""
+    """Returns what an object weighs, and where its centre of mass is in it, in a line, or `why` it was not weighed."""
     if weight is None:
         return f"not weighed: {why or 'not in the air'}"
     place = ", ".join(f"{1e3 * x:.0f}" for x in weight.center_object)
@@ -180,7 +180,7 @@ def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
 
 
 def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
-    """The same as JSON's values."""
+    """Returns the same as JSON's values."""
     return {
         "mass_kg": weight.mass,
         "sigma_mass_kg": weight.sigma_mass,
@@ -193,20 +193,20 @@ def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
 
 
 def larger_shapes(margins: dict[str, float]) -> str:
-    """A sentence of the links whose shapes would be inside the object."""
+    """Returns a sentence of the links whose shapes would be inside the object."""
     by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in margins.items())
     return f"shapes of the hand's file larger than the hand, inside the object though contacts fit: {by}; taken off"
 
 
 def images_text(images: dict[str, int]) -> str:
-    """A sentence of what depth images have shown."""
+    """Returns a sentence of what depth images have shown."""
     searched_images, detected, sought, hands = images.values()
     hand = f"the hand in {hands} of {sought} looked at for it"
     return f"{searched_images} depth images: the object was seen in {detected}, {hand}"
 
 
 def refusals(tally: "Tally") -> list[str]:
-    """A sentence for each of the most frequent kinds of observations that were left out."""
+    """Returns a sentence for each of the most frequent kinds of observations that were left out."""
     return [
         f"{count} observations left out: {messages}"
         for messages, count in tally.refused.most_common(MOST_REFUSED)

@@ -181,7 +181,7 @@ def _load_error(number: float) -> str | None:
 
 
 class _Wrench(msgspec.Struct, forbid_unknown_fields=True):
-    """A wrench as JSON; null is a missing reading."""
+    """A `_Wrench` is a wrench as JSON; null is a missing reading."""
 
     force: tuple[float | None, float | None, float | None]
     torque: tuple[float | None, float | None, float | None]

@@ -23,7 +23,7 @@ Arguments = dict[str, Any]
 
 
 def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEstimate]:
-    """The estimates of many problems of one object, in their order: `correct_pose` of each, on all cores.
+    """Returns the estimates of many problems of one object, in their order: `correct_pose` of each, on all cores.
 
     A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `answer`, `samples`,
     `budget`, `weight`, `method`), a pair `(contacts, vision)`, or contacts alone, which is blind. Raises InvalidInput
@@ -56,7 +56,7 @@ def _solved(model: ObjectModel, problem: Arguments, name: str) -> PoseEstimate:
 
 
 def _arguments(problem: object, name: str) -> Arguments:
-    """What `correct_pose` is to be called with; arguments that say nothing are left out."""
+    """Returns what `correct_pose` is to be called with; arguments that say nothing are left out."""
     if isinstance(problem, Contacts):
         given: Arguments = {"contacts": problem}
     elif isinstance(problem, Mapping):

@@ -25,7 +25,7 @@ class Budget:
         return cls(time.perf_counter() + checks.positive(seconds, "budget"))
 
     def spent(self) -> bool:
-        """Whether it is over: what the caller then leaves out is noted."""
+        """Returns whether it is over: what the caller then leaves out is noted."""
         if time.perf_counter() >= self.ends:
             self.cut_short = True
         return self.cut_short

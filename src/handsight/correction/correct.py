@@ -48,7 +48,7 @@ def correct_pose(
     weight: WeightEvidence | None = None,
     method: str | TwoPhase | PaperMethod = "handsight",
 ) -> PoseEstimate:
-    """The object's pose in the palm that best explains the contacts and vision, with its uncertainty.
+    """Returns the object's pose in the palm that best explains the contacts and vision, with its uncertainty.
 
     contacts: fingertip contacts in the palm frame. vision: the object's pose in the palm with its covariance, as a
     `PosePrior`, a `PoseMeasurement` in the palm or a `GaussianPose`; None: without vision.
@@ -85,7 +85,7 @@ def correct_pose(
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
-    """The answer to a problem: from one start where that does, else from many."""
+    """Returns the answer to a problem: from one start where that does, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
         if estimate is not None:
@@ -109,7 +109,8 @@ def refine_pose(
     answer: str = "best",
     weight: WeightEvidence | None = None,
 ) -> PoseEstimate | None:
-    """What `correct_pose` answers where it descends from a pose that was right a moment ago, and from there alone.
+    """Returns what `correct_pose` answers where it descends from a pose that was right a moment ago, and from there
+    alone.
 
     None where the evidence does not fit there: then search anew. `T_start` (4, 4): the maximum of a moment ago, not a
     mean, which may fit nowhere.
@@ -125,7 +126,7 @@ def refine_pose(
 
 
 def _array_starts(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
-    """(K, 4, 4) poses to begin from where an array of taxels says how far faces reach."""
+    """Returns (K, 4, 4) poses to begin from where an array of taxels says how far faces reach."""
     alone = replace(problem, outside=NO_OUTSIDE, weight=None)
     by_contacts = _solved(alone, options=options, limit=limit, answer="maximum", samples=0)
     return likely_starts(problem, by_contacts)
@@ -140,7 +141,7 @@ def _weight(weight: WeightEvidence | None, model: ObjectModel) -> WeightEvidence
 def _weighed(
     problem: Problem, estimate: PoseEstimate, solved: Callable[[Problem], PoseEstimate]
 ) -> PoseEstimate:
-    """The estimate with its weight, or, where all else contradicts that, without."""
+    """Returns the estimate with its weight, or, where all else contradicts that, without."""
     weight = problem.weight
     if weight is None or (estimate.consistent and not weight.contradicts(estimate)):
         return replace(estimate, weight_fits=True)
@@ -159,7 +160,7 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
 
 
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
-    """The published method's pose; the uncertainty beside it is ours, taken at that pose."""
+    """Returns the published method's pose; the uncertainty beside it is ours, taken at that pose."""
     model, contacts = problem.model, problem.contacts
     if problem.weight is not None:
         raise InvalidInput("weight: expected None, for the paper's method knows of none, got WeightEvidence")

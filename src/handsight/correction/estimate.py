@@ -26,7 +26,7 @@ OPEN_INFORMATION = np.diag(1 / OPEN_VARIANCES)
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """Where vision, or the last estimate, says the object is, and how far that may be wrong."""
+    """A `PosePrior` says where vision, or the last estimate, says the object is, and how far that may be wrong."""
 
     T_palm_object: Array
     """(4, 4)."""
@@ -59,7 +59,7 @@ class PosePrior:
     def from_sigmas(
         cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float
     ) -> "PosePrior":
-        """The prior with one standard deviation per axis of position [m] and of rotation [rad]."""
+        """Returns the prior with one standard deviation per axis of position [m] and of rotation [rad]."""
         position = checks.sigma(sigma_position, "sigma_position")
         rotation = checks.sigma(sigma_rotation, "sigma_rotation")
         T = se3.check(T_palm_object, "vision.T_palm_object")
@@ -99,7 +99,7 @@ def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """How far each contact is from the answer's surface; rejected contacts included."""
+    """A `Residuals` says how far each contact is from the answer's surface; rejected contacts included."""
 
     distance: Array
     """(n,) signed distance of the contact point to the surface [m], positive outside."""
@@ -111,7 +111,7 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """One mode of the posterior."""
+    """A `Hypothesis` is one mode of the posterior."""
 
     T_palm_object: Array
     """(4, 4)."""
@@ -157,7 +157,7 @@ class PoseEstimate:
         return cls(answer, (answer,), np.empty((0, 2)), True)
 
     def inflated(self, variance: Array) -> "PoseEstimate":
-        """The estimate where the pose may be off by `variance` (6,) more, along the palm's axes [m², rad²]."""
+        """Returns the estimate where the pose may be off by `variance` (6,) more, along the palm's axes [m², rad²]."""
         if not variance.any():
             return self
         covariance = None if self.covariance is None else self.covariance + np.diag(variance)
@@ -171,7 +171,8 @@ class PoseEstimate:
         information: Array,
         residuals: Array | None = None,
     ) -> "PoseEstimate":
-        """The same estimate with another pose, covariance and information; other modes stay. `residuals` (n, 2)."""
+        """Returns the same estimate with another pose, covariance and information; other modes stay. `residuals` (n,
+        2)."""
         answer = self.answer.copy()
         answer["T_palm_object"], answer["information"] = T_palm_object, information
         answer["complete"] = covariance is not None
@@ -247,14 +248,14 @@ class PoseEstimate:
 
 
 def inflated_information(information: Array, variance: Array) -> Array:
-    """An information (6, 6), which may be singular, after noise of `variance` (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
+    """Returns an information (6, 6), which may be singular, after noise of `variance` (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
     after = np.array(information)
     inflate(after, variance)
     return after
 
 
 def bounded_covariance(information: Array) -> Array:
-    """(6, 6) of (δp [m], δθ [rad]): the inverse of an information (6, 6) that may be singular.
+    """Returns (6, 6) of (δp [m], δθ [rad]): the inverse of an information (6, 6) that may be singular.
 
     The information is taken together with a prior that knows nothing, `OPEN_VARIANCES`. So where a direction is open,
     the largest eigenvalue is at least 1, about a spin through the origin π²/3; no pose that is known has one near it.

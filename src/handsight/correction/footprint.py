@@ -18,7 +18,7 @@ from handsight.correction.solve import cost
 
 
 class FootprintOptions(NamedTuple):
-    """How poses are drawn that leave a skin's footprint as it is."""
+    """`FootprintOptions` say how poses are drawn that leave a skin's footprint as it is."""
 
     draws: int = 384  # poses of a round
     rounds: int = 3  # rounds, each drawn around the likeliest poses of the one before
@@ -31,14 +31,15 @@ FOOTPRINT = FootprintOptions()
 
 
 def less_certain(estimate: PoseEstimate, outside: object) -> PoseEstimate:
-    """The estimate as uncertain as the array is that its evidence was relative to, if there was one."""
+    """Returns the estimate as uncertain as the array is that its evidence was relative to, if there was one."""
     if not isinstance(outside, Outside) or outside.skin is None:
         return estimate
     return estimate.inflated(np.asarray(outside.skin) ** 2)
 
 
 def likely_starts(problem: Problem, estimate: PoseEstimate) -> Array:
-    """(K, 4, 4) poses that the whole problem is likeliest at, drawn around an estimate of its contacts alone."""
+    """Returns (K, 4, 4) poses that the whole problem is likeliest at, drawn around an estimate of its contacts
+    alone."""
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     rng = np.random.default_rng(FOOTPRINT.seed)
     values, vectors = np.linalg.eigh(estimate.bounded_covariance)

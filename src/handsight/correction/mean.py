@@ -19,19 +19,20 @@ ANSWERS = ("best", "maximum", "mean")
 
 
 def checked_answer(answer: object, name: str = "answer") -> str:
-    """One of `ANSWERS`; raises InvalidInput."""
+    """Returns one of `ANSWERS`; raises InvalidInput."""
     if not isinstance(answer, str) or answer not in ANSWERS:
         raise InvalidInput(f"{name}: expected one of {', '.join(ANSWERS)}, got {checks.brief(answer)!r}")
     return answer
 
 
 def _is_gaussian(problem: Problem, row: np.void) -> bool:
-    """Whether a mode is answered by its mean."""
+    """Returns whether a mode is answered by its mean."""
     return bool(row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind))
 
 
 def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
-    """The estimate whose likeliest modes are means, each where it is no Gaussian, or its first one all the same.
+    """Returns the estimate whose likeliest modes are means, each where it is no Gaussian, or its first one all the
+    same.
 
     A mode that the same slide leads to is part of its mean, and no hypothesis any more, nor is one of two means that
     are not apart. Blind, a mode with a direction that is not known stays its maximum: such a slide ends nowhere, and

@@ -16,7 +16,7 @@ SAME_MODE = (0.015, float(np.deg2rad(20.0)))
 
 
 class ModeOptions(NamedTuple):
-    """When modes are distinct, and when an answer is doubted."""
+    """`ModeOptions` say when modes are distinct, and when an answer is doubted."""
 
     max_modes: int = 8  # modes that are reported
     alarm: float = 1e-3  # probability that evidence which fits is called inconsistent
@@ -36,13 +36,13 @@ MODES = ModeOptions()
 
 
 def in_metres(information: Array, radius: float) -> Array:
-    """Information (..., 6, 6) by (δp, radius δθ) [1/m²]."""
+    """Returns information (..., 6, 6) by (δp, radius δθ) [1/m²]."""
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
     return np.asarray(information * scale[:, None] * scale)
 
 
 def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
-    """Shift of the object's center [m] and turn [rad] from `T` to each of `Ts`, modulo symmetry."""
+    """Returns shift of the object's center [m] and turn [rad] from `T` to each of `Ts`, modulo symmetry."""
     equivalent = nearest(model.symmetries, Ts, T, model.radius)
     center = model.center_object[None]
     shift = se3.apply(equivalent, center)[:, 0] - se3.apply(T, center)
@@ -53,7 +53,7 @@ def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Arra
 def distinct(
     model: ObjectModel, Ts: Array, order: Indices, most: int, limits: tuple[float, float] = SAME_MODE
 ) -> list[int]:
-    """Indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`.
+    """Returns indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`.
 
     Modulo any symmetry; kernels do it for those that they know.
     """
@@ -69,7 +69,7 @@ def distinct(
 
 
 def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> bool:
-    """Whether what one start led to fits so well that another mode is hardly better.
+    """Returns whether what one start led to fits so well that another mode is hardly better.
 
     `wide`: how wide the prior is, of the widest that one start may do for. What could be missed grows with its square.
     """
@@ -80,12 +80,12 @@ def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> 
 
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
-    """Whether contacts raise no suspicion: not all together, nor one of them against the others."""
+    """Returns whether contacts raise no suspicion: not all together, nor one of them against the others."""
     return fits(cost, freedom, MODES.recheck_p) and bool(gain < MODES.decisive)
 
 
 def fits(chi2: float, freedom: int, alarm: float = MODES.alarm) -> bool:
-    """Whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
+    """Returns whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
     return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))
 
 

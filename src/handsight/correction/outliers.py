@@ -14,7 +14,7 @@ from handsight.correction.solve import Candidates, gains, solve
 
 
 class OutlierOptions(NamedTuple):
-    """How wrong contacts are searched for."""
+    """`OutlierOptions` say how wrong contacts are searched for."""
 
     more_starts: int = 2  # times as many starts are drawn when none of the usual ones fits
     min_gain: float = 1.0  # how much better these must fit to go on with
@@ -35,7 +35,7 @@ OUTLIERS = OutlierOptions()
 
 
 def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candidates:
-    """The minima of a correction, after more starts and after leaving out wrong contacts where nothing fits.
+    """Returns the minima of a correction, after more starts and after leaving out wrong contacts where nothing fits.
 
     When the budget is spent, what has been found until then.
     """
@@ -76,7 +76,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
 
 
 def _is_decisive(found: Candidates, without: Candidates) -> bool:
-    """Whether the contact that is left out is wrong."""
+    """Returns whether the contact that is left out is wrong."""
     gain = found.cost - without.cost
     return gain >= MODES.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
 
@@ -88,7 +88,7 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
 
 
 def _starts(problem: Problem, number: int) -> Records:
-    """(number,) of all contacts; or those that the problem has."""
+    """Returns (number,) of all contacts; or those that the problem has."""
     if problem.starts is not None:
         near = descents_at(problem.starts)
         near["iterations"] = 1  # as a minimum of other evidence has them
@@ -100,12 +100,12 @@ def _starts(problem: Problem, number: int) -> Records:
 
 
 def most_outliers(n: int, *, blind: bool) -> int:
-    """How many of n contacts may be called wrong: the rest must still outvote them."""
+    """Returns how many of n contacts may be called wrong: the rest must still outvote them."""
     return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
 def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candidates | None:
-    """The cheapest minima with one more contact left out, whichever it is; None where no more may be.
+    """Returns the cheapest minima with one more contact left out, whichever it is; None where no more may be.
 
     Without it the search goes on from where it was, and from a few starts that are shared, or, blind, from those that
     the others fit best: all are scored once.
@@ -130,7 +130,7 @@ def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candi
 
 
 def _suspects(problem: Problem, found: Candidates) -> Indices:
-    """The contacts in use that promise most, to first order, when they are left out where all were cheapest."""
+    """Returns the contacts in use that promise most, to first order, when they are left out where all were cheapest."""
     contacts, n = np.flatnonzero(found.used[0]), found.used.size
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return contacts[:0]

@@ -29,7 +29,7 @@ _EACH = np.arange(MOST_POINTS)
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane that the object cannot cross."""
+    """A `Plane` is a plane that the object cannot cross."""
 
     point_palm: Array
     """(3,) any point of it [m]."""
@@ -48,7 +48,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Outside:
-    """What cannot be inside the object."""
+    """An `Outside` is what cannot be inside the object."""
 
     points_palm: ArrayLike = ()
     """(m, 3) of the hand's surface [m]."""
@@ -92,7 +92,7 @@ class Outside:
     def of_skin(
         cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None
     ) -> "Outside":
-        """What an array's untouched taxels say; beside it, `touch.contacts` are what the pressed ones do.
+        """Returns what an array's untouched taxels say; beside it, `touch.contacts` are what the pressed ones do.
 
         `T_palm_frame` (4, 4): where its link is. `by_error` (6, j): how that moves [m] and turns [rad] in the palm for
         one standard deviation of each of j errors of its joints; None: it is fixed in the palm.
@@ -106,7 +106,7 @@ class Outside:
         return cls(points, sigmas=SIGMA_CLEARANCE, skin=np.sqrt(variance))
 
     def joined(self, other: "Outside") -> "Outside":
-        """What both say; each must have sigmas of its own."""
+        """Returns what both say; each must have sigmas of its own."""
         parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
 
         def filled(name: str, usual: float) -> Array:
@@ -132,7 +132,8 @@ class Outside:
     def trusted(
         cls, points_palm: Array, sigmas: Array, links: Indices, slacks: Array | None = None
     ) -> "Outside":
-        """Points of links, (m,) for each what is said of them, that are clean already: not checked, and kept."""
+        """Returns points of links, (m,) for each what is said of them, that are clean already: not checked, and
+        kept."""
         outside = object.__new__(cls)
         given: dict[str, Any] = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links}
         given |= {"slacks": slacks, "skin": None}
@@ -142,7 +143,7 @@ class Outside:
 
 
 def _points(value: ArrayLike) -> Array:
-    """(m, 3), or none; raises InvalidInput."""
+    """Returns (m, 3), or none; raises InvalidInput."""
     if isinstance(value, np.ndarray | list | tuple) and not len(value):
         return np.empty((0, 3))
     usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
@@ -163,7 +164,7 @@ def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> A
 
 
 def _links(value: ArrayLike, n: int) -> Indices:
-    """(n,) whole; raises InvalidInput."""
+    """Returns (n,) whole; raises InvalidInput."""
     numbers = checks.finite(value, "outside.links", (n,))
     if (numbers != np.rint(numbers)).any() or np.abs(numbers).max(initial=0.0) > 2**31:
         raise InvalidInput(f"outside.links: expected whole numbers, got {checks.brief(value)}")
@@ -173,7 +174,7 @@ def _links(value: ArrayLike, n: int) -> Indices:
 def outside_records(
     model: ObjectModel, contacts: Contacts, outside: ArrayLike | Outside | None
 ) -> NDArray[np.void]:
-    """(m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
+    """Returns (m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
     if outside is None:
         return NO_OUTSIDE
     given: Any = outside if isinstance(outside, Outside) else None

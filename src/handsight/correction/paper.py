@@ -31,7 +31,7 @@ Cost = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class PaperMethod:
-    """Which of the paper's four methods, and its constants."""
+    """A `PaperMethod` says which of the paper's four methods, and its constants."""
 
     optimizer: Literal["lm", "gd"] = "lm"
     """Levenberg-Marquardt (eq. 6) or gradient descent (eq. 5)."""
@@ -93,7 +93,8 @@ class PaperResult:
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """What eq. 3 compares: contacts, and each contact's region of the object. All lengths in one unit."""
+    """A `Matching` is what eq. 3 compares: contacts, and each contact's region of the object. All lengths in one
+    unit."""
 
     points: Array
     """`f`, (n, 3)."""
@@ -135,7 +136,7 @@ def residuals(x: Array, matching: Matching) -> Array:
 
 
 def rotation(q: Array) -> Array:
-    """The matrices of `v -> q v q*` for quaternions (..., 4), w first. Literal: they scale by |q|² too."""
+    """Returns the matrices of `v -> q v q*` for quaternions (..., 4), w first. Literal: they scale by |q|² too."""
     w, v = q[..., :1, None], q[..., 1:]
     outer = v[..., :, None] * v[..., None, :]
     cross = np.zeros_like(outer)
@@ -173,7 +174,7 @@ def normalised(x: Array) -> Array:
 
 
 def minimise(G: Cost, method: PaperMethod) -> tuple[Array, Array, int, bool]:
-    """The best x met from the identity on, G there, steps taken, and whether the search came to rest.
+    """Returns the best x met from the identity on, G there, steps taken, and whether the search came to rest.
 
     The paper names no stopping rule. Eq. 5 and 6 reject no step, so the cost may rise, and the best iterate
     is kept.
@@ -245,7 +246,7 @@ def correct(
 
 
 def padded(values: Array, found: list[NDArray[np.intp]], fill: float) -> Array:
-    """The rows of `values` of each region, (n, K, 3), shorter regions filled up."""
+    """Returns the rows of `values` of each region, (n, K, 3), shorter regions filled up."""
     rows = np.full((len(found), max(len(indices) for indices in found), 3), fill)
     for row, indices in zip(rows, found, strict=True):
         row[: len(indices)] = values[indices]

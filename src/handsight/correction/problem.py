@@ -25,7 +25,7 @@ NO_CONSTRAINTS = np.zeros(1, dtype=CONSTRAINTS)
 
 @dataclass(frozen=True, slots=True)
 class TwoPhase:
-    """How handsight's own method runs; the defaults choose themselves from the problem."""
+    """A `TwoPhase` says how handsight's own method runs; the defaults choose themselves from the problem."""
 
     starts: int | None = None
     """Descents begun from draws of the prior; None: from the prior's width, and more if none fits."""
@@ -43,7 +43,7 @@ class TwoPhase:
 
 @dataclass(frozen=True)
 class Problem:
-    """One correction."""
+    """A `Problem` is one correction."""
 
     model: ObjectModel
     contacts: Contacts
@@ -69,7 +69,7 @@ class Problem:
         return record if self.weight is None else self.weight.added_to(record)
 
     def sets(self, used: Mask) -> Records:
-        """(K, n) CONTACT: the contacts once for each row of `used` (K, n)."""
+        """Returns (K, n) CONTACT: the contacts once for each row of `used` (K, n)."""
         contacts = np.empty(used.shape, dtype=CONTACT)
         plain(contacts)[:] = plain(self.contacts.record)
         contacts["used"] = used
@@ -88,17 +88,17 @@ def check_number(n: int, most: int, name: str, what: str) -> None:
 
 
 def plain(records: Records) -> Array:
-    """(..., w) the numbers of records (...), for NumPy copies structured rows ten times slower than these."""
+    """Returns (..., w) the numbers of records (...), for NumPy copies structured rows ten times slower than these."""
     return records.view(np.float64).reshape(*records.shape, -1)
 
 
 def taken(descents: Records, rows: Indices) -> Records:
-    """(K,) those of descents (n,) that are at K indices."""
+    """Returns (K,) those of descents (n,) that are at K indices."""
     return np.asarray(plain(descents)[rows].view(DESCENT)[:, 0])
 
 
 def descents_at(Ts_palm_object: Array) -> Records:
-    """(K,) DESCENT that begin at poses (K, 4, 4)."""
+    """Returns (K,) DESCENT that begin at poses (K, 4, 4)."""
     descents = np.zeros(len(Ts_palm_object), dtype=DESCENT)
     descents["pose"]["rotation"] = Ts_palm_object[:, :3, :3]
     descents["pose"]["position"] = Ts_palm_object[:, :3, 3]
@@ -106,7 +106,7 @@ def descents_at(Ts_palm_object: Array) -> Records:
 
 
 def poses_of(descents: Records) -> Array:
-    """(K, 4, 4) of descents, or whatever has a POSE."""
+    """Returns (K, 4, 4) of descents, or whatever has a POSE."""
     Ts = np.zeros((len(descents), 4, 4))
     Ts[:, :3, :3], Ts[:, :3, 3] = descents["pose"]["rotation"], descents["pose"]["position"]
     Ts[:, 3, 3] = 1.0

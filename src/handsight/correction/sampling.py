@@ -18,7 +18,7 @@ from handsight.objects.symmetry import tangents
 
 
 class SamplingOptions(NamedTuple):
-    """How the posterior is sampled."""
+    """`SamplingOptions` say how the posterior is sampled."""
 
     chains: int = 64  # walkers that move at once; one evaluation serves them all
     burn_in: int = 100  # least number of steps that tune the stride and are discarded
@@ -29,7 +29,7 @@ SAMPLING = SamplingOptions()
 
 
 def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
-    """The estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
+    """Returns the estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
 
     Metropolis walks from the mode along the eigenvectors of the information there, which must have no wall in it: at
     the end of a slide, where the mode is, a wall tilts them, and walks along tilted ones do not get away from it
@@ -55,7 +55,7 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
 
 
 def _directions(information: Array, axes: Array, radius: float) -> Array:
-    """(k, 6) steps (δp, δθ) of one standard deviation along each eigenvector, without the symmetry axes."""
+    """Returns (k, 6) steps (δp, δθ) of one standard deviation along each eigenvector, without the symmetry axes."""
     metres, basis = modes.in_metres(information, radius), _across(axes, radius)
     values, vectors = np.linalg.eigh(basis @ metres @ basis.T)
     length = 1 / np.sqrt(np.maximum(values, 1 / radius**2))
@@ -63,7 +63,7 @@ def _directions(information: Array, axes: Array, radius: float) -> Array:
 
 
 def _across(axes: Array, radius: float) -> Array:
-    """(k, 6) orthonormal directions (δp, radius δθ) across the symmetry axes (n, 6)."""
+    """Returns (k, 6) orthonormal directions (δp, radius δθ) across the symmetry axes (n, 6)."""
     if not len(axes):
         return np.eye(6)
     scaled = axes * np.array([1.0] * 3 + [radius] * 3)
@@ -74,7 +74,8 @@ def _across(axes: Array, radius: float) -> Array:
 def _metropolis(
     log_density: Callable[[Array], Array], T_mode: Array, directions: Array, samples: int
 ) -> Array:
-    """(samples, 6) perturbations of the mode, drawn from the posterior, whose logarithm is given up to a constant."""
+    """Returns (samples, 6) perturbations of the mode, drawn from the posterior, whose logarithm is given up to a
+    constant."""
     rng = np.random.default_rng(0)
     chains = min(SAMPLING.chains, samples)
     kept = -(-samples // chains)

@@ -23,7 +23,7 @@ from handsight.objects.symmetry import nearest
 
 
 class SolveOptions(NamedTuple):
-    """How many starts are descended from at once, and how many minima are weighed."""
+    """`SolveOptions` say how many starts are descended from at once, and how many minima are weighed."""
 
     serial: int = 128  # descents that are not worth another thread
     block: int = 64  # starts among which repeats are found before they are finished
@@ -38,7 +38,7 @@ ENDED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
 
 
 def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
-    """The answer from vision's own pose; None where one start may not do, or the contacts do not fit there.
+    """Returns the answer from vision's own pose; None where one start may not do, or the contacts do not fit there.
 
     `T_start` (4, 4): a pose that was right a moment ago, followed however little vision knows.
     """
@@ -78,7 +78,7 @@ def solve_batch(
 
 
 def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstimate | None:
-    """The answer of one start, or None where it cannot stand.
+    """Returns the answer of one start, or None where it cannot stand.
 
     `searched`: whether a wrong contact has been looked for; what fits then stands, though one may look suspicious.
     """
@@ -118,18 +118,18 @@ class Candidates:
         return bool(self.minima["converged"][0])
 
     def fits(self, alarm: float = modes.MODES.alarm) -> bool:
-        """Whether the cheapest has squares below their 1 - alarm quantile."""
+        """Returns whether the cheapest has squares below their 1 - alarm quantile."""
         return modes.fits(self.cost, self.freedom, alarm)
 
     def with_more(self, other: "Candidates") -> "Candidates":
-        """The minima of both, which use the same contacts."""
+        """Returns the minima of both, which use the same contacts."""
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
         return Candidates(minima, self.used, self.freedom)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
-    """The minima of the set of contacts, of those in `used` (S, n), whose cheapest is the cheapest of all.
+    """Returns the minima of the set of contacts, of those in `used` (S, n), whose cheapest is the cheapest of all.
 
     Starts (S, M) of each set → phase 1 (nearest samples) and the coarse field → the fine field. When the budget is
     spent, the starts that are left are not looked at; the first always are.
@@ -140,7 +140,7 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
 def _descended(
     problem: Problem, starts: Records, used: Mask, budget: Budget | None
 ) -> tuple[Records, Indices]:
-    """Descents (K,), and the places among them of those that ended at a minimum of their own."""
+    """Returns descents (K,), and the places among them of those that ended at a minimum of their own."""
     blocks = _blocks(starts, 2 if problem.blind else 1)
     given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
     blocks = _searched(partial(search.search, *given), blocks, budget)
@@ -149,7 +149,8 @@ def _descended(
 
 
 def _cheapest(problem: Problem, descents: Records, ended: Indices, used: Mask) -> Candidates:
-    """The minima of the set of contacts whose cheapest is the cheapest, from where descents of all sets ended."""
+    """Returns the minima of the set of contacts whose cheapest is the cheapest, from where descents of all sets
+    ended."""
     best = descents["set"][ended[descents["cost"][ended].argmin()]]
     if len(used) > 1:
         ended = ended[descents["set"][ended] == best]
@@ -165,7 +166,7 @@ def _cheapest(problem: Problem, descents: Records, ended: Indices, used: Mask) -
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
-    """The blocks that the budget allows to be worked on, and at least the first."""
+    """Returns the blocks that the budget allows to be worked on, and at least the first."""
     least = -(-SOLVE.serial // blocks.shape[1])
     if budget is None or budget.ends == np.inf:
         in_parts(work, (blocks,), least)
@@ -178,7 +179,8 @@ def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget |
 
 
 def _blocks(starts: Records, ends: int) -> Records:
-    """(B, m, ends) DESCENT: starts (S, M), those of one set dealt out evenly to blocks; of infinite cost: none."""
+    """Returns (B, m, ends) DESCENT: starts (S, M), those of one set dealt out evenly to blocks; of infinite cost:
+    none."""
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
     each = -(-count // number)
@@ -191,7 +193,7 @@ def _blocks(starts: Records, ends: int) -> Records:
 
 
 def _survivors(problem: Problem, descents: Records, ended: Indices) -> Indices:
-    """Those of some descents that are no repeats of cheaper ones, cheapest first."""
+    """Returns those of some descents that are no repeats of cheaper ones, cheapest first."""
     order = ended[np.argsort(descents["cost"][ended], kind="stable")]
     most = SOLVE.kept_blind if problem.blind else SOLVE.kept
     return distinct(problem.model, descents, order, most, SEARCH.same_after_coarse)
@@ -220,7 +222,8 @@ def distinct(
 
 
 def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
-    """(n,) how much χ² falls, to first order, when each contact is left out at a minimum (1,); `used` (1, n)."""
+    """Returns (n,) how much χ² falls, to first order, when each contact is left out at a minimum (1,); `used` (1,
+    n)."""
     contacts, answers = problem.sets(used), np.zeros(1, dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = minimum["pose"], True
     batch.summarize_all(*problem.model.record[:2], contacts, problem.constraints, problem.outside, answers)
@@ -228,7 +231,7 @@ def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
 
 
 def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
-    """(K,) ANSWER where descents (K,) ended; `used` (1, n)."""
+    """Returns (K,) ANSWER where descents (K,) ended; `used` (1, n)."""
     answers = np.zeros(len(descents), dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = descents["pose"], first_order
     answers["iterations"], answers["converged"] = descents["iterations"], descents["converged"]
@@ -238,7 +241,7 @@ def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: 
 
 
 def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
-    """The answer to a problem from its minima."""
+    """Returns the answer to a problem from its minima."""
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
@@ -253,7 +256,8 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
 
 
 def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
-    """The answer (1,) of another method: its pose as it is, with the uncertainty that our evidence has there."""
+    """Returns the answer (1,) of another method: its pose as it is, with the uncertainty that our evidence has
+    there."""
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     answer = _summaries(problem, descent, used, first_order=True)[0]
     answer["weight"] = 1.0
@@ -262,14 +266,14 @@ def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
 
 
 def residuals(problem: Problem, minimum: Records) -> Array:
-    """(n, 2) distance [m] and angle [rad] between each contact and the surface, at a minimum (1,)."""
+    """Returns (n, 2) distance [m] and angle [rad] between each contact and the surface, at a minimum (1,)."""
     rows = np.empty((len(problem.contacts), 2))
     batch.residuals_at(*problem.model.record[:2], problem.contacts.record, minimum, rows)
     return rows
 
 
 def cost(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
-    """Minus two log of the posterior density (K,) at poses (K, 4, 4), up to a constant; `used` (1, n)."""
+    """Returns minus two log of the posterior density (K,) at poses (K, 4, 4), up to a constant; `used` (1, n)."""
     descents = descents_at(Ts_palm_object)
     given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
     batch.cost_all(*given, descents)
@@ -277,7 +281,7 @@ def cost(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
 
 
 def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
-    """A call without arguments that runs the two phases of one problem, and nothing else, for measuring."""
+    """Returns a call without arguments that runs the two phases of one problem, and nothing else, for measuring."""
     rows = np.zeros(1, dtype=records.PROBLEM)
     rows["constraints"], rows["last"] = vision.record, len(contacts)
     return partial(batch.two_phases, *model.record[:2], contacts.record, NO_OUTSIDE, rows)

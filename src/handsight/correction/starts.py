@@ -21,7 +21,7 @@ from handsight.objects import ObjectModel
 
 
 class StartOptions(NamedTuple):
-    """Where searches start."""
+    """`StartOptions` say where searches start."""
 
     min_starts: int = 16  # starts from a prior
     max_starts: int = 32  # starts from a wide prior
@@ -40,7 +40,7 @@ STARTS = StartOptions()
 
 
 def usual(problem: Problem) -> int:
-    """How many starts a problem needs, where one does not do: as the prior is wide, or those of a blind one."""
+    """Returns how many starts a problem needs, where one does not do: as the prior is wide, or those of a blind one."""
     if problem.vision is None:
         return STARTS.blind_kept
     w = batch.width(problem.model.record.model, problem.vision.record)
@@ -48,7 +48,7 @@ def usual(problem: Problem) -> int:
 
 
 def from_prior(vision: PosePrior, number: int) -> Records:
-    """(number,) DESCENT: the prior's own pose, then draws from it."""
+    """Returns (number,) DESCENT: the prior's own pose, then draws from it."""
     descents = np.zeros(number, dtype=DESCENT)
     draws = _few()[:number] if number <= STARTS.draws else _drawn(number)
     in_parts(partial(search.draw, vision.record), (draws, descents), STARTS.draws)
@@ -56,7 +56,7 @@ def from_prior(vision: PosePrior, number: int) -> Records:
 
 
 def _drawn(number: int) -> Array:
-    """(number, 6) standard normal, the first at zero."""
+    """Returns (number, 6) standard normal, the first at zero."""
     draws = np.random.default_rng(0).normal(size=(number, 6))
     draws[0] = 0.0
     return draws
@@ -79,13 +79,13 @@ class Scored:
     """(m,) which contacts they are of."""
 
     def best(self, used: Mask, number: int) -> Records:
-        """(number,) those that the contacts in use (n,) fit best, best first."""
+        """Returns (number,) those that the contacts in use (n,) fit best, best first."""
         total = self.costs[:, used[self.contacts]].sum(axis=1)
         return taken(self.descents, np.argsort(total, kind="stable")[:number])
 
 
 def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
-    """Poses in which a sample of the surface meets one of the contacts in use (n,).
+    """Returns poses in which a sample of the surface meets one of the contacts in use (n,).
 
     Each of three contacts serves as anchor in turn; where it has a normal the sample's is laid on it and the object
     spun about it, else it is turned at random. `prune`: only those that a few contacts find promising.
@@ -109,7 +109,8 @@ def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
 
 
 def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -> Records:
-    """(K,) DESCENT: every surface sample on the anchors, spun about their normals in even steps from other contacts."""
+    """Returns (K,) DESCENT: every surface sample on the anchors, spun about their normals in even steps from other
+    contacts."""
     frames, center = np.zeros(len(anchors), dtype=POSE), points.mean(axis=0)
     for row, a in zip(frames, anchors, strict=True):
         hint = center - points[a] + 1e-6 * (points[a] - points[a - 1])
@@ -120,7 +121,7 @@ def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -
 
 
 def _turned(model: ObjectModel, points: Array, _: Array, anchors: Indices) -> Records:
-    """(K,) DESCENT: every surface sample on the anchors, turned at random."""
+    """Returns (K,) DESCENT: every surface sample on the anchors, turned at random."""
     turns = _turns()
     arms = (turns.reshape(STARTS.blind_spins, SAMPLES, 3, 3) @ model.points_object[:, :, None])[
         ..., 0
@@ -137,7 +138,7 @@ def _turns() -> Array:
 
 
 def _frame(z: Array, hint: Array) -> Array:
-    """A rotation whose third column is `z` and whose first points as far along `hint` as it can."""
+    """Returns a rotation whose third column is `z` and whose first points as far along `hint` as it can."""
     x = hint - (hint @ z) * z
     if np.linalg.norm(x) < 1e-9 * (np.linalg.norm(hint) + 1e-300) or not x.any():
         x = np.eye(3)[np.argmin(np.abs(z))]
@@ -155,7 +156,7 @@ def _sigmas(points: Array, descents: Records) -> Array:
 
 
 def _scores(problem: Problem, chosen: Indices, sigmas: Array, descents: Records) -> Array:
-    """(K, m) what contacts (m,) say of each start."""
+    """Returns (K, m) what contacts (m,) say of each start."""
     costs, contacts = np.empty((len(descents), len(chosen))), problem.contacts.record[chosen]
     given = (*problem.model.record[:2], contacts, sigmas)
     in_parts(partial(search.score, *given), (descents, costs), STARTS.serial)

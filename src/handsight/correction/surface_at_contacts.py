@@ -12,7 +12,7 @@ from handsight.objects import ObjectModel
 def information_by_contact(
     model: ObjectModel, contacts: Contacts, T_palm_object: Array
 ) -> tuple[Array, Array]:
-    """Information (n, 6, 6) about (point, normal) of each contact, and the gradient (n, 6) of half its squared
+    """Returns information (n, 6, 6) about (point, normal) of each contact, and the gradient (n, 6) of half its squared
     residuals.
 
     The object being at `T_palm_object` (4, 4); along the palm's axes, [m] and as a normal changes.

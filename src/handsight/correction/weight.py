@@ -28,7 +28,8 @@ PAID = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightEvidence:
-    """Where an object's centre of mass is: in the object, and in the palm by what hangs on the fingertips."""
+    """A `WeightEvidence` says where an object's centre of mass is: in the object, and in the palm by what hangs on
+    the fingertips."""
 
     center_object: Array
     """(3,) [m]"""
@@ -57,15 +58,15 @@ class WeightEvidence:
         return record
 
     def of(self, model: ObjectModel) -> "WeightEvidence":
-        """The same of an object whose symmetries leave the centre of mass in place; raises InvalidInput where they do
-        not."""
+        """Returns the same of an object whose symmetries leave the centre of mass in place; raises InvalidInput where
+        they do not."""
         center = kept_center(model.symmetries, self.center_object)
         limit = LEFT_IN_PLACE * float(np.sqrt(np.trace(self.covariance) / 3))
         check_kept(center, self.center_object, limit, "weight.center_object")
         return WeightEvidence(center, self.center_palm, self.covariance)
 
     def contradicts(self, estimate: PoseEstimate) -> bool:
-        """Whether a pose that was found with it lies where all else would not have it.
+        """Returns whether a pose that was found with it lies where all else would not have it.
 
         With J the rows' derivative, Σ their covariance and C that of the pose, what is left over has the covariance
         Σ - J C Jᵀ: the less, the more the weight itself has told the pose.

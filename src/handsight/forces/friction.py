@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 
 class FrictionOptions(NamedTuple):
-    """How a friction coefficient is learnt from the turns of the ratio of tangential to normal force."""
+    """`FrictionOptions` say how a friction coefficient is learnt from the turns of the ratio of tangential to normal
+    force."""
 
     torsion: float = 0.005
     """Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
@@ -41,7 +42,7 @@ Vector = tuple[float, float, float, float]
 
 
 class Friction:
-    """What is known of it; the parts are bound anew, never changed in place."""
+    """A `Friction` is what is known of it; the parts are bound anew, never changed in place."""
 
     def __init__(self) -> None:
         """Nothing at first."""
@@ -93,7 +94,7 @@ def _has_moved(before: Vector, now: Vector) -> bool:
 
 
 def _highest_heap(turns: Mapping[int, int]) -> tuple[float | None, int]:
-    """The mean ratio of the highest heap and of what is just below it, and its turns; None where there is none.
+    """Returns the mean ratio of the highest heap and of what is just below it, and its turns; None where there is none.
 
     What is spread above it, as by a tip that touches at two places, is no limit.
     """

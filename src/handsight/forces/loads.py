@@ -21,7 +21,7 @@ from handsight.rig import Rig
 
 
 class LoadOptions(NamedTuple):
-    """How loads and accelerations are read."""
+    """`LoadOptions` say how loads and accelerations are read."""
 
     order: int = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
     span: float = 0.1  # their length [s]
@@ -70,13 +70,13 @@ class LoadSum:
         return np.asarray(pressed @ self.Ts_palm_tip[:, :3, 3] / pressed.sum())
 
     def tangential(self, tip: int) -> Array:
-        """(3,) of the force on a tip that is touched: what is along the surface [N]."""
+        """Returns (3,) of the force on a tip that is touched: what is along the surface [N]."""
         force, normal = self.forces[tip], self.touched[tip][1]
         return np.asarray(force - (force @ normal) * normal)
 
 
 def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
-    """Why observations do not say what all fingertips bear; empty where they do."""
+    """Returns why observations do not say what all fingertips bear; empty where they do."""
     alike = []
     for name, finger in rig.fingers.items():
         readings = np.array([o.wrenches.get(name, SILENT) for o in observations])
@@ -94,7 +94,7 @@ def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
 def load_sum(
     rig: Rig, observations: Sequence[Observation], touched: Mapping[str, tuple[Array, Array]], joints: Array
 ) -> LoadSum:
-    """The mean of n observations that nothing is `lacking` in, evenly spaced, of a grip that hardly changes.
+    """Returns the mean of n observations that nothing is `lacking` in, evenly spaced, of a grip that hardly changes.
 
     `touched`: by finger that is touched, where in the palm [m], and the normal there. `joints` (j,): by how much the
     hand's moving joints read too much, as far as that is known [rad].
@@ -130,7 +130,8 @@ def load_sum(
 
 
 def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple[Array, Array]:
-    """(n, 3) acceleration of a point of the palm [m/s²] and (n, 3) of its turning [rad/s²], in the world's axes.
+    """Returns (n, 3) acceleration of a point of the palm [m/s²] and (n, 3) of its turning [rad/s²], in the world's
+    axes.
 
     By polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart [s]; zeros of fewer than
     `LOADS.min_instants`.
@@ -148,7 +149,8 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
 
 @lru_cache(maxsize=32)
 def _second_derivative(n: int, length: int) -> Array:
-    """(n, n) what takes n numbers, one apart, to their second derivatives by polynomials over `length` of them."""
+    """Returns (n, n) what takes n numbers, one apart, to their second derivatives by polynomials over `length` of
+    them."""
     return np.asarray(savgol_filter(np.eye(n), length, LOADS.order, deriv=2, axis=0))
 
 
@@ -161,8 +163,8 @@ def _mean_joints(rig: Rig, observations: Sequence[Observation], joints: Array) -
 def _summed(
     rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """The sum of mean loads (6,), what errors of joints (6, j) and biases (6, 6 t) make of it, and the forces (t, 3);
-    `sensors` (t, 4, 4) in the palm, `J` (t, 6, j): Jacobians there."""
+    """Returns the sum of mean loads (6,), what errors of joints (6, j) and biases (6, 6 t) make of it, and the forces
+    (t, 3); `sensors` (t, 4, 4) in the palm, `J` (t, 6, j): Jacobians there."""
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
     by_bias, forces = np.zeros((6, 6 * t)), np.zeros((t, 3))
@@ -182,18 +184,18 @@ def _summed(
 
 
 def Ts_palm_sensor(rig: Rig, joint_positions: Mapping[str, float]) -> Array:
-    """(t, 4, 4) the fingers' sensors in the palm."""
+    """Returns (t, 4, 4) the fingers' sensors in the palm."""
     tips: Array = rig.hand.kinematics(joint_positions).Ts_palm_tip[_tips(rig)]
     return np.asarray(tips @ _Ts_tip_sensor(rig))
 
 
 def _tips(rig: Rig) -> list[int]:
-    """Which of the hand's tips the fingers are."""
+    """Returns which of the hand's tips the fingers are."""
     return [tuple(rig.hand.tips).index(name) for name in rig.fingers]
 
 
 def _Ts_tip_sensor(rig: Rig) -> Array:
-    """(t, 4, 4) each sensor's frame in that of the body that its tip moves with."""
+    """Returns (t, 4, 4) each sensor's frame in that of the body that its tip moves with."""
     fingers = rig.fingers.values()
     at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in fingers)
     return np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])

@@ -16,7 +16,7 @@ from handsight.rig import Rig
 
 
 class SlipOptions(NamedTuple):
-    """When contacts slip: thresholds on the ratio of tangential force to what friction holds."""
+    """`SlipOptions` say when contacts slip: thresholds on the ratio of tangential force to what friction holds."""
 
     begin_ratio: float = 0.95  # share of the least ratio at which a slip begins
     end_ratio: float = 0.93  # it ends where the ratio has been below this share for `min_hold`
@@ -39,7 +39,7 @@ Load = list[float]
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """How the object is held at one instant."""
+    """A `Slip` says how the object is held at one instant."""
 
     slipping: bool = False
     """Whether it slips."""
@@ -79,7 +79,7 @@ class SlipDetector:
         """By finger, never changed in place."""
 
     def update(self, stamp: float, fingers: tuple[str, ...], loads: Array | None) -> Slip:
-        """How the object is held at `stamp` [s]; an update that is not newer than the last one changes nothing.
+        """Returns how the object is held at `stamp` [s]; an update that is not newer than the last one changes nothing.
 
         `loads` (n, 5): of each of `fingers`, as `FingertipContacts` has them; NaN where a finger does not say it.
         """
@@ -101,7 +101,7 @@ class SlipDetector:
         return self.now
 
     def _vectors(self) -> dict[str, Vector]:
-        """The ratio vectors of fingers that are loaded; friction learns of those that are enough so."""
+        """Returns the ratio vectors of fingers that are loaded; friction learns of those that are enough so."""
         found, sure = dict[str, Vector](), dict[str, Vector]()
         for name, (x, y, z, normal, torque) in self._means.items():
             least, enough = self._least[name]
@@ -126,7 +126,7 @@ class SlipDetector:
 
 
 def _mean(before: Load, row: Load, weight: float) -> Load:
-    """A mean after another reading."""
+    """Returns a mean after another reading."""
     a, b, c, d, e = before
     return [
         a + weight * (row[0] - a),

@@ -14,7 +14,8 @@ STILL = 0.1
 
 
 def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
-    """(6,) how the object moves while it slips: of its point `origin` (3,), and its turn, along the palm's axes.
+    """Returns (6,) how the object moves while it slips: of its point `origin` (3,), and its turn, along the palm's
+    axes.
 
     For a metre of motion: of slip along the contacts, root mean square, and `LENGTH` times the turn, together; unitless
     and [rad/m]. None where the loads agree on no motion. `loads` (n, 5) as `FingertipContacts` has them.
@@ -38,7 +39,7 @@ def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
 
 
 def _rows(levers: Array, normals: Array) -> Array:
-    """(n, 4, 6) by a twist: the object's velocity at each contact, and e times its turn about the normal."""
+    """Returns (n, 4, 6) by a twist: the object's velocity at each contact, and e times its turn about the normal."""
     rows = np.zeros((len(levers), 4, 6))
     rows[:, :3, :3] = np.eye(3)
     rows[:, :3, 3:] = -se3.skew(levers)

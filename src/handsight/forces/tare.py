@@ -18,7 +18,7 @@ from handsight.rig import Rig
 
 
 class TareOptions(NamedTuple):
-    """When readings in the air are those of an unloaded sensor."""
+    """`TareOptions` say when readings in the air are those of an unloaded sensor."""
 
     min_travel: float = 0.005
     """A tip that has moved this far in the palm over a window pushes nothing along by chance [m]."""
@@ -31,8 +31,8 @@ TARE = TareOptions()
 
 
 def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
-    """(t, 6) mean load of each tip by its sensor, in the sensor's frame [N], [N m]; NaN where it may touch something:
-    where it has hardly moved, or its load has changed, or is too large.
+    """Returns (t, 6) mean load of each tip by its sensor, in the sensor's frame [N], [N m]; NaN where it may touch
+    something: where it has hardly moved, or its load has changed, or is too large.
 
     `observations` of a short while, with joints and T_world_palm; nothing may be `lacking` in them.
     """

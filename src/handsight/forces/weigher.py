@@ -17,7 +17,7 @@ from handsight.rig import Rig
 
 
 class WeigherOptions(NamedTuple):
-    """How an object in the hand is weighed over time."""
+    """`WeigherOptions` say how an object in the hand is weighed over time."""
 
     window: float = 0.2  # over which loads are averaged [s]
     max_gap: float = 0.1  # between two observations: after a longer one averaging starts anew [s]
@@ -51,7 +51,7 @@ STILL = 0.3, 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """An instant of earlier."""
+    """A `Kept` is an instant of earlier."""
 
     carried: Carried
     direction: Array
@@ -114,7 +114,7 @@ class Weigher:
         contacts: Contacts | None,
         joints: tuple[Array, Array],
     ) -> bool:
-        """Whether there is a new weighing, after an observation of an object in the air.
+        """Returns whether there is a new weighing, after an observation of an object in the air.
 
         `fingers` that touch it, and in their order their contacts in the palm. `joints`: what is known of the joints'
         constant errors, their mean (j,) and L (j, j), L Lᵀ their covariance [rad].
@@ -139,7 +139,7 @@ class Weigher:
         return True
 
     def _full(self, observation: Observation) -> tuple[Observation, ...]:
-        """The observations of a window that this one completes; none as long as it does not."""
+        """Returns the observations of a window that this one completes; none as long as it does not."""
         if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
             return ()
         window = self._window
@@ -218,7 +218,8 @@ class Weigher:
 
 
 def _moved(carried: Carried, T: Array, creep: Array, creep_sigma: float) -> Carried:
-    """An instant after another step: T (4, 4) as the tips tell, the creep (6,), and the sigma of what they do not."""
+    """Returns an instant after another step: T (4, 4) as the tips tell, the creep (6,), and the sigma of what they do
+    not."""
     return Carried(
         carried.load,
         T @ carried.T_now_then,

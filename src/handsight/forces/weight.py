@@ -27,7 +27,7 @@ from handsight.forces.loads import LoadSum
 
 
 class WeightOptions(NamedTuple):
-    """How mass and centre of mass are fitted to loads."""
+    """`WeightOptions` say how mass and centre of mass are fitted to loads."""
 
     sigma_reach: float = 0.15
     """How far the centre of mass is from the middle of the loads, per axis: all that is known along gravity as long as
@@ -55,7 +55,7 @@ FIXED = np.diag([1.0, 1.0, 1.0, WEIGHT_FIT.sigma_reach, WEIGHT_FIT.sigma_reach, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """What is not known of a robot while it weighs, jointly Gaussian of mean zero."""
+    """An `Unknowns` is what is not known of a robot while it weighs, jointly Gaussian of mean zero."""
 
     joints: Array
     """(j, j) L, L Lᵀ the covariance of the joints' constant errors [rad], of slides [m]."""
@@ -71,7 +71,8 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """What an object weighs, and where its centre of mass is in the palm, jointly with the joints' errors."""
+    """A `Weighing` is what an object weighs, and where its centre of mass is in the palm, jointly with the joints'
+    errors."""
 
     mean: Array
     """(4 + j,) mass [kg], centre [m], and by how much the joints read too much, as far as the loads tell [rad]."""
@@ -87,7 +88,7 @@ class Weighing:
     """Of gravity, in how many it was weighed."""
 
     def given_mass(self, mass: float, sigma: float) -> "Weighing":
-        """The same where the mass is known (Kalman's update) [kg]."""
+        """Returns the same where the mass is known (Kalman's update) [kg]."""
         P = self.joint_covariance
         variance, off = P[0, 0] + sigma**2, mass - self.mass
         gain = P[:, 0] / variance
@@ -133,7 +134,7 @@ class Weighing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """What tips bore a while ago, and what has become of the object in the palm since."""
+    """A `Carried` is what tips bore a while ago, and what has become of the object in the palm since."""
 
     load: LoadSum
     T_now_then: Array
@@ -145,7 +146,8 @@ class Carried:
 
 
 def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | None = None) -> Weighing:
-    """The object's mass and centre of mass by all instants (one at least), in the palm of now, which the last is of.
+    """Returns the object's mass and centre of mass by all instants (one at least), in the palm of now, which the last
+    is of.
 
     `start`: a weighing of a moment ago, about which it is as good as linear. A mass below zero says that gravity points
     the other way, or that the loads are no weight's.
@@ -183,7 +185,7 @@ def _chance(columns: Array, left: Array, H: Array, covariance: Array) -> float:
 
 
 def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, Array]:
-    """Mean (4 + j,) and covariance of (m, c, δq), from those of (m, m c, φ, κ, joints, biases)."""
+    """Returns mean (4 + j,) and covariance of (m, c, δq), from those of (m, m c, φ, κ, joints, biases)."""
     L = unknowns.joints
     mass, j = x[0], L.shape[1]
     center, chosen = x[1:4] / mass, [0, 1, 2, 3, *range(8, 8 + j)]
@@ -194,8 +196,9 @@ def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, A
 
 
 def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
-    """(6, 4 + 3 + 1 + j + 6 t + 1 + 6) rows of an instant by (m, m c, φ, κ, joints, biases), all but the first four in
-    their sigmas, their right side, and by what is fixed in the palm; linear at (m, m c) = (`mass`, `moment`)."""
+    """Returns (6, 4 + 3 + 1 + j + 6 t + 1 + 6) rows of an instant by (m, m c, φ, κ, joints, biases), all but the
+    first four in their sigmas, their right side, and by what is fixed in the palm; linear at (m, m c) = (`mass`,
+    `moment`)."""
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
     G = se3.skew(g)

@@ -24,7 +24,7 @@ LEVELS: Mapping[State, int] = {"tracking": OK, "uncertain": WARN, "lost": ERROR}
 
 
 class Answer(NamedTuple):
-    """A message to be published."""
+    """An `Answer` is a message to be published."""
 
     topic: str
     type: str
@@ -33,7 +33,7 @@ class Answer(NamedTuple):
 
 
 class Status(NamedTuple):
-    """One part of the diagnostics."""
+    """A `Status` is one part of the diagnostics."""
 
     name: str
     level: int
@@ -42,14 +42,16 @@ class Status(NamedTuple):
 
 
 class Template:
-    """A message that is written hundreds of times a second, of which only a stamp and the numbers at its end change."""
+    """A `Template` is a message that is written hundreds of times a second, of which only a stamp and the numbers at
+    its end change."""
 
     def __init__(self, example: Answer, stamp_at: int, count: int) -> None:
         """`stamp_at`: where its stamp is, as bytes from the beginning; `count` of the numbers."""
         self._example, self._stamp_at, self._numbers = example, stamp_at, struct.Struct(f"<{count}d")
 
     def answer(self, stamp: float, numbers: Sequence[float]) -> Answer:
-        """The message of that time [s] and of those numbers; raises InvalidInput for a stamp that it cannot hold."""
+        """Returns the message of that time [s] and of those numbers; raises InvalidInput for a stamp that it cannot
+        hold."""
         data = bytearray(self._example.data)
         struct.pack_into("<iI", data, self._stamp_at, *split_stamp(stamp))
         self._numbers.pack_into(data, len(data) - self._numbers.size, *numbers)
@@ -72,7 +74,7 @@ class Writer:
         self._pose, self._transform = self._pose_template(), self._transform_template()
 
     def answer(self, topic: str, kind: str, **fields: Any) -> Answer:
-        """A message of these fields."""
+        """Returns a message of these fields."""
         return Answer(topic, kind, bytes(self._serialize(Message(**fields), kind)))
 
     def pose(self, stamp: float, estimate: PoseEstimate, numbers: Sequence[float]) -> Answer:
@@ -116,7 +118,7 @@ class Writer:
 
     @staticmethod
     def header(stamp: float, frame: str = "") -> Message:
-        """A header of either encoding; ROS 1 counts in it."""
+        """Returns a header of either encoding; ROS 1 counts in it."""
         top = header(stamp, frame)
         top.seq = 0
         return top

@@ -12,7 +12,7 @@ from handsight.tracking import Tracker
 
 
 class HealthOptions(NamedTuple):
-    """How often the state is published."""
+    """`HealthOptions` say how often the state is published."""
 
     period: float = 1.0  # between two messages while nothing changes [s]
     min_period: float = 0.1  # between two messages if the state flickers [s]
@@ -24,7 +24,7 @@ HEALTH = HealthOptions()
 
 
 class Health:
-    """What is told once a second, and when the state changes."""
+    """A `Health` is what is told once a second, and when the state changes."""
 
     def __init__(self, stream: ObservationStream, dropped: Counter[str]) -> None:
         self.skipped = 0
@@ -50,7 +50,7 @@ class Health:
         self._latencies.append(seconds)
 
     def due(self, tracker: Tracker) -> bool:
-        """Whether it is time to tell, or there is something new."""
+        """Returns whether it is time to tell, or there is something new."""
         now, passed = time.monotonic(), time.monotonic() - self._published_at
         state = tracker.state, tracker.reason if tracker.state == "lost" else ""
         if passed < (HEALTH.min_period if state[0] != self._last_state[0] else HEALTH.period):

@@ -9,7 +9,7 @@ MAX_WAITING, MAX_WAITING_BYTES = 20_000, 1 << 28
 
 
 class Inbox:
-    """A bounded queue: of too many messages the oldest are dropped, and counted."""
+    """An `Inbox` is a bounded queue: of too many messages the oldest are dropped, and counted."""
 
     def __init__(self) -> None:
         self.dropped = Counter[str]()
@@ -34,7 +34,7 @@ class Inbox:
             self._filled.notify()
 
     def take(self, timeout: float) -> list[tuple[float, RawMessage]]:
-        """All that wait, each with when it came; waits at most `timeout` [s] for the first."""
+        """Returns all that wait, each with when it came; waits at most `timeout` [s] for the first."""
         with self._filled:
             if not self._waiting and timeout > 0:
                 self._filled.wait(timeout)

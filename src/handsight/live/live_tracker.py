@@ -37,7 +37,7 @@ from handsight.tracking import Tracker, TrackerSettings
 
 
 class LiveOptions(NamedTuple):
-    """How often a live tracker publishes."""
+    """`LiveOptions` say how often a live tracker publishes."""
 
     quiet: float = 1.0  # after so long without a message, what waits is processed [s]
     marker_period: float = 1 / 30  # between markers [s]
@@ -48,7 +48,7 @@ LIVE = LiveOptions()
 
 
 class LiveTracker:
-    """One object in one hand, followed as a robot speaks of them."""
+    """A `LiveTracker` is one object in one hand, followed as a robot speaks of them."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class LiveTracker:
         return self._begin(None, start, "begun anew from the user's pose")
 
     def step(self, timeout: float = 0.1) -> list[Answer]:
-        """What is to be published now; waits at most `timeout` [s] for something to do. From one thread."""
+        """Returns what is to be published now; waits at most `timeout` [s] for something to do. From one thread."""
         arrived = self._inbox.take(max(0.0, min(timeout, self._waits_until - time.monotonic())))
         while self._tasks:
             self._tasks.popleft()()
@@ -217,7 +217,7 @@ class LiveTracker:
         self._follow(self.tracker.model, None)
 
     def _flush(self, arrived: bool) -> list[Observation]:
-        """What waits although nothing comes any more."""
+        """Returns what waits although nothing comes any more."""
         now = time.monotonic()
         if arrived:
             self._heard, self._flushed = now, False
@@ -227,7 +227,7 @@ class LiveTracker:
         return self._stream.flush()
 
     def _newest(self, observations: list[Observation]) -> list[Observation]:
-        """Those that are answered: the newest, and all that the camera has something to say in."""
+        """Returns those that are answered: the newest, and all that the camera has something to say in."""
         if self.equal or len(observations) < 2:
             return observations
         kept = [

@@ -26,13 +26,13 @@ FARTHEST_DRAWN = 0.3
 
 
 class Markers:
-    """A tracker's markers, as MarkerArrays."""
+    """A `Markers` is a tracker's markers, as MarkerArrays."""
 
     def __init__(self, writer: Writer, palm: str) -> None:
         self._writer, self._palm = writer, palm
 
     def object(self, stamp: float, model: ObjectModel) -> Answer:
-        """The object itself, in its own frame, which /tf moves; it stays until another replaces it."""
+        """Returns the object itself, in its own frame, which /tf moves; it stays until another replaces it."""
         surface = model.surface
         if isinstance(surface, Triangles) and len(surface.faces) <= MOST_TRIANGLES:
             kind, size, points = TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
@@ -43,7 +43,7 @@ class Markers:
         return self._writer.answer(MARKERS_TOPIC, MARKERS, markers=[marker])
 
     def around(self, tracker: Tracker) -> Answer:
-        """What is known of it now, in the palm; gone half a second after the last."""
+        """Returns what is known of it now, in the palm; gone half a second after the last."""
         found = [*self._contacts(tracker), *self._unknown(tracker)]
         return self._writer.answer(MARKERS_TOPIC, MARKERS, markers=found)
 
@@ -82,7 +82,7 @@ class Markers:
             yield self._open(k, direction, at[:3, 3], model.radius, stamp)
 
     def _open(self, k: int, direction: Array, middle: Array, radius: float, stamp: float) -> Message:
-        """What touch leaves open: a turn as an arc about its axis, a shift as an arrow."""
+        """Returns what touch leaves open: a turn as an arc about its axis, a shift as an arrow."""
         shift, turn = direction[:3], direction[3:]
         color = (*RED, 0.9)
         if np.linalg.norm(turn) < np.linalg.norm(shift):

@@ -17,7 +17,7 @@ from handsight.tracking import Tracker, TrackerSettings
 
 
 class NodeOptions(NamedTuple):
-    """What waits in a node, and for how long."""
+    """`NodeOptions` are what waits in a node, and for how long."""
 
     max_answers: int = 10  # answers kept for a slow reader
     max_answers_all: int = 2000  # the same where all count: entire seconds of them come at once
@@ -28,14 +28,14 @@ NODE = NodeOptions()
 
 
 class Stepped(Protocol):
-    """A `LiveTracker`, or what hears for it in the same thread."""
+    """A `Stepped` is a `LiveTracker`, or what hears for it in the same thread."""
 
     @property
     def tracker(self) -> Tracker:
         """Of the object that is followed now."""
 
     def step(self, timeout: float) -> list[Answer]:
-        """What is to be published now; waits at most so long [s]."""
+        """Returns what is to be published now; waits at most so long [s]."""
 
 
 def live_tracker(
@@ -47,7 +47,7 @@ def live_tracker(
     images: bool = True,
     equal: bool = False,
 ) -> LiveTracker:
-    """What a node's parameters describe.
+    """Returns what a node's parameters describe.
 
     `name`: the object's, in the rig or the library, or a mesh file; None or empty: the rig's only one. `rate`:
     corrections a second; None or 0: when something has changed. Raises a HandsightError.
@@ -76,7 +76,7 @@ def work(
 
 
 def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
-    """Whether what is asked for was done, and a sentence of it."""
+    """Returns whether what is asked for was done, and a sentence of it."""
     try:
         return True, ask().result(NODE.request_timeout)
     except (HandsightError, TimeoutError) as error:

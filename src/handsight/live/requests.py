@@ -30,7 +30,7 @@ SIGMAS = 0.03, float(np.deg2rad(15.0))
 
 
 def asked_text(message: RawMessage) -> str:
-    """The text of a String; raises InvalidInput."""
+    """Returns the text of a String; raises InvalidInput."""
     try:
         if message.type != TEXT:
             raise InvalidInput(f"expected a {TEXT}, got {message.type}")
@@ -43,7 +43,8 @@ def asked_text(message: RawMessage) -> str:
 
 
 def asked_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> PosePrior:
-    """A user's pose in the palm; raises InvalidInput. `T_world_palm`: now, for a pose in the world; None: not known."""
+    """Returns a user's pose in the palm; raises InvalidInput. `T_world_palm`: now, for a pose in the world; None: not
+    known."""
     topic = TopicReport(message.topic, "vision", (POSE_COVARIANCE,))
     found = decode(message, topic, rig.frames, FastReaders())
     if not found:
@@ -66,7 +67,7 @@ def asked_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> Po
 
 
 def model_named(name: str, rig: Rig) -> ObjectModel:
-    """The object of that name: of the rig, a mesh file, or of the library; raises a HandsightError."""
+    """Returns the object of that name: of the rig, a mesh file, or of the library; raises a HandsightError."""
     if name in rig.objects:
         return replace(rig.objects[name].model(), name=name)
     if Path(name).is_file():

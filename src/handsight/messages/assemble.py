@@ -17,7 +17,7 @@ from handsight.rig import Rig
 
 
 class AssemblyOptions(NamedTuple):
-    """How old messages may be to be put together, and how many are kept."""
+    """`AssemblyOptions` say how old messages may be to be put together, and how many are kept."""
 
     max_age_joints: float = 0.1  # oldest joint positions that still count as now [s]
     max_age_transform: float = 0.1  # the same of a transform [s]
@@ -38,7 +38,7 @@ IDENTITY.setflags(write=False)
 
 
 class ObservationAssembler:
-    """What the next observation is made of; what is left out is counted in the report."""
+    """An `ObservationAssembler` is what the next observation is made of; what is left out is counted in the report."""
 
     def __init__(self, rig: Rig, report: Report) -> None:
         self._rig, self._report = rig, report
@@ -60,7 +60,7 @@ class ObservationAssembler:
         self.tree.keep_static()
 
     def put(self, measurement: Measurement) -> Observation | None:
-        """The observation of the joint states before this measurement, if it completes it."""
+        """Returns the observation of the joint states before this measurement, if it completes it."""
         again = (
             measurement.stamp < self._newest - CLOCKS.max_jump
         )  # in order as they are: the clock went back
@@ -89,7 +89,7 @@ class ObservationAssembler:
         return done
 
     def finish(self) -> Observation | None:
-        """The observation of the newest joint states, if they have none yet."""
+        """Returns the observation of the newest joint states, if they have none yet."""
         if self.due is None:
             return None
         stamp, self.due = self.due, None
@@ -165,7 +165,7 @@ class ObservationAssembler:
         return found
 
     def _take_wrench(self, measurement: Measurement) -> None:
-        """Keep a wrench, unless its sensor is at full scale or stuck."""
+        """Keeps a wrench, unless its sensor is at full scale or stuck."""
         finger, stamp = measurement.topic.finger, measurement.stamp
         sensor = self._sensors.setdefault(finger, WrenchSensor())
         sensor.read(measurement.value, stamp)
@@ -180,7 +180,7 @@ class ObservationAssembler:
 
 @dataclass(slots=True)
 class WrenchSensor:
-    """What is known of a finger's sensor."""
+    """A `WrenchSensor` is what is known of a finger's sensor."""
 
     wrench: Array | None = None
     """(6,) the newest; None: it cannot be used."""
@@ -194,14 +194,14 @@ class WrenchSensor:
     saturated: int = 0
 
     def read(self, wrench: Array, stamp: float) -> None:
-        """Take in a reading."""
+        """Takes in a reading."""
         self.wrench, self.stamp, reading = wrench, stamp, tuple(wrench.tolist())
         if reading != self.reading:
             self.reading, self.changed, self.repeated = reading, stamp, 0
         self.repeated += 1
 
     def fault(self, full_scale: tuple[float, float] | None, sensors: Iterable["WrenchSensor"]) -> str | None:
-        """Why the newest reading cannot be used; None: it can. `sensors`: all of the hand."""
+        """Returns why the newest reading cannot be used; None: it can. `sensors`: all of the hand."""
         if full_scale is not None:
             force, torque = max(map(abs, self.reading[:3])), max(map(abs, self.reading[3:]))
             if (
@@ -227,7 +227,7 @@ class TransformTree:
         self._to_child: dict[str, tuple[str, Array, float]] = {}
 
     def put(self, transform: tuple[str, str, Array], stamp: float) -> None:
-        """Take in parent, child and `T_parent_child` (4, 4); what is static is of infinite stamp."""
+        """Takes in parent, child and `T_parent_child` (4, 4); what is static is of infinite stamp."""
         parent, child, T_parent_child = transform
         if child in self._to_child or len(self._to_child) < ASSEMBLY.max_frames:
             self._to_child[child] = parent, T_parent_child, stamp

@@ -31,7 +31,7 @@ def intrinsics(message: RosMessage) -> Camera:
 
 
 def _lens(message: RosMessage) -> Array:
-    """The lens' numbers, none where they are all zero; raises MessageRejected for a lens of another kind."""
+    """Returns the lens' numbers, none where they are all zero; raises MessageRejected for a lens of another kind."""
     model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
     if not np.isfinite(lens).all():
         raise MessageRejected("the lens' numbers are not finite", nan=True)
@@ -45,7 +45,8 @@ def _lens(message: RosMessage) -> Array:
 
 
 def _cut(K: Array, message: RosMessage) -> tuple[Array, tuple[int, int]]:
-    """The intrinsics and the size of the images that come, cut out and binned: the message's are the whole sensor's."""
+    """Returns the intrinsics and the size of the images that come, cut out and binned: the message's are the whole
+    sensor's."""
     K, roi, size = K.copy(), message.roi, [int(message.width), int(message.height)]
     for axis, (first, side, binned) in enumerate(
         ((roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y))

@@ -13,7 +13,7 @@ from handsight.messages.topics import MessageRejected
 
 
 class ClockOptions(NamedTuple):
-    """How stamps of several clocks are put in order."""
+    """`ClockOptions` say how stamps of several clocks are put in order."""
 
     comparison: float = 1.0  # how long clocks are compared, from the first joint states on [s]
     other_clock: float = 0.5  # offsets farther apart are another clock's [s]
@@ -48,7 +48,7 @@ class Clocks:
         """Of the differences of offset that were left as they are [s]."""
 
     def put(self, measurement: Measurement) -> Iterable[Measurement]:
-        """Those whose clock is known with this one, their stamps in the clock of the joint states.
+        """Returns those whose clock is known with this one, their stamps in the clock of the joint states.
 
         None before the first second of joint states is over, as far as memory reaches; then each at once.
         """
@@ -76,7 +76,7 @@ class Clocks:
         self._joint_offsets.clear()
 
     def finish(self) -> list[Measurement]:
-        """Those that wait, as `put`: nothing more comes in the first second."""
+        """Returns those that wait, as `put`: nothing more comes in the first second."""
         waiting, self._waiting = self._waiting or (), None
         topics = {each.topic.name: each.topic for each in waiting}
         for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
@@ -137,18 +137,19 @@ class ReorderBuffer:
         self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
 
     def put(self, measurement: Measurement) -> list[Measurement]:
-        """Those that are in order with this one, without the late and the duplicated; some have waited till now."""
+        """Returns those that are in order with this one, without the late and the duplicated; some have waited till
+        now."""
         found = list[Measurement]()
         for aligned in self._clocks.put(measurement):
             found += self._insert(aligned)
         return found
 
     def ready(self) -> list[Measurement]:
-        """Those that are in order by now, without another."""
+        """Returns those that are in order by now, without another."""
         return self._pop(self._edge())
 
     def finish(self) -> list[Measurement]:
-        """Those that wait: no more come, or none for long."""
+        """Returns those that wait: no more come, or none for long."""
         found = list[Measurement]()
         for aligned in self._clocks.finish():
             found += self._insert(aligned)
@@ -158,7 +159,7 @@ class ReorderBuffer:
         return found + self._pop(float("inf"))
 
     def _insert(self, measurement: Measurement) -> list[Measurement]:
-        """Those that are in order with this one, which is in the clock of the joint states."""
+        """Returns those that are in order with this one, which is in the clock of the joint states."""
         is_joints, found = measurement.topic.role == "joints", list[Measurement]()
         if measurement.stamp < self._newest - CLOCKS.max_jump and (is_joints or self._back):
             self._back.append(measurement)
@@ -173,12 +174,12 @@ class ReorderBuffer:
         return found + self._pop(self._edge())
 
     def _not_back(self) -> list[Measurement]:
-        """What seemed to begin anew, and does not: it is late."""
+        """Returns what seemed to begin anew, and does not: it is late."""
         back, self._back = self._back, []
         return back
 
     def _restart(self) -> list[Measurement]:
-        """All that waits; then the order begins with what is back."""
+        """Returns all that waits; then the order begins with what is back."""
         joints = [each for each in self._back if each.topic.role == "joints"]
         count, far, stamp = self._report.backwards or (0, 0.0, self._newest)
         self._report.backwards = count + 1, max(far, self._newest - joints[0].stamp), stamp
@@ -203,7 +204,7 @@ class ReorderBuffer:
         return self._newest - CLOCKS.reorder_window - (self._clocks.most - self._clocks.least)
 
     def _confirmed(self, joints: Measurement) -> tuple[Measurement, ...]:
-        """The joint states, but those that jump ahead only with the next ones that agree."""
+        """Returns the joint states, but those that jump ahead only with the next ones that agree."""
         jumped, self._jumped = self._jumped, None
         ahead = self._newest > -float("inf") and joints.stamp > self._newest + CLOCKS.max_jump
         if jumped is not None:
@@ -228,7 +229,7 @@ class ReorderBuffer:
         self._bytes += measurement.size
 
     def _pop(self, edge: float) -> list[Measurement]:
-        """Those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
+        """Returns those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
         found, waiting = list[Measurement](), self._waiting
         while waiting and (
             waiting[0][0] <= edge
@@ -245,7 +246,7 @@ class ReorderBuffer:
         return found
 
     def _is_duplicate(self, measurement: Measurement) -> bool:
-        """Whether its publisher's last is of the stamp that is released now; takes note of it."""
+        """Returns whether its publisher's last is of the stamp that is released now; takes note of it."""
         publisher = publisher_of(measurement)
         if self._last_stamps.get(publisher) == self._released:
             return True
@@ -256,7 +257,7 @@ class ReorderBuffer:
 
 
 def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:
-    """What is told apart of one stamp: several may publish joint states or transforms, each its own names."""
+    """Returns what is told apart of one stamp: several may publish joint states or transforms, each its own names."""
     topic, value = measurement.topic, measurement.value
     if topic.role == "joints":
         return topic.name, tuple(value)

@@ -28,7 +28,7 @@ from handsight.observation import VISION_FRAMES, PoseMeasurement
 
 
 class DecodeLimits(NamedTuple):
-    """What a message may hold."""
+    """`DecodeLimits` are what a message may hold."""
 
     max_joints: int = 1000  # of one message
     max_transforms: int = 10_000  # of one message
@@ -41,7 +41,7 @@ DECODE = DecodeLimits()
 
 @dataclass(slots=True, eq=False)
 class Measurement:
-    """What one message, or one transform of /tf, says."""
+    """A `Measurement` is what one message, or one transform of /tf, says."""
 
     topic: TopicReport
     """Where it is counted."""
@@ -62,7 +62,7 @@ class Measurement:
 def decode(
     raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastReaders
 ) -> list[Measurement]:
-    """What can be used of the message: nothing, one measurement, or one for each transform of /tf.
+    """Returns what can be used of the message: nothing, one measurement, or one for each transform of /tf.
 
     Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: what messages
     call world, palm and camera. `fast`: kept from message to message. Raises MissingExtra.
@@ -89,7 +89,7 @@ def decode(
 
 
 def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float, object] | None:
-    """Stamp and value; None: rosbags must read it."""
+    """Returns stamp and value; None: rosbags must read it."""
     reader = fast.get(raw.encoding)
     if reader is None:
         return None
@@ -152,7 +152,7 @@ def _deserialized(raw: RawMessage) -> RosMessage:
 
 @lru_cache
 def typestore(encoding: str) -> Any:
-    """What rosbags knows of the messages so encoded, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
+    """Returns what rosbags knows of the messages so encoded, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
     typesys = rosbags_module("rosbags.typesys")
     stores = {"cdr": typesys.Stores.ROS2_HUMBLE, "ros1": typesys.Stores.ROS1_NOETIC}
     if encoding not in stores:
@@ -165,7 +165,7 @@ def typestore(encoding: str) -> Any:
 
 
 def rosbags_module(name: str) -> ModuleType:
-    """The module of rosbags, or of what it brings, loaded when it is needed; raises MissingExtra."""
+    """Returns the module of rosbags, or of what it brings, loaded when it is needed; raises MissingExtra."""
     try:
         return import_module(name)
     except ImportError:
@@ -204,7 +204,7 @@ def _check_positions(positions: Mapping[str, float]) -> None:
 
 
 def _wrench(values: Sequence[float]) -> Array:
-    """(6,)"""
+    """Returns (6,)"""
     if not hypot(*values) <= MAX_LOAD:
         if not all(map(isfinite, values)):
             raise MessageRejected("force or torque is not finite", nan=True)
@@ -219,7 +219,7 @@ def _wrench_message(message: RosMessage, _: Mapping[str, str]) -> Array:
 
 
 def _rigid_transform(*numbers: float) -> Array:
-    """(4, 4) of x, y, z [m] and a quaternion's x, y, z, w; raises MessageRejected.
+    """Returns (4, 4) of x, y, z [m] and a quaternion's x, y, z, w; raises MessageRejected.
 
     In plain floats: for one pose NumPy is ten times slower.
     """

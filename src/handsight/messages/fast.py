@@ -18,7 +18,7 @@ Encoding = Literal["cdr", "ros1"]
 
 
 class StampedTransform(NamedTuple):
-    """One transform of a TFMessage as it is written there."""
+    """A `StampedTransform` is one transform of a TFMessage as it is written there."""
 
     stamp: float
     parent: str
@@ -36,7 +36,7 @@ class FastReader:
         self._named, self._names = b"", list[str]()
 
     def wrench(self, data: bytes) -> tuple[float, Sequence[float]] | None:
-        """Stamp [s], and force and torque; None: rosbags must read it."""
+        """Returns stamp [s], and force and torque; None: rosbags must read it."""
         try:
             at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 8)
             if self._is_other(data) or at + _WRENCH.size != len(data):
@@ -46,7 +46,7 @@ class FastReader:
             return None
 
     def joints(self, data: bytes) -> tuple[float, Sequence[str], Sequence[float]] | None:
-        """Stamp [s], names and positions; None: rosbags must read it."""
+        """Returns stamp [s], names and positions; None: rosbags must read it."""
         try:
             if self._is_other(data):
                 return None
@@ -81,7 +81,7 @@ class FastReader:
             return None
 
     def _is_other(self, data: bytes) -> bool:
-        """Whether it is encapsulated otherwise."""
+        """Returns whether it is encapsulated otherwise."""
         return self._cdr and data[:2] != _LITTLE_ENDIAN
 
     def _stamp(self, data: bytes, at: int) -> float:
@@ -92,7 +92,7 @@ class FastReader:
         return at + (4 - at) % size if self._cdr else at
 
     def _text(self, data: bytes, at: int) -> tuple[int, str]:
-        """Where it ends, and what it is; struct.error where there is none."""
+        """Returns where it ends, and what it is; struct.error where there is none."""
         begin = at + 4
         end = begin + _COUNT.unpack_from(data, at)[0]
         last = end - self._cdr
@@ -101,7 +101,8 @@ class FastReader:
         return end, data[begin:last].decode()
 
     def _read_names(self, data: bytes) -> tuple[bytes, list[str]]:
-        """The bytes from the frame id to the last of the names, and the names; struct.error where there are none."""
+        """Returns the bytes from the frame id to the last of the names, and the names; struct.error where there are
+        none."""
         at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 4)
         (count,) = _COUNT.unpack_from(data, at)
         if count > _MOST_NAMES:
@@ -114,7 +115,8 @@ class FastReader:
         return data[12:at], names
 
     def _skipped(self, data: bytes, at: int) -> tuple[int, int]:
-        """Where a sequence of doubles ends, and how many there are; struct.error where it ends beyond the data."""
+        """Returns where a sequence of doubles ends, and how many there are; struct.error where it ends beyond the
+        data."""
         (count,) = _COUNT.unpack_from(data, at)
         end = (self._aligned(at + 4, 8) if count else at + 4) + 8 * count
         if end > len(data):

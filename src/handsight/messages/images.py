@@ -28,7 +28,7 @@ Output = TypeVar("Output")
 
 
 def color(message: RosMessage) -> Color:
-    """The colour image of an Image or CompressedImage; raises MessageRejected."""
+    """Returns the colour image of an Image or CompressedImage; raises MessageRejected."""
     if hasattr(message, "format"):
         return _accepted(pixels.color, bytes(message.data))
     found = values(message, ("rgb8", "bgr8"))
@@ -36,14 +36,14 @@ def color(message: RosMessage) -> Color:
 
 
 def depth(message: RosMessage) -> Depth:
-    """The depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
+    """Returns the depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
     if hasattr(message, "format"):
         return _compressed_depth(bytes(message.data), str(message.format))
     return _metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
 
 
 def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:
-    """(h, w, channels) as the encoding says, rows padded to `step`; raises MessageRejected."""
+    """Returns (h, w, channels) as the encoding says, rows padded to `step`; raises MessageRejected."""
     if message.encoding not in expected:
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
     kind, channels = LAYOUTS[message.encoding]
@@ -80,7 +80,7 @@ def _compressed_depth(data: bytes, described: str) -> Depth:
 
 
 def _accepted(read: Callable[[Input], Output], given: Input) -> Output:
-    """What `read` makes of it; raises MessageRejected where it refuses."""
+    """Returns what `read` makes of it; raises MessageRejected where it refuses."""
     try:
         return read(given)
     except InvalidInput as error:

@@ -41,7 +41,7 @@ class PromptBuffer(ReorderBuffer):
         return self._pending[0][1] if self._pending else float("inf")
 
     def finish(self) -> list[Measurement]:
-        """Those that wait: no more come, or none for long."""
+        """Returns those that wait: no more come, or none for long."""
         found = super().finish()
         if self._pending:
             self.complete = max(stamp for stamp, _ in self._pending)
@@ -62,7 +62,7 @@ class PromptBuffer(ReorderBuffer):
         return self.complete
 
     def _lacks(self, stamp: float) -> bool:
-        """Whether something that is due has not reached the stamp."""
+        """Returns whether something that is due has not reached the stamp."""
         return any(
             newest + half < stamp <= newest + ASSEMBLY.max_age_transform
             for newest, half in self._reached.values()

@@ -16,7 +16,7 @@ MAX_SENTENCES = 12
 
 @dataclass(slots=True)
 class Report:
-    """What was heard on the topics of a rig so far."""
+    """A `Report` is what was heard on the topics of a rig so far."""
 
     joint_states: str
     """The topic whose stamps are the clock."""
@@ -43,7 +43,7 @@ class Report:
     """Whether all messages have come."""
 
     def sentences(self) -> list[str]:
-        """All that is worth telling a user, worst first; empty: nothing is wrong."""
+        """Returns all that is worth telling a user, worst first; empty: nothing is wrong."""
         messages = []
         if self.backwards:
             count, far, stamp = self.backwards
@@ -74,14 +74,14 @@ class Report:
 
 
 def few(sentences: list[str]) -> list[str]:
-    """The first of many sentences of one kind, each in a line, and how many more there are."""
+    """Returns the first of many sentences of one kind, each in a line, and how many more there are."""
     more = len(sentences) - MAX_SENTENCES
     messages = [printable(each) for each in sentences[:MAX_SENTENCES]]
     return [*messages, f"and {more} more like that"] if more > 0 else messages
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
-    """A sentence for each topic, frame and joint of the rig that was not heard; empty: nothing is missing.
+    """Returns a sentence for each topic, frame and joint of the rig that was not heard; empty: nothing is missing.
 
     `frames`, `joint_names`: those that were heard.
     """

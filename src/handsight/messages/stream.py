@@ -58,7 +58,7 @@ class ObservationStream:
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
 
     def put(self, message: RawMessage) -> list[Observation]:
-        """The observations that are complete with this message, in order of stamp; raises MissingExtra."""
+        """Returns the observations that are complete with this message, in order of stamp; raises MissingExtra."""
         topic = self.topics.get(message.topic)
         if topic is None:
             self.report.others.setdefault(message.topic, message.type)
@@ -82,16 +82,16 @@ class ObservationStream:
         return found
 
     def ready(self) -> list[Observation]:
-        """The observations that have waited long enough, where the order waits by the clock."""
+        """Returns the observations that have waited long enough, where the order waits by the clock."""
         return self._assembled(self.order.ready())
 
     def flush(self) -> list[Observation]:
-        """The observations that wait, though more may come: nothing has come for long."""
+        """Returns the observations that wait, though more may come: nothing has come for long."""
         found, last = self._assembled(self.order.finish()), self._assembler.finish()
         return found if last is None else [*found, last]
 
     def finish(self) -> list[Observation]:
-        """The last observations: no message comes any more."""
+        """Returns the last observations: no message comes any more."""
         found = self.flush()
         self.report.ended = True
         return found
@@ -104,7 +104,7 @@ class ObservationStream:
         return found
 
     def lacks(self) -> list[str]:
-        """What the rig needs and was not heard, or of another size, a sentence each; empty: nothing.
+        """Returns what the rig needs and was not heard, or of another size, a sentence each; empty: nothing.
 
         Topics are known from the beginning where they were given, joints and frames after the first observations.
         """

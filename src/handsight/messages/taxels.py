@@ -14,7 +14,8 @@ ENCODINGS = ("mono8", "8UC1", "mono16", "16UC1", "32FC1")
 
 
 def reading(message: RosMessage, shape: tuple[int, int]) -> Array:
-    """(rows, columns) of a Float32MultiArray or an Image; NaN where a taxel reads nothing. Raises MessageRejected.
+    """Returns (rows, columns) of a Float32MultiArray or an Image; NaN where a taxel reads nothing. Raises
+    MessageRejected.
 
     Row by row from the grid's corner at -x, -y; the layout of an array may say so, or nothing.
     """

@@ -21,7 +21,7 @@ POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, T
 
 
 class TopicOptions(NamedTuple):
-    """What a report says of a topic."""
+    """`TopicOptions` are what a report says of a topic."""
 
     max_gap: float = 0.1  # joint states farther apart are counted as a gap [s]
     max_clock_difference: float = 0.1  # clocks farther apart are reported [s]
@@ -40,7 +40,7 @@ class RosMessage(Protocol):
 
 
 class RawMessage(NamedTuple):
-    """One message as it lies in a file or comes from a robot."""
+    """A `RawMessage` is one message as it lies in a file or comes from a robot."""
 
     topic: str
     type: str
@@ -62,7 +62,8 @@ class MessageRejected(Exception):
 
 @dataclass(slots=True)
 class TopicReport:
-    """One topic. `messages` is the sum of the counts from `used` to `stuck`; /tf is counted by transforms."""
+    """A `TopicReport` is one topic. `messages` is the sum of the counts from `used` to `stuck`; /tf is counted by
+    transforms."""
 
     name: str
     role: Role
@@ -107,7 +108,7 @@ class TopicReport:
     """Whether its stamps are all 0, and log time was taken."""
 
     def reject(self, error: MessageRejected) -> None:
-        """Count a message as nan or bad, and why."""
+        """Counts a message as nan or bad, and why."""
         self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
         reason = str(error)
         if reason not in self.reasons and len(self.reasons) >= TOPICS.max_reasons:
@@ -115,13 +116,13 @@ class TopicReport:
         self.reasons[reason] += 1
 
     def use(self, stamp: float) -> None:
-        """Count a message as used, in order of stamp."""
+        """Counts a message as used, in order of stamp."""
         self.used += 1
         gap = 0.0 if self.last is None else stamp - self.last
         self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > TOPICS.max_gap), stamp
 
     def sentences(self) -> Iterator[str]:
-        """What of this topic is worth telling."""
+        """Yields what of this topic is worth telling."""
         for count, sentence in (
             (self.duplicated, "came twice with one stamp and were used once"),
             (self.late, "came too late to be put in order of stamp and were left out"),
@@ -138,7 +139,7 @@ class TopicReport:
 
 
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
-    """What the rig listens to, by name; nothing came yet."""
+    """Returns what the rig listens to, by name; nothing came yet."""
     topics = rig.topics
     found = [TopicReport(topics.joint_states, "joints", (JOINTS,))]
     found += [TopicReport(topic, "wrench", (WRENCH,), finger) for finger, topic in topics.wrenches.items()]

@@ -20,7 +20,7 @@ float64 l_torque
 
 
 def contact(message: RosMessage, frames: Mapping[str, str]) -> ContactMeasurement | None:
-    """The contact of a ShadowContactStateStamped; None: nothing is touched. Raises MessageRejected.
+    """Returns the contact of a ShadowContactStateStamped; None: nothing is touched. Raises MessageRejected.
 
     `frames`: what messages call the palm, and as `tip` the body that the tip moves with.
     """

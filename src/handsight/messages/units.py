@@ -22,7 +22,7 @@ UNITS = UnitLimits()
 
 
 class Units:
-    """What was beyond any hand in the observations so far."""
+    """An `Units` is what was beyond any hand in the observations so far."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._count, self._beyond = rig, 0, Counter[str]()
@@ -67,6 +67,6 @@ class Units:
             self._largest[what] = value, text
 
     def sentences(self) -> list[str]:
-        """What was beyond often; empty: nothing."""
+        """Returns what was beyond often; empty: nothing."""
         often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
         return [f"{what} up to {self._largest[what][1]}" for what in often]

@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class _Kind(Generic[T]):
-    """What files of one kind are called, hold, and are made of."""
+    """A `_Kind` is what files of one kind are called, hold, and are made of."""
 
     prefix: str
     what: str
@@ -46,7 +46,7 @@ class _Kind(Generic[T]):
 
 
 def key(kind: str, *arrays: NDArray[np.generic]) -> str:
-    """The name under which what is computed from these is kept."""
+    """Returns the name under which what is computed from these is kept."""
     digest = hashlib.sha256(f"{VERSION} {kind}".encode())
     for array in arrays:
         digest.update(f"{array.dtype.str} {array.shape}".encode())
@@ -55,7 +55,7 @@ def key(kind: str, *arrays: NDArray[np.generic]) -> str:
 
 
 def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
-    """The geometry kept under `name`, or computed now and kept.
+    """Returns the geometry kept under `name`, or computed now and kept.
 
     What is damaged, or is not what the name says, is computed again. Safe under several processes: a file
     appears complete or not at all. Where the folder cannot be written, one ObjectWarning, and no error.
@@ -167,12 +167,12 @@ def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[np.generic], type, tup
 
 
 def _grids(geometry: Geometry) -> tuple[Any, ...]:
-    """All three: what is kept has them."""
+    """Returns all three: what is kept has them."""
     return geometry.coarse, geometry.fine, geometry.field_error
 
 
 def _fits(array: NDArray[np.generic], dtype: type, shape: tuple[int | None, ...]) -> bool:
-    """Whether an array is of that type and shape, not empty, and of numbers that an object can have."""
+    """Returns whether an array is of that type and shape, not empty, and of numbers that an object can have."""
     return (
         array.dtype == dtype
         and len(array.shape) == len(shape)
@@ -182,7 +182,7 @@ def _fits(array: NDArray[np.generic], dtype: type, shape: tuple[int | None, ...]
 
 
 def _numbers_fit(geometry: Geometry) -> bool:
-    """Whether lengths, errors and indices are such."""
+    """Returns whether lengths, errors and indices are such."""
     lengths = [geometry.diameter, geometry.area, *(grid.cell for grid in _grids(geometry))]
     blurs, faces = (grid.blur for grid in _grids(geometry)[:2]), geometry.surface.faces
     return (

@@ -26,7 +26,7 @@ from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, di
 
 
 class CloudOptions(NamedTuple):
-    """How a surface is read off points."""
+    """`CloudOptions` say how a surface is read off points."""
 
     min_points: int = 20  # of a cloud
     planes: int = 10  # points whose planes are averaged
@@ -37,7 +37,7 @@ CLOUD = CloudOptions()
 
 
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
-    """What is to be known of finite points (n, 3) [m] with unit outward normals or none; raises InvalidObject.
+    """Returns what is to be known of finite points (n, 3) [m] with unit outward normals or none; raises InvalidObject.
 
     Equal points are merged. Normals that were not given are estimated and made to point outwards. Of noisy points the
     object is the surface that was fitted to them.
@@ -79,14 +79,15 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
 def _fields(
     coarse: Grid, fine: Grid, at: Callable[[Array], Array], *, sheet: bool = False, blur: float = 0.0
 ) -> tuple[GridField, GridField]:
-    """The fields on both grids of the distances (n,) [m] `at` nodes (n, 3); `sheet`, `blur`: as of GridField."""
+    """Returns the fields on both grids of the distances (n,) [m] `at` nodes (n, 3); `sheet`, `blur`: as of
+    GridField."""
     values = at(coarse.nodes())
     sharp = sharpened(coarse, values, fine, lambda index, _: (index, at(fine.nodes_at(index))), sheet=sheet)
     return coarse.field(values, sheet=sheet, blur=blur), fine.field(sharp, sheet=sheet, blur=blur)
 
 
 def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
-    """The points and normals without repeats, and a remark where there were; raises InvalidObject."""
+    """Returns the points and normals without repeats, and a remark where there were; raises InvalidObject."""
     if len(points) < CLOUD.min_points:
         raise InvalidObject(f"points: expected at least {CLOUD.min_points} points, got {len(points)}")
     extent = check_extent(points, "points")
@@ -103,7 +104,7 @@ def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None
 
 
 def _winds(cloud: Cloud, winding: Winding) -> bool:
-    """Whether the cloud winds once around what is behind its points, and not around what is in front."""
+    """Returns whether the cloud winds once around what is behind its points, and not around what is in front."""
     index = np.random.default_rng(3).permutation(len(cloud.vertices))[:400]
     # Nearer than two spacings single points are felt.
     step = 2 * cloud.spacing * cloud.normals[index]
@@ -112,7 +113,7 @@ def _winds(cloud: Cloud, winding: Winding) -> bool:
 
 
 def _largest_hole(grid: Grid, gap: Array, inside: Mask) -> float:
-    """The width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
+    """Returns the width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
     largest = 0.0
     cube, sign = gap.reshape(grid.shape), inside.reshape(grid.shape)
     for axis, n in enumerate(grid.shape):
@@ -129,7 +130,7 @@ class _Planes:
     tree: cKDTree
 
     def heights(self, nodes: Array, _: Indices) -> Array:
-        """Signed distances (n,) [m] of nodes (n, 3) near the cloud."""
+        """Returns signed distances (n,) [m] of nodes (n, 3) near the cloud."""
         cloud = self.cloud
         k = min(CLOUD.planes, len(cloud.vertices))
         gap, index = self.tree.query(nodes, k=k)

@@ -17,7 +17,8 @@ from handsight.objects.surface import Cloud
 
 
 class CloudDistanceOptions(NamedTuple):
-    """How the distance to a cloud's surface is blended from that to its planes and to its points."""
+    """`CloudDistanceOptions` say how the distance to a cloud's surface is blended from that to its planes and to its
+    points."""
 
     near: float = 2.0  # spacings from a point below which the smooth surface counts alone
     far: float = 4.0  # spacings beyond which the point counts alone
@@ -45,7 +46,7 @@ class ClosedDistances:
     winding: Winding
 
     def at(self, nodes: Array) -> Array:
-        """Signed distances (n,) [m] of nodes (n, 3)."""
+        """Returns signed distances (n,) [m] of nodes (n, 3)."""
         near, nearest = self.tree.query(nodes)
         share = _faded(near / self.cloud.spacing, CLOUD_DISTANCES.near, CLOUD_DISTANCES.far)
         far = near.copy()
@@ -70,7 +71,7 @@ class OpenDistances:
     heights: Heights
 
     def at(self, nodes: Array) -> Array:
-        """Signed distances (n,) [m] of nodes (n, 3)."""
+        """Returns signed distances (n,) [m] of nodes (n, 3)."""
         near, nearest = self.tree.query(nodes)
         normals = self.cloud.normals[nearest]
         height = np.einsum("ni,ni->n", nodes - self.cloud.vertices[nearest], normals)
@@ -83,7 +84,8 @@ class OpenDistances:
         return np.asarray(np.where(height < CLOUD_DISTANCES.behind * size, -size, size))
 
     def _beside(self, nodes: Array, nearest: Indices) -> Array:
-        """(n,) 0 where the nearest points have neighbours all around below a node, 1 where it is past the last."""
+        """Returns (n,) 0 where the nearest points have neighbours all around below a node, 1 where it is past the
+        last."""
         middles, to_rim, spacing = self._middles
         away, normals = nodes - middles[nearest], self.cloud.normals[nearest]
         height = np.einsum("ni,ni->n", away, normals)

@@ -32,7 +32,7 @@ FIELDS = FieldOptions()
 
 
 class FieldValues(NamedTuple):
-    """A distance field at n points of the object's frame."""
+    """A `FieldValues` is a distance field at n points of the object's frame."""
 
     distance: Array
     """(n,) to the surface [m], negative inside."""
@@ -43,14 +43,14 @@ class FieldValues(NamedTuple):
 
 
 class Field:
-    """A distance field of an object: a grid, or exact.
+    """A `Field` is a distance field of an object: a grid, or exact.
 
     Exact ones are centred at the object's origin. On the medial axis, where the nearest point is not unique, the
     choice is fixed: the first axis, the positive side, the side wall before the cap.
     """
 
     def evaluate(self, points_object: Array) -> FieldValues:
-        """Distance and derivatives at the points (n, 3) [m]; nothing is checked, this is the hot path."""
+        """Returns distance and derivatives at the points (n, 3) [m]; nothing is checked, this is the hot path."""
         from handsight.objects.record import evaluate  # numba's import is long
 
         return evaluate(*self._record, points_object)
@@ -68,7 +68,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class GridField(Field):
-    """A uniform cubic B-spline over a grid of distances, its nodes used as coefficients.
+    """A `GridField` is a uniform cubic B-spline over a grid of distances, its nodes used as coefficients.
 
     Without the prefilter of interpolation the spline smooths the samples by about a third of a cell (their
     mean over a kernel of variance cell²/3 per axis): wanted, because noise and facets have no curvature to
@@ -117,7 +117,8 @@ class ExactField(Field):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldError:
-    """How far a fine field is off the surface it was made of, place by place, on a grid over the object.
+    """A `FieldError` says how far a fine field is off the surface it was made of, place by place, on a grid over the
+    object.
 
     A grid rounds off edges and irons out facets; near a rim its normal may be wrong by tens of degrees where on
     a face it is right to one. A contact is only as good as the model where it touches.
@@ -134,7 +135,7 @@ class FieldError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """A regular grid of nodes."""
+    """A `Grid` is a regular grid of nodes."""
 
     origin: Array
     """(3,) node (0, 0, 0) [m]."""
@@ -143,21 +144,22 @@ class Grid:
     shape: tuple[int, int, int]
 
     def nodes(self) -> Array:
-        """(nx ny nz, 3) positions [m], z fastest."""
+        """Returns (nx ny nz, 3) positions [m], z fastest."""
         return self.nodes_at(np.arange(int(np.prod(self.shape))))
 
     def nodes_at(self, index: Indices) -> Array:
-        """(n, 3) positions [m] of the nodes with these places in the flat order."""
+        """Returns (n, 3) positions [m] of the nodes with these places in the flat order."""
         return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
 
     def field(self, values: Array, *, sheet: bool = False, blur: float = 0.0) -> GridField:
-        """The smooth field of these distances (nx ny nz,) [m] at the nodes, of a `sheet` or not; `blur` [m] is its."""
+        """Returns the smooth field of these distances (nx ny nz,) [m] at the nodes, of a `sheet` or not; `blur` [m]
+        is its."""
         nodes = values.reshape(self.shape).astype(np.float32)
         return GridField(self.origin, self.cell, nodes, sheet, blur)
 
 
 def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:
-    """The coarse and the fine grid around vertices (k, 3) [m], and a sentence if they had to be coarser."""
+    """Returns the coarse and the fine grid around vertices (k, 3) [m], and a sentence if they had to be coarser."""
     centered = vertices - vertices.mean(axis=0)
     principal = np.linalg.eigh(centered.T @ centered)[1]
     width = min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min())
@@ -171,7 +173,7 @@ def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]
 
 
 def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, bool]:
-    """The grid of the smooth field, and whether it had to be coarser than the object's width asks.
+    """Returns the grid of the smooth field, and whether it had to be coarser than the object's width asks.
 
     `diameter`, `width` (the thinnest extent; 0: a sheet) [m]. Half the diameter of margin.
     """
@@ -191,7 +193,7 @@ def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: 
 
 
 def centered_grid(vertices: Array, cell: float, shape: Array) -> Grid:
-    """A grid of `shape` (3,) whose middle is that of the vertices (k, 3) [m]."""
+    """Returns a grid of `shape` (3,) whose middle is that of the vertices (k, 3) [m]."""
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     nx, ny, nz = (int(s) for s in shape)
     return Grid(middle - (shape - 1) / 2 * cell, float(cell), (nx, ny, nz))
@@ -205,7 +207,8 @@ def sharpened(
     *,
     sheet: bool = False,
 ) -> Array:
-    """Distances at every fine node: exact near the surface, elsewhere between the coarse ones, `values` (n,) [m].
+    """Returns distances at every fine node: exact near the surface, elsewhere between the coarse ones, `values` (n,)
+    [m].
 
     `exact` tells which of these nodes are within a distance [m] of the surface, or more of them, and their distances.
     Of a `sheet` size and sign are taken apart, as the sign jumps where the size does not.
@@ -221,7 +224,7 @@ def sharpened(
 
 
 def _interpolated(coarse: Grid, values: Array, fine: Grid) -> Array:
-    """Values (n,) at every fine node, linear between the coarse ones, which reach farther."""
+    """Returns values (n,) at every fine node, linear between the coarse ones, which reach farther."""
     start = (fine.origin - coarse.origin) / coarse.cell
     axes = [s + np.arange(n) * (fine.cell / coarse.cell) for s, n in zip(start, fine.shape, strict=True)]
     table = values.reshape(coarse.shape)

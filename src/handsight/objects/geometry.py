@@ -13,7 +13,7 @@ from handsight.objects.surface import Surface
 
 
 class GeometryOptions(NamedTuple):
-    """How a surface is sampled."""
+    """`GeometryOptions` say how a surface is sampled."""
 
     samples: int = 256  # surface points that phase 1 of the correction matches contacts with
     lloyd_steps: int = 12  # steps that spread them evenly
@@ -33,7 +33,8 @@ _MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Geometry:
-    """An object's surface in its own frame: samples, two distance fields, and how well these describe it."""
+    """A `Geometry` is an object's surface in its own frame: samples, two distance fields, and how well these describe
+    it."""
 
     coarse: GridField
     """Smooth distance field, cells of an 18th of the diameter: from far away it leads further."""
@@ -91,7 +92,7 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roughness:
-    """How far a surface is off the object that it was scanned from, place by place."""
+    """A `Roughness` says how far a surface is off the object that it was scanned from, place by place."""
 
     points: Array
     """(m, 3) on the surface [m]."""
@@ -110,7 +111,7 @@ def measured(
     closed: bool = True,
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
-    """What is to be known of a surface whose distance fields these are."""
+    """Returns what is to be known of a surface whose distance fields these are."""
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, GEOMETRY.samples)
@@ -134,7 +135,7 @@ def measured(
 
 
 def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
-    """The same, its errors larger by how far its surface is off the object."""
+    """Returns the same, its errors larger by how far its surface is off the object."""
     weights = roughness.weights[:, None]
     given = np.hstack([weights * roughness.variances, weights])
 
@@ -151,7 +152,7 @@ def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
 
 
 def with_error(geometry: Geometry, variances_at: Callable[[Array], Array]) -> Geometry:
-    """The same, its errors larger by variances (n, 4), as of FieldError, at places (n, 3)."""
+    """Returns the same, its errors larger by variances (n, 4), as of FieldError, at places (n, 3)."""
     error = geometry.field_error
     if error is None:
         return geometry
@@ -164,13 +165,13 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 def frozen(array: NDArray[Number]) -> NDArray[Number]:
-    """The array, which can no longer be written to."""
+    """Returns the array, which can no longer be written to."""
     array.flags.writeable = False
     return array
 
 
 def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
-    """n points (n, 3) [m] with normals (n, 3), evenly apart and each for about the same area.
+    """Returns n points (n, 3) [m] with normals (n, 3), evenly apart and each for about the same area.
 
     The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the middle
     of those it stands for. Normals count too, so that the two sides of a thin wall are kept apart.
@@ -185,7 +186,7 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
 
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
-    """The error of a fine field, from samples of the surface within about half a cell [m] of each node."""
+    """Returns the error of a fine field, from samples of the surface within about half a cell [m] of each node."""
     points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
     # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
     lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
@@ -197,7 +198,7 @@ def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
 
 
 def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
-    """The mean (n, k) of the values (m, k) at the points (m, 3) nearest to each of the nodes (n, 3)."""
+    """Returns the mean (n, k) of the values (m, k) at the points (m, 3) nearest to each of the nodes (n, 3)."""
     import numba  # an object from the cache needs neither numba nor scipy
     from scipy.spatial import cKDTree
 
@@ -207,7 +208,8 @@ def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
 
 
 def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array, Array, Array]:
-    """Surface points (count, 3) [m], how far the field is off there (count,) [m] and its normals (count,) [rad]."""
+    """Returns surface points (count, 3) [m], how far the field is off there (count,) [m] and its normals (count,)
+    [rad]."""
     points, normals = surface.draw(count, np.random.default_rng(seed))
     distance, gradient, _ = fine.evaluate(points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
@@ -215,7 +217,7 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
 
 
 def _unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """A sentence if the size suggests another unit than metres."""
+    """Returns a sentence if the size suggests another unit than metres."""
     extent = float((bounds[1] - bounds[0]).max())
     if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
         return ()

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
-    """One object's surface; made by `box`, `cylinder`, `sphere`, or `from_` file, library, mesh or points."""
+    """An `ObjectModel` is one object's surface; made by `box`, `cylinder`, `sphere`, or `from_` file, library, mesh
+    or points."""
 
     name: str
     """What it is called in plots; a file's stem. May be empty."""
@@ -56,7 +57,7 @@ class ObjectModel(Geometry):
 
     @classmethod
     def box(cls, size: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
-        """A box centred at the origin, sides `size` (3,) [m] along x, y, z; raises InvalidInput."""
+        """Returns a box centred at the origin, sides `size` (3,) [m] along x, y, z; raises InvalidInput."""
         sides = checks.finite(size, "size", (3,))
         if not (sides > 0).all():
             raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
@@ -66,14 +67,14 @@ class ObjectModel(Geometry):
 
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
-        """A cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
+        """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
         radius, height = _length(radius, "radius"), _length(height, "height")
         geometry, own = primitives.cylinder(radius, height)
         return cls._from(geometry, "cylinder", symmetries or own)
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
-        """A ball centred at the origin, `radius` [m]; raises InvalidInput."""
+        """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
         radius = _length(radius, "radius")
         geometry, own = primitives.sphere(radius)
         return cls._from(geometry, "sphere", symmetries or own)
@@ -82,7 +83,7 @@ class ObjectModel(Geometry):
     def from_mesh(
         cls, vertices: ArrayLike, faces: ArrayLike, *, symmetries: Symmetries | None = None
     ) -> Self:
-        """The object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
+        """Returns the object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
 
         Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
         surface is valid. Raises InvalidObject where there is no surface.
@@ -95,7 +96,7 @@ class ObjectModel(Geometry):
     def from_points(
         cls, points: ArrayLike, normals: ArrayLike | None = None, *, symmetries: Symmetries | None = None
     ) -> Self:
-        """The object whose surface the points (n, 3) [m] lie on.
+        """Returns the object whose surface the points (n, 3) [m] lie on.
 
         `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
@@ -109,7 +110,7 @@ class ObjectModel(Geometry):
     def from_file(
         cls, path: str | os.PathLike[str], scale: float = 1.0, *, symmetries: Symmetries | None = None
     ) -> Self:
-        """The object in a file: a mesh (STL, OBJ, PLY, OFF) or a cloud (PLY or OFF without faces, PCD, XYZ).
+        """Returns the object in a file: a mesh (STL, OBJ, PLY, OFF) or a cloud (PLY or OFF without faces, PCD, XYZ).
 
         `scale`: metres per unit of the file. Raises InvalidFile where it cannot be read and InvalidObject
         where it holds no surface, both starting with the file's name.
@@ -123,7 +124,7 @@ class ObjectModel(Geometry):
 
     @classmethod
     def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> "ObjectModel":
-        """The object so called in a library, a folder or a URL, with the symmetries that are declared there.
+        """Returns the object so called in a library, a folder or a URL, with the symmetries that are declared there.
 
         None: the library that `$HANDSIGHT_LIBRARY` names, else the user's own. Raises InvalidInput for a name that is
         not there, InvalidFile where there is no library or the object's file is not the one that was added.
@@ -141,13 +142,13 @@ class ObjectModel(Geometry):
         return model
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
-        """n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
+        """Returns n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             raise InvalidInput(f"n: expected a whole number above 0, got {n!r:.60}")
         return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
-        """Distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
+        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
@@ -159,7 +160,7 @@ class ObjectModel(Geometry):
         return model_record(self)
 
     def nearest(self, T: Array, T_reference: Array) -> Array:
-        """The equivalent (4, 4) of a pose (4, 4), modulo the symmetries, that is nearest to a reference (4, 4).
+        """Returns the equivalent (4, 4) of a pose (4, 4), modulo the symmetries, that is nearest to a reference (4, 4).
 
         As `symmetry.nearest` has it, which takes stacks and any symmetry.
         """
@@ -174,7 +175,7 @@ class ObjectModel(Geometry):
         return out
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
-        """The same object with these symmetries declared."""
+        """Returns the same object with these symmetries declared."""
         return dataclasses.replace(self, symmetries=symmetries)
 
     def with_weight(
@@ -184,7 +185,7 @@ class ObjectModel(Geometry):
         center_of_mass: ArrayLike | None = None,
         sigma_center_of_mass: float | None = None,
     ) -> Self:
-        """The same object with its mass [kg] and its centre of mass (3,) [m], each as far as it is known.
+        """Returns the same object with its mass [kg] and its centre of mass (3,) [m], each as far as it is known.
 
         Raises InvalidInput, also for a centre that the declared symmetries would move: what is heavier on one side is
         not symmetric to a hand that weighs it.
@@ -267,7 +268,7 @@ def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array
 
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
-    """The mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject where these are none."""
+    """Returns the mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject where these are none."""
     try:
         points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     except (TypeError, ValueError):

@@ -30,14 +30,14 @@ class Rounded(Triangles):
         return self.exact_area
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """n points (n, 3) [m] and normals (n, 3) on the exact surface."""
+        """Returns n points (n, 3) [m] and normals (n, 3) on the exact surface."""
         points, _ = super().draw(n, rng)
         values = self.field.evaluate(points)
         return points - values.distance[:, None] * values.gradient, values.gradient
 
 
 def box(sides: Array) -> tuple[Geometry, Symmetries]:
-    """A box with `sides` (3,) [m]; half turns about its axes, and quarter turns between equal sides."""
+    """Returns a box with `sides` (3,) [m]; half turns about its axes, and quarter turns between equal sides."""
     half = sides / 2
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -53,7 +53,8 @@ def box(sides: Array) -> tuple[Geometry, Symmetries]:
 
 
 def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
-    """A cylinder about z, `radius` and `height` [m]; any turn about z, and the half turn that swaps the caps."""
+    """Returns a cylinder about z, `radius` and `height` [m]; any turn about z, and the half turn that swaps the
+    caps."""
     half_height = height / 2
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -71,7 +72,7 @@ def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
 
 
 def sphere(radius: float) -> tuple[Geometry, Symmetries]:
-    """A ball of that radius [m], drawn as an octahedron divided four times; any turn about its centre."""
+    """Returns a ball of that radius [m], drawn as an octahedron divided four times; any turn about its centre."""
     vertices = np.vstack([np.eye(3), -np.eye(3)])
     faces = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)])
     for _ in range(4):

@@ -23,7 +23,7 @@ EXACT = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPH
 
 
 class RecordOptions(NamedTuple):
-    """What kernels are given of an object."""
+    """`RecordOptions` are what kernels are given of an object."""
 
     edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
     facet_margin: float = 0.01  # facets may be this far within the surface that they stand for [diameters]
@@ -46,7 +46,7 @@ COARSE_ERROR = (0.03, 0.03)
 
 
 class ModelRecord(NamedTuple):
-    """An object as kernels take it."""
+    """A `ModelRecord` is an object as kernels take it."""
 
     model: Record
     """(1,) MODEL."""
@@ -57,7 +57,7 @@ class ModelRecord(NamedTuple):
 
 
 def model_record(model: "ObjectModel") -> ModelRecord:
-    """The record of an object."""
+    """Returns the record of an object."""
     record = np.zeros(1, dtype=records.MODEL)
     row, spacing = record[0], model.sample_spacing
     nodes = [_nodes(model.coarse), _nodes(model.fine)]
@@ -88,14 +88,14 @@ def model_record(model: "ObjectModel") -> ModelRecord:
 
 
 def field_record(field: Field) -> tuple[Record, Nodes]:
-    """The FIELD record (1,) of a field on its own, and its nodes."""
+    """Returns the FIELD record (1,) of a field on its own, and its nodes."""
     record = np.zeros(1, dtype=records.FIELD)
     _fill_field(record[0], field, 0)
     return record, np.array(_nodes(field))
 
 
 def evaluate(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
-    """Distance, gradient and Hessian of a field, its record (1,), at points (n, 3) [m], on all cores."""
+    """Returns distance, gradient and Hessian of a field, its record (1,), at points (n, 3) [m], on all cores."""
     points = np.require(points_object, np.float64, ["C", "W"])
     values = np.empty((len(points), 13))
     in_parts(partial(kernel.evaluate, nodes, field), (points, values), RECORD.parallel)
@@ -126,7 +126,7 @@ def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:
 
 
 def _known_symmetry(symmetries: Symmetries) -> int:
-    """Which of the kernels' kinds of symmetry an object has; OTHER_SYMMETRY where they know none like it."""
+    """Returns which of the kernels' kinds of symmetry an object has; OTHER_SYMMETRY where they know none like it."""
     if symmetries.trivial:
         return records.NO_SYMMETRY
     if len(symmetries.rotations) > records.MOST_ROTATIONS:

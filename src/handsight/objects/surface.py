@@ -70,7 +70,7 @@ class Triangles:
         return edges_of(self.faces)
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
+        """Returns n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
         return self.draw_on_faces(n, rng)[:2]
 
     def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
@@ -112,7 +112,7 @@ class Cloud:
         return float(np.sqrt(np.median(self.areas)))
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """n of the points (n, 3) [m] and their normals (n, 3), more often where they are sparse."""
+        """Returns n of the points (n, 3) [m] and their normals (n, 3), more often where they are sparse."""
         index = drawn_by_area(self.areas, n, rng)
         return self.vertices[index], self.normals[index]
 
@@ -121,14 +121,15 @@ Surface = Triangles | Cloud
 
 
 def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
-    """n indices (n,) of parts, each as often as its share of the `areas` (m,)."""
+    """Returns n indices (n,) of parts, each as often as its share of the `areas` (m,)."""
     # One draw per n-th of the area spreads better than n free draws, and is as uniform.
     at = (np.arange(n) + rng.random(n)) / max(n, 1)
     return np.asarray(np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1))
 
 
 def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
-    """The edges of triangles (m, 3): vertices (e, 2), the smaller first; edges (m, 3) of each triangle; triangles (e,).
+    """Returns the edges of triangles (m, 3): vertices (e, 2), the smaller first; edges (m, 3) of each triangle;
+    triangles (e,).
 
     A triangle's edges are those from its corner 0 to 1, 1 to 2 and 2 to 0; last is how many triangles an edge has.
     """
@@ -141,7 +142,7 @@ def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
 
 
 def check_extent(points: Array, name: str) -> float:
-    """The largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
+    """Returns the largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
     with np.errstate(over="ignore"):
         extent = float(np.ptp(points, axis=0).max())
     if extent == 0:
@@ -154,7 +155,7 @@ def check_extent(points: Array, name: str) -> float:
 
 
 def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
-    """Which (k,) of the points (n, 3) differ, in the order they came, and which (n,) of those each one is."""
+    """Returns which (k,) of the points (n, 3) differ, in the order they came, and which (n,) of those each one is."""
     keys = np.round((points - points.min(axis=0)) / (_SAME_POINT * extent)).astype(np.int64)
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))
@@ -162,7 +163,7 @@ def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
 
 
 def diameter(points: Array) -> float:
-    """The largest distance between two of the points (n, 3) [m]."""
+    """Returns the largest distance between two of the points (n, 3) [m]."""
     if (
         len(points) <= SURFACE.few_compared
     ):  # SciPy takes half a second to load, which a box should not wait for

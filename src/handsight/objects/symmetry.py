@@ -17,7 +17,7 @@ from handsight.errors import InvalidInput
 
 
 class SymmetryOptions(NamedTuple):
-    """How symmetries are kept and compared."""
+    """`SymmetryOptions` say how symmetries are kept and compared."""
 
     max_rotations: int = 120
     """More than the icosahedron's 60: a larger group is a continuous axis, or a mistake."""
@@ -73,14 +73,14 @@ class Symmetries:
 
 
 def tangents(symmetries: Symmetries, T_palm_object: Array) -> Array:
-    """(m, 6): the perturbations (δp, δθ) per radian in which each continuous axis moves the pose (4, 4)."""
+    """Returns (m, 6): the perturbations (δp, δθ) per radian in which each continuous axis moves the pose (4, 4)."""
     rows = [np.concatenate([np.cross(point, axis), axis]) for point, axis in symmetries.axes]
     along_object = np.array(rows).reshape(-1, 2, 3)
     return np.asarray((along_object @ T_palm_object[:3, :3].T).reshape(-1, 6))
 
 
 def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float) -> Array:
-    """The equivalents T @ S (..., 4, 4) of `T` nearest to `T_reference` in |δp|² + radius² |δθ|².
+    """Returns the equivalents T @ S (..., 4, 4) of `T` nearest to `T_reference` in |δp|² + radius² |δθ|².
 
     `T` (..., 4, 4) and `T_reference` (4, 4) or (..., 4, 4) map from the object; `radius` [m] weighs radians.
     S runs over the discrete group times every angle about the continuous axes. Of equals the first wins.
@@ -102,7 +102,7 @@ def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float)
 
 
 def about(point: Array, rotation_vectors: Array) -> Array:
-    """Transforms (..., 4, 4) that turn by the vectors (..., 3) [rad] about a point (3,) [m] that stays."""
+    """Returns transforms (..., 4, 4) that turn by the vectors (..., 3) [rad] about a point (3,) [m] that stays."""
     R = se3.rotation_exp(rotation_vectors)
     return se3.compose(R, point - R @ point)
 
@@ -146,7 +146,7 @@ def _turned(T: Array, T_reference: Array, center: Array, radius: float) -> Array
 
 
 def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) -> Array:
-    """The angles φ [rad] that minimise θ(φ)² - 2 pull cos(φ - by_place), elementwise.
+    """Returns the angles φ [rad] that minimise θ(φ)² - 2 pull cos(φ - by_place), elementwise.
 
     θ is the rotation left over: cos(θ / 2) = |share cos((φ - by_rotation) / 2)|. Each part alone falls
     towards its own best angle, so the minimum lies on the shorter arc between the two: the best of samples
@@ -159,7 +159,7 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
     angle = np.take_along_axis(trial, cost.argmin(axis=-1)[..., None], axis=-1)[..., 0]
 
     def slope(angle: Array) -> Array:
-        """Half the derivative of the cost: θ θ' = θ / sin(θ/2) * share² sin(φ/2) cos(φ/2) / cos(θ/2)."""
+        """Returns half the derivative of the cost: θ θ' = θ / sin(θ/2) * share² sin(φ/2) cos(φ/2) / cos(θ/2)."""
         # cos(θ/2) = share cos(φ/2), and θ / sin(θ/2) = 2 / sinc(θ/2).
         ratio = 2 / np.sinc(_left_over(angle, share) / (2 * np.pi))
         return np.asarray(ratio * share * np.sin(angle / 2) + pull * np.sin(angle - arc))
@@ -181,7 +181,7 @@ def _left_over(angle: Array, share: Array) -> Array:
 
 
 def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]:
-    """The same axes without repeats; three through one point where two or more cross."""
+    """Returns the same axes without repeats; three through one point where two or more cross."""
     if not lines:
         return ()
     size = max(1e-3, *(float(np.abs(point).max()) for point, _ in lines))
@@ -206,7 +206,7 @@ def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]
 
 
 def _closed(generators: list[Array]) -> Array:
-    """All products (k, 4, 4) of the generators, the identity first."""
+    """Returns all products (k, 4, 4) of the generators, the identity first."""
     group = [np.eye(4)]
     for T in group:  # which grows while it is walked
         for product in (T @ generator for generator in generators):

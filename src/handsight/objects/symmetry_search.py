@@ -13,7 +13,7 @@ ORDERS = (8, 6, 5, 4, 3, 2)
 
 
 class SymmetrySearchOptions(NamedTuple):
-    """How symmetries are found."""
+    """`SymmetrySearchOptions` say how symmetries are found."""
 
     tolerance: float = 0.01  # of the diameter
     samples: int = 400  # surface points that are compared
@@ -39,7 +39,7 @@ class _Axis(NamedTuple):
 
 
 def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Symmetries:
-    """The rotations that take the surface onto itself to within `tolerance` [m] nearly everywhere.
+    """Returns the rotations that take the surface onto itself to within `tolerance` [m] nearly everywhere.
 
     Default tolerance: 1 % of the diameter. Tried are rotations of order 2, 3, 4, 5, 6, 8 and any angle about
     the axes of inertia and, where those are not unique, about axes between them; found are the cyclic and
@@ -77,13 +77,13 @@ class _Judge:
         self.limit = tolerance + self.worst(np.eye(4))
 
     def worst(self, T: Array) -> float:
-        """The distance [m] that nearly all samples keep to after `T`."""
+        """Returns the distance [m] that nearly all samples keep to after `T`."""
         return float(
             np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), SEARCH.percentile)
         )
 
     def directions(self) -> Array:
-        """Directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
+        """Returns directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
         sure = np.vstack([self.principal.T[::-1], np.eye(3)])
         low, middle, high = self.moments
         if low > (1 - SEARCH.equal_moments) * high:
@@ -119,7 +119,7 @@ class _Judge:
         return T
 
     def line(self, T: Array) -> tuple[Array, Array]:
-        """The axis of a rotation: its point nearest to the centre, and its direction."""
+        """Returns the axis of a rotation: its point nearest to the centre, and its direction."""
         vector = se3.rotation_log(T[:3, :3])
         direction = vector / np.linalg.norm(vector)
         offset = se3.apply(T, self.center[None])[0] - self.center
@@ -128,7 +128,7 @@ class _Judge:
         return self.center + point, direction
 
     def continuous(self, direction: Array) -> tuple[Array, Array] | None:
-        """The axis near that direction about which any turn keeps the surface, if there is one."""
+        """Returns the axis near that direction about which any turn keeps the surface, if there is one."""
         T = self.refined(about(self.center, _SPINS[0] * direction))
         if T is None:
             return None
@@ -138,7 +138,7 @@ class _Judge:
         return None
 
     def finite(self, direction: Array) -> _Axis | None:
-        """The axis near that direction with the highest order that keeps the surface, if there is one."""
+        """Returns the axis near that direction with the highest order that keeps the surface, if there is one."""
         for order in ORDERS:
             T = self.refined(about(self.center, 2 * np.pi / order * direction))
             if T is None:
@@ -167,7 +167,7 @@ class _Judge:
         return Symmetries([(point, axis)])
 
     def group(self, axes: list[_Axis]) -> Symmetries:
-        """The largest group of these axes, set exactly at their proper angles, that keeps the surface."""
+        """Returns the largest group of these axes, set exactly at their proper angles, that keeps the surface."""
         if not axes:
             return Symmetries()
         axes = sorted(axes, key=lambda a: -a.order)
@@ -181,14 +181,14 @@ class _Judge:
 
 
 def _frame(x: Array, near_y: Array) -> Array:
-    """(3, 3) rows at right angles: the first along x, the second near y."""
+    """Returns (3, 3) rows at right angles: the first along x, the second near y."""
     y = near_y - (near_y @ x) * x
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)])
 
 
 def _polyhedral(axes: list[_Axis]) -> list[Array]:
-    """Generators of the cube's and the tetrahedron's rotations, where the axes have room for them."""
+    """Returns generators of the cube's and the tetrahedron's rotations, where the axes have room for them."""
     found = []
     for order in (4, 2):
         square = [a.direction for a in axes if a.order % order == 0]
@@ -201,7 +201,7 @@ def _polyhedral(axes: list[_Axis]) -> list[Array]:
 
 
 def _dihedral(axes: list[_Axis]) -> list[Array]:
-    """Generators of an axis with half turns across it."""
+    """Returns generators of an axis with half turns across it."""
     found = []
     for main in axes:
         across = [a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1]

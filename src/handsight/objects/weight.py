@@ -14,7 +14,7 @@ LEAST = 1e-3
 
 
 def kept_center(symmetries: Symmetries, center: Array) -> Array:
-    """(3,) the point nearest to a centre of mass (3,) that an object's symmetries leave in place [m]."""
+    """Returns (3,) the point nearest to a centre of mass (3,) that an object's symmetries leave in place [m]."""
     if symmetries.round:
         return symmetries.axes[0][0]
     for point, axis in symmetries.axes:
@@ -33,7 +33,7 @@ def check_kept(kept: Array, center: Array, limit: float, name: str) -> None:
 
 
 def volume_centroid(vertices: Array, faces: Indices) -> Array:
-    """(3,) the centroid of the volume within triangles (m, 3) of vertices (k, 3).
+    """Returns (3,) the centroid of the volume within triangles (m, 3) of vertices (k, 3).
 
     It is the centre of mass of what is the same all through. Raises InvalidObject where there is no volume.
     """

@@ -14,7 +14,7 @@ from handsight.files import read_bytes
 
 
 class BopResultOptions(NamedTuple):
-    """How results in BOP's form are read."""
+    """`BopResultOptions` say how results in BOP's form are read."""
 
     metres: float = 1e-3  # metres of the file's unit
     max_bytes: int = 256 * 1024**2  # of a file
@@ -28,7 +28,8 @@ COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BopResult:
-    """Where a detector has an object in an image; `PoseMeasurement(result.T_camera_object)` gives it to a tracker."""
+    """A `BopResult` says where a detector has an object in an image; `PoseMeasurement(result.T_camera_object)` gives
+    it to a tracker."""
 
     scene: int
     image: int
@@ -42,7 +43,8 @@ class BopResult:
 
 
 def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
-    """The rows of a CSV file `scene_id,im_id,obj_id,score,R,t,time`: R nine numbers, t three in mm, time -1 if unknown.
+    """Returns the rows of a CSV file `scene_id,im_id,obj_id,score,R,t,time`: R nine numbers, t three in mm, time -1
+    if unknown.
 
     Raises InvalidFile with the line where one is wrong.
     """

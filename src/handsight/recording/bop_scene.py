@@ -31,7 +31,7 @@ ABOVE = 2
 
 
 class ImageCamera(msgspec.Struct):
-    """What the file says of an image; keys that nobody here asks for are left alone."""
+    """An `ImageCamera` is what the file says of an image; keys that nobody here asks for are left alone."""
 
     cam_K: tuple[float, float, float, float, float, float, float, float, float]
     """3 x 3, row by row [pixels]."""
@@ -40,12 +40,12 @@ class ImageCamera(msgspec.Struct):
 
 
 def is_scenes(path: Path) -> bool:
-    """Whether a folder is a scene, or has scenes in it."""
+    """Returns whether a folder is a scene, or has scenes in it."""
     return bool(_scenes(path))
 
 
 def bop_scenes(path: Path, beside: Beside) -> Frames:
-    """The frames of a scene, or of all scenes of a split, by their numbers; raises InvalidFile.
+    """Returns the frames of a scene, or of all scenes of a split, by their numbers; raises InvalidFile.
 
     What is told beside is the mask only; the rest stands in the scene.
     """
@@ -64,7 +64,7 @@ def _scenes(path: Path) -> list[Path]:
 
 
 def _library(scene: Path) -> Path | None:
-    """The data set's folder, where it has models."""
+    """Returns the data set's folder, where it has models."""
     root = scene.resolve().parents[ABOVE - 1 :][:1]
     return next((folder for folder in root if (folder / "models" / INFO).is_file()), None)
 

@@ -24,7 +24,7 @@ Each = TypeVar("Each")
 
 
 class ChunkLimits(NamedTuple):
-    """How much a recording may unpack to."""
+    """`ChunkLimits` say how much a recording may unpack to."""
 
     max_unpacked: int = 1 << 27  # bytes that a chunk may unpack to; recorders write 1 to 16 MiB
     max_waiting_bytes: int = 1 << 28  # bytes that overlapping chunks may hold back until their turn
@@ -49,7 +49,7 @@ UNPACKERS = {
 
 
 class Source(ABC):
-    """A recording file, open."""
+    """A `Source` is a recording file, open."""
 
     MAGIC: ClassVar[bytes]
     """What such a file begins with."""
@@ -68,7 +68,7 @@ class Source(ABC):
         """By byte: what of it could not be read."""
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
-        """Take in what the file calls `key`; `kind`: as ROS 1 or ROS 2 writes it."""
+        """Takes in what the file calls `key`; `kind`: as ROS 1 or ROS 2 writes it."""
         if topic not in self.topics and len(self.topics) >= CHUNKS.max_topics:
             self.damage[-1] = f"expected at most {CHUNKS.max_topics} topics, got more, which were left out"
             return
@@ -77,7 +77,7 @@ class Source(ABC):
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Messages on the wanted topics in order of log time, from the first, each time it is called."""
+        """Returns messages on the wanted topics in order of log time, from the first, each time it is called."""
         if not self.packed:
             return self.stored(wanted)
         return (
@@ -93,15 +93,15 @@ class Source(ABC):
 
     @abstractmethod
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """The same, each as it lies in the file."""
+        """Returns the same, each as it lies in the file."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the file."""
+        """Lets go of the file."""
 
 
 class Chunk(NamedTuple):
-    """A stretch of the file that is read in one go."""
+    """A `Chunk` is a stretch of the file that is read in one go."""
 
     start: int
     """Log time of its earliest message [ns]."""
@@ -118,7 +118,7 @@ class Chunk(NamedTuple):
 
 
 class ChunkedSource(Source):
-    """A file of chunks, which are found first and read when their turn comes."""
+    """A `ChunkedSource` is a file of chunks, which are found first and read when their turn comes."""
 
     def __init__(self, path: Path) -> None:
         """Index of its chunks; `path` is known to begin with MAGIC."""
@@ -133,11 +133,11 @@ class ChunkedSource(Source):
 
     @abstractmethod
     def _index(self) -> Iterable[Chunk]:
-        """The chunks as they lie in `data`; topics and where the file ends too early are noted."""
+        """Returns the chunks as they lie in `data`; topics and where the file ends too early are noted."""
 
     @abstractmethod
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
-        """The messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
+        """Returns the messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """As `Source.stored`, as far as `max_waiting_bytes` reaches."""
@@ -191,14 +191,15 @@ class Run(NamedTuple):
 
 
 def _released(waiting: list[RawMessage], stop: float) -> Iterator[RawMessage]:
-    """The first, and those before `stop`."""
+    """Yields the first, and those before `stop`."""
     yield waiting.pop()
     while waiting and waiting[-1].log_time < stop:
         yield waiting.pop()
 
 
 class Budget:
-    """What a file of so many bytes may hold; a few kilobytes may be packed from millions of empty messages."""
+    """A `Budget` is what a file of so many bytes may hold; a few kilobytes may be packed from millions of empty
+    messages."""
 
     def __init__(self, size: int) -> None:
         self.records = CHUNKS.spare_records + size
@@ -206,7 +207,7 @@ class Budget:
         self._bytes = CHUNKS.spare_unpacked + CHUNKS.max_expansion * size
 
     def spent(self, chunk: Chunk) -> str | None:
-        """Why the chunk is not to be read (None: it is), and takes in that it is."""
+        """Returns why the chunk is not to be read (None: it is), and takes in that it is."""
         self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
         if self._bytes < 0:
             return (

@@ -20,7 +20,7 @@ MM = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Located:
-    """An object looked for in one picture, or which of several it shows."""
+    """A `Located` is an object looked for in one picture, or which of several it shows."""
 
     frame: Frame
     model: ObjectModel
@@ -54,7 +54,7 @@ class Located:
 
 
 def answer(located: Located) -> dict[str, object]:
-    """The answer as JSON has it; poses are T_camera_object, in the camera's optical frame."""
+    """Returns the answer as JSON has it; poses are T_camera_object, in the camera's optical frame."""
     frame, found = located.frame, located.found
     fields: dict[str, Any] = {"frame": frame.name}
     if frame.number is not None:
@@ -77,13 +77,13 @@ def answer(located: Located) -> dict[str, object]:
 
 
 def json_line(row: Located | Unread) -> str:
-    """A line of JSON, without its end; `{"frame": ..., "error": ...}` of a picture that cannot be read."""
+    """Returns a line of JSON, without its end; `{"frame": ..., "error": ...}` of a picture that cannot be read."""
     fields = {"frame": row.name, "error": row.reason} if isinstance(row, Unread) else answer(row)
     return json.dumps(fields, allow_nan=False)
 
 
 def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
-    """A line of BOP's results, t in mm, without its end; None where there is no pose. `numbers`: BOP's by name.
+    """Returns a line of BOP's results, t in mm, without its end; None where there is no pose. `numbers`: BOP's by name.
 
     The score is the share of its pixels that the pose explains.
     """

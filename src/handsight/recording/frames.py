@@ -18,7 +18,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
-    """One picture of a depth camera."""
+    """A `Frame` is one picture of a depth camera."""
 
     name: str
     """What messages and answers call it."""
@@ -36,7 +36,7 @@ class Frame:
 
 
 class Unread(NamedTuple):
-    """A picture that cannot be read."""
+    """An `Unread` is a picture that cannot be read."""
 
     name: str
     reason: str
@@ -54,7 +54,7 @@ class Frames(NamedTuple):
 
 
 def within(frame: Frame, box: Box) -> Frame:
-    """The same, the object looked for in a box of its pixels; raises InvalidInput for one that is not in it."""
+    """Returns the same, the object looked for in a box of its pixels; raises InvalidInput for one that is not in it."""
     left, top, right, bottom = box
     width, height = frame.camera.size
     if not (0 <= left <= right < width and 0 <= top <= bottom < height):

@@ -19,7 +19,7 @@ MAX_RUN = 1 << 20
 
 
 class McapSource(ChunkedSource):
-    """One `.mcap` file."""
+    """A `McapSource` is one `.mcap` file."""
 
     MAGIC = b"\x89MCAP0\r\n"
 
@@ -56,7 +56,7 @@ class McapSource(ChunkedSource):
             yield run
 
     def _chunk(self, begin: int, end: int) -> Iterator[Chunk]:
-        """The chunk, what there is of it."""
+        """Yields the chunk, what there is of it."""
         at = begin + CHUNK_HEAD.size + TEXT.size
         if at > end:
             return
@@ -84,7 +84,7 @@ class McapSource(ChunkedSource):
         return found, wrong if read < len(data) else None
 
     def _take(self, op: int, data: bytes) -> None:
-        """Take in a schema or a channel; one that is no such thing is passed over, with its messages."""
+        """Takes in a schema or a channel; one that is no such thing is passed over, with its messages."""
         try:
             key = int.from_bytes(data[:2], "little")
             if op == SCHEMA:
@@ -109,7 +109,7 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int,
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """A string, and where it ends; struct.error where it ends beyond the data."""
+    """Returns a string, and where it ends; struct.error where it ends beyond the data."""
     begin = at + TEXT.size
     end = begin + TEXT.unpack_from(data, at)[0]
     if end > len(data):

@@ -21,7 +21,7 @@ from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENT
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
-    """The depth images among observations, the hand's pixels 0, by the pose of the world.
+    """Yields the depth images among observations, the hand's pixels 0, by the pose of the world.
 
     Raises InvalidInput for images of another size than the camera's. Observations that do not say where the palm was,
     if the camera's place against the object follows from it, are passed over.
@@ -42,7 +42,7 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> I
 
 
 def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
-    """The depth images among observations, pixels near the hand 0, by the pose of what the hand holds.
+    """Yields the depth images among observations, pixels near the hand 0, by the pose of what the hand holds.
 
     Its frame: the palm's axes about the middle that the fingertips had in the first of them. Observations without
     joint positions or a belief where the palm is, and those that show nothing but hand there, are passed over. Raises

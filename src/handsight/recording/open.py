@@ -29,7 +29,7 @@ MAX_DAMAGE_SENTENCES = 5
 
 
 def open_recording(path: str | Path, rig: Rig) -> "Recording":
-    """The recording, as what a rig has measured: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
+    """Returns the recording, as what a rig has measured: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
 
     The rig says which topic is what. Raises InvalidFile where there is no recording or none with joint states, and
     MissingExtra without rosbags.
@@ -39,7 +39,7 @@ def open_recording(path: str | Path, rig: Rig) -> "Recording":
 
 @dataclass(slots=True, kw_only=True)
 class RecordingReport(Report):
-    """What a recording held, as far as it was read."""
+    """A `RecordingReport` is what a recording held, as far as it was read."""
 
     files: Sequence[Source]
     """One, or several as a recorder splits them; what could not be read is in the `damage` of each."""
@@ -50,7 +50,7 @@ class RecordingReport(Report):
         return next((file.truncated for file in self.files if file.truncated), None)
 
     def sentences(self) -> list[str]:
-        """All that is worth telling a user, worst first; empty: nothing is wrong."""
+        """Returns all that is worth telling a user, worst first; empty: nothing is wrong."""
         messages, damage = list[str](), list[str]()
         for file in self.files:
             if file.truncated:
@@ -65,7 +65,7 @@ class RecordingReport(Report):
 
 
 class Recording:
-    """A recording, open; what was met so far is in `report`, `truth` and `intrinsics`."""
+    """A `Recording` is a recording, open; what was met so far is in `report`, `truth` and `intrinsics`."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
         self._path, self._rig, self._topics = path, rig, dict[str, str]()
@@ -91,7 +91,7 @@ class Recording:
         return self._stream.intrinsics
 
     def observations(self) -> Iterator[Observation]:
-        """What was measured, in order of stamp, one observation for each joint state message.
+        """Yields what was measured, in order of stamp, one observation for each joint state message.
 
         Read as it is asked for, in bounded memory. Each call begins again, and so do `report` and `truth`. Raises
         InvalidFile at the end if there were no joint states.
@@ -105,7 +105,8 @@ class Recording:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """What the rig needs and was not met so far, a sentence each; joints and frames after `observations` only."""
+        """Returns what the rig needs and was not met so far, a sentence each; joints and frames after `observations`
+        only."""
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
@@ -118,7 +119,7 @@ class Recording:
         )
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Lets go of the file."""
         self._opened.close()
 
     def __enter__(self) -> Self:
@@ -129,7 +130,8 @@ class Recording:
 
 
 def open_files(path: Path) -> Iterator[Source]:
-    """The files of a recording, one after the other, the tenth after the ninth; raises InvalidFile, MissingExtra."""
+    """Yields the files of a recording, one after the other, the tenth after the ninth; raises InvalidFile,
+    MissingExtra."""
     try:
         metadata = path / "metadata.yaml"
         if not path.is_dir():
@@ -150,7 +152,7 @@ def open_files(path: Path) -> Iterator[Source]:
 
 
 def _open_packed(path: Path) -> Source:
-    """A file that is compressed as a whole, unpacked to one that is gone when it is closed."""
+    """Returns a file that is compressed as a whole, unpacked to one that is gone when it is closed."""
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # not where open files cannot be removed
         unpacked = Path(folder) / path.stem
         with unpacked.open("wb") as file:

@@ -14,12 +14,13 @@ METADATA = "metadata.yaml"
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a path is a robot's recording, whose images need a rig."""
+    """Returns whether a path is a robot's recording, whose images need a rig."""
     return path.suffix.lower() in RECORDED or (path / METADATA).exists()
 
 
 def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
-    """The pictures of a depth image, a folder of them, a BOP scene or split, or a recording, for which there is a rig.
+    """Returns the pictures of a depth image, a folder of them, a BOP scene or split, or a recording, for which there
+    is a rig.
 
     Raises InvalidFile where there is none of these, and as those who read them.
     """

@@ -24,7 +24,7 @@ ENDINGS = (".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beside:
-    """What goes with depth images, where it is told."""
+    """A `Beside` is what goes with depth images, where it is told."""
 
     camera: Path | None = None
     """None: `camera.json` beside the images."""
@@ -37,13 +37,13 @@ class Beside:
 
 
 def depth_file(path: Path, beside: Beside) -> Frames:
-    """The one frame of a depth image; raises InvalidFile, InvalidInput, MissingExtra."""
+    """Returns the one frame of a depth image; raises InvalidFile, InvalidInput, MissingExtra."""
     camera = read_camera(beside.camera or path.with_name(CAMERA))
     return Frames(1, iter([_frame(path, camera, beside.color, beside)]))
 
 
 def depth_folder(path: Path, beside: Beside) -> Frames:
-    """The frames of a folder by their names; raises InvalidFile where it has none, or no camera."""
+    """Returns the frames of a folder by their names; raises InvalidFile where it has none, or no camera."""
     if beside.color is not None:
         raise InvalidInput(f"color: expected beside one depth image, got {path}, a folder of them")
     inner = path / "depth"
@@ -60,12 +60,12 @@ def depth_folder(path: Path, beside: Beside) -> Frames:
 
 
 def images(folder: Path) -> list[Path]:
-    """The PNGs of a folder by their names."""
+    """Returns the PNGs of a folder by their names."""
     return sorted(file for file in folder.iterdir() if file.suffix.lower() == ".png")
 
 
 def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Frame | Unread]:
-    """What `read` makes of each, and what it refuses."""
+    """Yields what `read` makes of each, and what it refuses."""
     for file in files:
         try:
             yield read(file)
@@ -74,13 +74,13 @@ def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Fram
 
 
 def color_beside(folder: Path, stem: str, folders: tuple[str, ...]) -> Path | None:
-    """The colour image of that name; None where there is none."""
+    """Returns the colour image of that name; None where there is none."""
     places = (folder / name / f"{stem}{ending}" for name in folders for ending in ENDINGS)
     return next((place for place in places if place.exists()), None)
 
 
 def mask_of(mask: Path | None, stem: str, camera: Camera) -> Mask | None:
-    """Where the object may be in the picture of that name; raises InvalidFile, MissingExtra."""
+    """Returns where the object may be in the picture of that name; raises InvalidFile, MissingExtra."""
     if mask is None:
         return None
     shown: Color = read_color(mask / f"{stem}.png" if mask.is_dir() else mask, camera=camera)

@@ -21,8 +21,8 @@ KNOWN = 0.01, float(np.deg2rad(2))
 
 
 def recorded_frames(path: Path, rig: Rig) -> Frames:
-    """The frames of a recording in order of stamp; raises InvalidFile where it has no depth images, InvalidInput where
-    neither it nor the rig says what camera they are of.
+    """Returns the frames of a recording in order of stamp; raises InvalidFile where it has no depth images,
+    InvalidInput where neither it nor the rig says what camera they are of.
 
     Hand: its links as they are seen (`detect_palm`), else where the rig's camera should see them. Unknown without joint
     positions, or where a camera in the world does not know of the palm.
@@ -33,7 +33,7 @@ def recorded_frames(path: Path, rig: Rig) -> Frames:
 
 
 class HandPixels:
-    """Which pixels are the hand's, picture after picture of one camera."""
+    """A `HandPixels` says which pixels are the hand's, picture after picture of one camera."""
 
     def __init__(self, rig: Rig) -> None:
         """A camera that is calibrated as well as the rig says."""
@@ -42,14 +42,15 @@ class HandPixels:
         self._T_measured_believed: Array | None = None
 
     def mask(self, camera: Camera, depth: Depth, detected: Observation) -> Mask | None:
-        """(h, w); None where nobody knows of a hand."""
+        """Returns (h, w); None where nobody knows of a hand."""
         T_camera_palm = self.palm(camera, depth, detected)
         if T_camera_palm is None:
             return None
         return self._hand.mask(camera, depth, detected.joint_positions, T_camera_palm)
 
     def palm(self, camera: Camera, depth: Depth, detected: Observation) -> Array | None:
-        """T_camera_palm (4, 4) as the hand is seen; else as believed, by what it was off when it was last seen."""
+        """Returns T_camera_palm (4, 4) as the hand is seen; else as believed, by what it was off when it was last
+        seen."""
         believed, joints, of = believed_palm(self._rig, detected), detected.joint_positions, self._rig.camera
         if believed is None or of is None:
             return None
@@ -88,7 +89,7 @@ def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
 
 
 def believed_palm(rig: Rig, detected: Observation) -> Array | None:
-    """T_camera_palm (4, 4) by the camera's calibration; None where it does not tell."""
+    """Returns T_camera_palm (4, 4) by the camera's calibration; None where it does not tell."""
     if rig.camera is None:
         return None
     T_camera_mount = se3.inverse(rig.camera.T_mount_camera)

@@ -16,7 +16,7 @@ Fields = dict[bytes, bytes]
 
 
 class Rosbag1Source(ChunkedSource):
-    """One `.bag` file."""
+    """A `Rosbag1Source` is one `.bag` file."""
 
     MAGIC = b"#ROSBAG V2.0\n"
 
@@ -66,7 +66,7 @@ class Rosbag1Source(ChunkedSource):
         return found, wrong if end != len(data) else None
 
     def _take(self, fields: Fields, data: bytes) -> None:
-        """Take in a connection; one that is no such thing is passed over, with its messages."""
+        """Takes in a connection; one that is no such thing is passed over, with its messages."""
         about = _fields(data)
         if b"conn" in fields and b"topic" in fields and b"type" in about:
             topic, kind = (name.decode("utf-8", "replace") for name in (fields[b"topic"], about[b"type"]))

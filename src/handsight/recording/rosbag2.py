@@ -11,7 +11,7 @@ from handsight.recording.chunks import CHUNKS, TOO_MANY, Budget, Source, seconds
 
 
 class Rosbag2Limits(NamedTuple):
-    """How much work a rosbag 2 may be."""
+    """`Rosbag2Limits` say how much work a rosbag 2 may be."""
 
     max_named: int = 12  # tables in a message
     step: int = 10_000  # of sqlite's machine: between two looks at how many there were
@@ -32,7 +32,7 @@ PLAIN = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
 
 
 class SqliteSource(Source):
-    """One `.db3` file."""
+    """A `SqliteSource` is one `.db3` file."""
 
     MAGIC = b"SQLite format 3\0"
 

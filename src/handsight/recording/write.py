@@ -32,7 +32,7 @@ SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z", "sigma_rx", "sigma_ry", "sigma
 
 
 class McapFile:
-    """An MCAP file with zstd chunks, open for writing; it is at `path` once it is closed."""
+    """A `McapFile` is an MCAP file with zstd chunks, open for writing; it is at `path` once it is closed."""
 
     def __init__(self, path: Path) -> None:
         """Raises InvalidFile where nothing can be written, MissingExtra without rosbags."""
@@ -51,7 +51,7 @@ class McapFile:
         self._open = True
 
     def append(self, topic: str, kind: str, stamp: float, **fields: Any) -> None:
-        """Append a message of that type, logged at its stamp; its parts are `Message`s too."""
+        """Appends a message of that type, logged at its stamp; its parts are `Message`s too."""
         if not self._open:
             raise InvalidInput(f"{self._path}: expected an open file to write to, got a closed one")
         if topic not in self._connections:
@@ -81,7 +81,7 @@ class McapFile:
 
 
 class RecordingWriter(McapFile):
-    """What a rig measured, as one MCAP file; topics and frame ids are the rig's."""
+    """A `RecordingWriter` is what a rig measured, as one MCAP file; topics and frame ids are the rig's."""
 
     def __init__(self, path: str | Path, rig: Rig) -> None:
         """The file is at `path` once it is closed; what was there is replaced. Raises InvalidFile, MissingExtra."""
@@ -89,7 +89,7 @@ class RecordingWriter(McapFile):
         self._rig = rig
 
     def write(self, observation: Observation) -> None:
-        """Append all that the observation has, logged at its stamp.
+        """Appends all that the observation has, logged at its stamp.
 
         Depth is kept in whole millimetres (16UC1), as RGB-D cameras give it; beyond 65 m there is none. Raises
         InvalidInput where the rig has no topic for something, and for stamps that a message cannot hold.
@@ -127,7 +127,7 @@ class RecordingWriter(McapFile):
             self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", depth)
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
-        """Append where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
+        """Appends where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
         truth, top = pose(se3.check(T_palm_object, "T_palm_object")), header(stamp, self._rig.frames["palm"])
         self.append(_topic(self._rig.topics.truth, "truth"), POSE, stamp, header=top, pose=truth)
 
@@ -179,24 +179,24 @@ class RecordingWriter(McapFile):
 
 
 def header(stamp: float, frame: str = "") -> Message:
-    """A std_msgs/Header; raises InvalidInput for a stamp that it cannot hold."""
+    """Returns a std_msgs/Header; raises InvalidInput for a stamp that it cannot hold."""
     sec, nanosec = split_stamp(stamp)
     return Message(stamp=Message(sec=sec, nanosec=nanosec), frame_id=frame)
 
 
 def parts(names: str, values: Array) -> Message:
-    """A Vector3 or Point (of x, y, z), or a Quaternion (of x, y, z, w)."""
+    """Returns a Vector3 or Point (of x, y, z), or a Quaternion (of x, y, z, w)."""
     return Message(**dict(zip(names, values.tolist(), strict=True)))
 
 
 def pose(T: Array) -> Message:
-    """A geometry_msgs/Pose."""
+    """Returns a geometry_msgs/Pose."""
     rotation = se3.quaternion_from_rotation(T[:3, :3])
     return Message(position=parts("xyz", T[:3, 3]), orientation=parts("xyzw", rotation))
 
 
 def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
-    """A geometry_msgs/PoseWithCovariance; all zero is what drivers send that do not know it."""
+    """Returns a geometry_msgs/PoseWithCovariance; all zero is what drivers send that do not know it."""
     flat = np.zeros(36) if covariance is None else np.asarray(covariance, dtype=np.float64).ravel()
     return Message(pose=pose(T), covariance=flat)
 
@@ -208,7 +208,7 @@ def _topic(topic: str | None, name: str) -> str:
 
 
 def split_stamp(stamp: float) -> tuple[int, int]:
-    """Seconds and nanoseconds; raises InvalidInput."""
+    """Returns seconds and nanoseconds; raises InvalidInput."""
     if not 0 <= stamp < LATEST:
         raise InvalidInput(f"stamp: expected seconds from 0 to {LATEST:.0f}, got {stamp}")
     # The whole seconds first: 1.7e9 s in nanoseconds is more than a float holds.
@@ -225,7 +225,7 @@ def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackRow:
-    """Where the object was at one instant; a row without a pose is in the CSV only."""
+    """A `TrackRow` says where the object was at one instant; a row without a pose is in the CSV only."""
 
     stamp: float
     """[s]"""

@@ -114,7 +114,7 @@ class PoseForm(Form):
 
 
 class LinkPoseForm(PoseForm):
-    """A pose on a link of a finger."""
+    """A `LinkPoseForm` is a pose on a link of a finger."""
 
     position: Annotated[Vector, key(metres=0.5)] = (0.0, 0.0, 0.0)
 
@@ -252,7 +252,7 @@ class VisionNoiseForm(Form):
 
 
 class IntrinsicsForm(Form):
-    """A camera matrix and the size of the images [pixels]."""
+    """An `IntrinsicsForm` is a camera matrix and the size of the images [pixels]."""
 
     width: Pixels
     height: Pixels
@@ -337,7 +337,8 @@ class CylinderForm(Form):
 
 
 class ObjectForm(Form):
-    """An object: its sides, a cylinder, a mesh (a path from the rig file on) or a name in the object library."""
+    """An `ObjectForm` is an object: its sides, a cylinder, a mesh (a path from the rig file on) or a name in the
+    object library."""
 
     box: Annotated[tuple[Positive, Positive, Positive] | None, key(metres=5)] = None
     cylinder: CylinderForm | None = None

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class YamlLimits(NamedTuple):
-    """What a YAML file may hold."""
+    """`YamlLimits` are what a YAML file may hold."""
 
     max_bytes: int = 1 << 20  # of a file; a rig is a page or two
     max_values: int = 5_000

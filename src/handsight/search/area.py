@@ -18,7 +18,8 @@ SAME_STABLE_POSE = float(np.deg2rad(20.0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
-    """A uniform prior over the poses of an object that stands on a table, within a rectangle and at any yaw.
+    """An `Area` is a uniform prior over the poses of an object that stands on a table, within a rectangle and at any
+    yaw.
 
     A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): where the middle of the object's bounds is
     in the world, how far the object is turned about the vertical, and on which of its sides it stands.

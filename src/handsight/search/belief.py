@@ -21,7 +21,7 @@ from handsight.search.touch import Touch, tip_center
 
 
 class ParticleOptions(NamedTuple):
-    """How the posterior is sampled."""
+    """`ParticleOptions` say how the posterior is sampled."""
 
     drawn: int = 8192
     """Placements that are drawn after a touch."""
@@ -46,7 +46,7 @@ class ParticleOptions(NamedTuple):
 
 
 class LikelihoodOptions(NamedTuple):
-    """What a touch is taken to be off by, beside what its covariance says."""
+    """`LikelihoodOptions` are what a touch is taken to be off by, beside what its covariance says."""
 
     push: float = 0.001
     """How far a touch moves the object, per axis: older contacts are off by that for each later touch [m]."""
@@ -57,7 +57,8 @@ class LikelihoodOptions(NamedTuple):
 
 
 class CertaintyOptions(NamedTuple):
-    """When a search ends: a mode with this probability and these standard deviations is grasped."""
+    """`CertaintyOptions` say when a search ends: a mode with this probability and these standard deviations is
+    grasped."""
 
     probability: float = 0.95
     sigma_position: float = 0.006
@@ -93,7 +94,7 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Where the object may stand given every touch so far, as equally likely particles."""
+    """A `Belief` says where the object may stand given every touch so far, as equally likely particles."""
 
     model: ObjectModel
     area: Area

@@ -13,7 +13,7 @@ from handsight.search.touch import Sweep, cast
 
 
 class SweepOptions(NamedTuple):
-    """How the next sweep is chosen."""
+    """`SweepOptions` say how the next sweep is chosen."""
 
     distance_bin: float = 0.004  # width of the bins in which a touch's distance is counted [m]
     normal_bin: float = float(np.deg2rad(12.0))  # width of the bins of its normal's two angles [rad]

@@ -17,7 +17,7 @@ CAST_TOLERANCE = 2e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """A straight path for the middle of a fingertip, which ends where the tip meets something."""
+    """A `Sweep` is a straight path for the middle of a fingertip, which ends where the tip meets something."""
 
     start_world: Array
     """(3,) [m]."""

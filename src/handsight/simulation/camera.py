@@ -58,7 +58,7 @@ def displacement(nuisances: Nuisances, seed: int) -> Array:
 
 
 def spoil(depth: Depth, noise: DepthNoise, rng: np.random.Generator, seed: int) -> Depth:
-    """What a camera makes of the true depth (h, w) [m], NaN where it gives none.
+    """Returns what a camera makes of the true depth (h, w) [m], NaN where it gives none.
 
     `rng` draws what comes anew with each image, `seed` (at least 0) what is constant: that is another camera's with
     another seed. Without noise what is in range is exact.
@@ -86,7 +86,7 @@ def _in_range(z: Depth, noise: DepthNoise) -> Mask:
 
 
 def _lost(z: Depth, noise: DepthNoise) -> Depth | np.float32:
-    """The share without depth at each pixel: behind edges more."""
+    """Returns the share without depth at each pixel: behind edges more."""
     if noise.edges == 0:
         return np.float32(noise.dropouts)
     height, width = z.shape
@@ -116,7 +116,7 @@ def _beside(z: Depth, sigma: float, rng: np.random.Generator) -> Depth:
 
 
 def _grain(noise: DepthNoise, shape: tuple[int, ...], rng: np.random.Generator) -> Depth:
-    """(h, w) noise of unit variance, part of it correlated."""
+    """Returns (h, w) noise of unit variance, part of it correlated."""
     drawn, share = _white(shape, rng), np.float32(noise.correlated)
     # The same numbers serve twice, half an image apart.
     other = np.roll(drawn, (shape[0] // 2, shape[1] // 2), axis=(0, 1))
@@ -127,26 +127,26 @@ def _grain(noise: DepthNoise, shape: tuple[int, ...], rng: np.random.Generator) 
 
 
 def _constant(noise: DepthNoise, z: Depth, seed: int) -> Depth:
-    """(h, w) what is wrong in each image of one camera [m]."""
+    """Returns (h, w) what is wrong in each image of one camera [m]."""
     offset, smooth = _camera(z.shape, noise.smooth_length, seed)
     return np.float32(noise.offset) * offset + np.float32(noise.smooth) * smooth * z * z
 
 
 @lru_cache(maxsize=8)
 def _camera(shape: tuple[int, ...], length: float, seed: int) -> tuple[np.float32, Depth]:
-    """A number and a field (h, w) of unit variance."""
+    """Returns a number and a field (h, w) of unit variance."""
     rng = np.random.default_rng((seed, 10))
     return np.float32(rng.normal()), _smoothed(_white(shape, rng), length)
 
 
 def _white(shape: tuple[int, ...], rng: np.random.Generator) -> Depth:
-    """(h, w) Gaussians, of 65 536 sizes: that takes a third of the time."""
+    """Returns (h, w) Gaussians, of 65 536 sizes: that takes a third of the time."""
     return _quantiles(1 << 16)[rng.integers(1 << 16, size=shape, dtype=np.uint16)]
 
 
 @lru_cache(maxsize=2)
 def _quantiles(number: int) -> Depth:
-    """(number,) of a Gaussian, equally likely."""
+    """Returns (number,) of a Gaussian, equally likely."""
     return np.asarray(ndtri((np.arange(number) + 0.5) / number), dtype=np.float32)
 
 

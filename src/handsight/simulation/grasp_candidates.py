@@ -21,7 +21,7 @@ ROWS: tuple[Fingers, ...] = (("ff", "mf", "rf", "lf"), ("ff", "mf", "rf"), ("ff"
 
 
 class GraspOptions(NamedTuple):
-    """Which grasps of an object on a table are candidates."""
+    """`GraspOptions` say which grasps of an object on a table are candidates."""
 
     finger_spacing: float = 0.021  # from finger to finger [m]
     even_directions: int = 12  # of the grip's axis in the table's plane, evenly spread
@@ -59,7 +59,7 @@ towards the palm, for what is too wide in the middle may be held in front of it;
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A convex body in a pose: what the search looks at instead of thousands of facets."""
+    """A `Body` is a convex body in a pose: what the search looks at instead of thousands of facets."""
 
     vertices: Array
     """(k, 3) [m]."""
@@ -75,7 +75,7 @@ class Body:
     """(3,) of the bounds that it has in its own frame [m]."""
 
     def turned(self, R: Array) -> "Body":
-        """The same, turned by R (3, 3), on the table, its middle over the origin."""
+        """Returns the same, turned by R (3, 3), on the table, its middle over the origin."""
         vertices = (self.vertices - self.middle) @ R.T
         up = np.array([0.0, 0.0, -vertices[:, 2].min()])
         normals = self.normals @ R.T
@@ -104,7 +104,7 @@ class Hold:
 
 
 def body_of(vertices: Array) -> Body:
-    """The hull (k, 3) [m] by its extreme vertices: a smooth one within a hundredth of its size of the whole."""
+    """Returns the hull (k, 3) [m] by its extreme vertices: a smooth one within a hundredth of its size of the whole."""
     directions = se3.directions(GRASP.hull_directions)
     kept = vertices[np.unique(np.argmax(vertices @ np.vstack([directions, np.eye(3), -np.eye(3)]).T, axis=0))]
     hull = ConvexHull(kept)
@@ -138,7 +138,7 @@ def rests(body: Body) -> list[Array]:
 
 
 def grasp_candidates(body: Body) -> list[Hold]:
-    """All that geometry and balanced forces let one hope for, best first."""
+    """Returns all that geometry and balanced forces let one hope for, best first."""
     found: list[Hold] = []
     for order, R in enumerate(rests(body)):
         mine: list[Hold] = []
@@ -151,7 +151,7 @@ def grasp_candidates(body: Body) -> list[Hold]:
 
 
 def forces(points: Array, normals: Array, wished: Array) -> tuple[Array, float]:
-    """(n, 3) forces of fingers on an object that keep it at rest, and what they leave unbalanced [N].
+    """Returns (n, 3) forces of fingers on an object that keep it at rest, and what they leave unbalanced [N].
 
     `points`, outward `normals` (n, 3); `wished` (n,): how hard each should press [N]. Each force is within the pyramid
     of friction, as near to what is wished as the balance allows.
@@ -170,14 +170,15 @@ def forces(points: Array, normals: Array, wished: Array) -> tuple[Array, float]:
 
 
 def wished(points: Mapping[str, Array]) -> Array:
-    """(n,) how hard thumb and fingers shall press [N]: the less, the sooner what is thin rolls away between them."""
+    """Returns (n,) how hard thumb and fingers shall press [N]: the less, the sooner what is thin rolls away between
+    them."""
     width = np.mean([point[0] for finger, point in points.items() if finger != "th"]) - points["th"][0]
     press = GRASP.thumb_force if width > 2 * GRASP.thin else GRASP.thumb_force_thin
     return np.array([press if finger == "th" else press / (len(points) - 1) for finger in points])
 
 
 def _standing_on(down: Array) -> Array:
-    """(3, 3) the least turn that brings a direction of the object to the world's -z."""
+    """Returns (3, 3) the least turn that brings a direction of the object to the world's -z."""
     axis = np.cross(down, [0.0, 0, -1])
     sine = np.linalg.norm(axis)
     if sine < 1e-9:
@@ -235,7 +236,8 @@ def _across(body: Body, R: Array, order: int) -> Iterator[Hold]:
 
 
 def _met(body: Body, starts: Array, sense: float) -> tuple[Array, Array]:
-    """Points (n, 3) where lines along ±x from inside leave the body, NaN from outside, and the normals there."""
+    """Returns points (n, 3) where lines along ±x from inside leave the body, NaN from outside, and the normals
+    there."""
     rate = sense * body.normals[:, 0]
     ahead = rate > 1e-9
     below = body.offsets[None] - starts @ body.normals.T
@@ -247,7 +249,7 @@ def _met(body: Body, starts: Array, sense: float) -> tuple[Array, Array]:
 
 
 def _merit(body: Body, points: Array, normals: Array, roll: float) -> float:
-    """What the shape of a hold is worth; -inf where no hand could have it."""
+    """Returns what the shape of a hold is worth; -inf where no hand could have it."""
     fingers = points[1:].mean(axis=0)
     width, lowest = float(fingers[0] - points[0, 0]), float(points[:, 2].min())
     under = np.sin(roll) * (body.vertices[:, 2].max() - points[0, 2])
@@ -263,7 +265,7 @@ def _merit(body: Body, points: Array, normals: Array, roll: float) -> float:
 
 
 def _balanced(hold: Hold) -> Hold:
-    """The same, worth less by the force that is left over and by what cannot be pressed."""
+    """Returns the same, worth less by the force that is left over and by what cannot be pressed."""
     wish = wished(hold.points)
     found, left = forces(np.array([*hold.points.values()]), np.array([*hold.normals.values()]), wish)
     lacking = 1 - np.minimum(np.linalg.norm(found, axis=1) / wish, 1.0)

@@ -18,7 +18,7 @@ Four = tuple[float, float, float, float]
 
 
 class _Form(msgspec.Struct, forbid_unknown_fields=True):
-    """What the file says: lengths in metres, angles in radians."""
+    """A `_Form` is what the file says: lengths in metres, angles in radians."""
 
     object: str
     """For people, as are the next four."""
@@ -67,7 +67,7 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
 
 
 def read_grasp(path: Path) -> Grasp:
-    """The grasp of a file that `write_grasp` made; raises InvalidFile, which begins with the file's name."""
+    """Returns the grasp of a file that `write_grasp` made; raises InvalidFile, which begins with the file's name."""
     try:
         form = msgspec.json.decode(read_bytes(path, LARGEST), type=_Form)
         T_palm_middle, R_world_palm = (

@@ -19,7 +19,7 @@ from handsight.simulation.world import World
 
 
 class GraspSearchOptions(NamedTuple):
-    """How grasps are tried in simulation."""
+    """`GraspSearchOptions` say how grasps are tried in simulation."""
 
     max_fitted: int = 90  # holds that the hand is fitted to before the search gives up
     max_trials: int = 24  # grasps that are simulated
@@ -46,7 +46,7 @@ FELL = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspSearchResult:
-    """How an object is grasped, and how that was found."""
+    """A `GraspSearchResult` says how an object is grasped, and how that was found."""
 
     grasp: Grasp
     succeeded: bool
@@ -60,7 +60,8 @@ class GraspSearchResult:
 
 
 def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> GraspSearchResult:
-    """A grasp that holds the scenario's object through the scenario's own manipulation: the same for the same seed.
+    """Returns a grasp that holds the scenario's object through the scenario's own manipulation: the same for the same
+    seed.
 
     `progress` is told the share of the search that is spent, 0 to 1. Raises MissingExtra, InvalidFile, or InvalidObject
     for an object on which the hand finds no hold.
@@ -95,12 +96,12 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
 
 @lru_cache(maxsize=16)
 def grasp_for(name: str, seed: int, *, skin: bool = False) -> Grasp:
-    """The grasp that is found for an object and a seed, remembered; raises as `find_grasp`."""
+    """Returns the grasp that is found for an object and a seed, remembered; raises as `find_grasp`."""
     return find_grasp(Scenario(object=name, seed=seed, skin=skin)).grasp
 
 
 def _in_turn(found: list[Hold]) -> Iterator[Hold]:
-    """The best that is left, where each that was asked for and did not do counts against its kin."""
+    """Yields the best that is left, where each that was asked for and did not do counts against its kin."""
     left, failed = list(found), Counter[tuple[int, float, float]]()
     while left:
         best = max(left, key=lambda hold: hold.merit - GRASP_SEARCH.failure_penalty * failed[hold.kin])
@@ -110,7 +111,7 @@ def _in_turn(found: list[Hold]) -> Iterator[Hold]:
 
 
 def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
-    """How long a grasp held [s], and why no longer; empty where it did to the end."""
+    """Returns how long a grasp held [s], and why no longer; empty where it did to the end."""
     try:
         world = World(scenario, grasp)
     except InvalidObject:
@@ -141,7 +142,7 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
 
 
 def _named(hold: Hold) -> str:
-    """Which fingers, from where."""
+    """Returns which fingers, from where."""
     fingers = ", ".join(finger for finger in hold.points if finger != "th")
     beside = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
     return f"thumb against {fingers}, from {beside}"

@@ -16,7 +16,7 @@ from handsight.simulation.scene import BOX_SIZE, CAN_SIZE
 
 
 class MotionOptions(NamedTuple):
-    """When the hand does what, and how a scenario is drawn."""
+    """`MotionOptions` say when the hand does what, and how a scenario is drawn."""
 
     closed: float = 0.7  # when the servos' targets are closed [s]
     free: float = 1.0  # when the object is let go [s]
@@ -46,7 +46,7 @@ SERVOS = frozenset(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
-    """A closing motion of the hand around an object."""
+    """A `Grasp` is a closing motion of the hand around an object."""
 
     T_palm_middle: Array
     """(4, 4) of the object's axes in the middle of its bounds, when the fingers begin to close."""
@@ -114,7 +114,7 @@ POWER = {"can": POWER_CAN}
 
 
 def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
-    """The same grasp, a little elsewhere: each number uniform within its half width."""
+    """Returns the same grasp, a little elsewhere: each number uniform within its half width."""
     shift, turn = (
         rng.uniform(-MOTION.max_shift, MOTION.max_shift, 3),
         rng.uniform(-MOTION.max_rotation, MOTION.max_rotation, 3),
@@ -173,7 +173,7 @@ WEIGH_LEGS[:, 4:] = np.deg2rad(WEIGH_LEGS[:, 4:])
 
 
 def least_jerk(s: Array) -> Array:
-    """How far from 0 to 1 at shares `s` of the time, at rest at both ends (Flash and Hogan 1985)."""
+    """Returns how far from 0 to 1 at shares `s` of the time, at rest at both ends (Flash and Hogan 1985)."""
     return np.asarray(s**3 * (10 - 15 * s + 6 * s * s))
 
 

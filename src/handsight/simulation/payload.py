@@ -19,7 +19,7 @@ OUTERMOST = 1 / 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """A scene whose object weighs what a scenario says."""
+    """A `Payload` is a scene whose object weighs what a scenario says."""
 
     scene: Scene
     force_palm: Array
@@ -64,5 +64,5 @@ class Payload:
 
 
 def center_of_mass(scene: Scene) -> Array:
-    """(3,) of the object, in its frame [m]."""
+    """Returns (3,) of the object, in its frame [m]."""
     return np.asarray(scene.model.body("object").ipos).copy()

@@ -25,7 +25,7 @@ R_GRIP_PALM, CENTRE_PALM = (
 
 
 class PostureOptions(NamedTuple):
-    """How joint angles are found for a grasp."""
+    """`PostureOptions` say how joint angles are found for a grasp."""
 
     coupling: float = 1.142  # the tendon of a finger's last two joints: J0 follows J1 by this ratio
     slack: float = 0.142  # behind it by at most this [rad]
@@ -66,7 +66,7 @@ class Posture:
         self._geoms, self._spots, self._radii = self._links()
 
     def grasp(self) -> tuple[Grasp | None, str]:
-        """The grasp, or None and why the hand cannot have this hold."""
+        """Returns the grasp, or None and why the hand cannot have this hold."""
         before = np.clip(self._bent, self._low + POSTURE.tolerance, self._high - POSTURE.tolerance)
         bounds = np.concatenate([np.full(6, np.inf), self._high])
         lower = np.concatenate([np.full(6, -np.inf), self._low])
@@ -117,7 +117,8 @@ class Posture:
         return geom.xpos + R @ (semi_axes * scaled / np.sqrt(scaled @ scaled)), towards, float(geom.xpos[2])
 
     def _residuals(self, x: Array, away: float = 0.0) -> Array:
-        """What is wrong with a posture whose tips shall be so far from their points, in units that weigh alike."""
+        """Returns what is wrong with a posture whose tips shall be so far from their points, in units that weigh
+        alike."""
         self._place(x)
         parts = [0.15 * (x[6:] - self._bent), 0.5 * x[3:6]]
         for finger in self._used:
@@ -133,7 +134,7 @@ class Posture:
         return np.concatenate(parts)
 
     def _rooms(self) -> tuple[Array, Array]:
-        """How far spots of the links are from the object (its faces' planes) and from the table [m]."""
+        """Returns how far spots of the links are from the object (its faces' planes) and from the table [m]."""
         R = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
         at = self._data.geom_xpos[self._geoms] + np.einsum("ijk,ik->ij", R, self._spots)
         body = self.hold.body
@@ -177,7 +178,7 @@ class Posture:
 
 
 def _least(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]) -> Array:
-    """Where the sum of squares is least."""
+    """Returns where the sum of squares is least."""
     scale = np.where(np.isfinite(bounds[0]), 0.5, 0.1)
     found = least_squares(
         residuals,

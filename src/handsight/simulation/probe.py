@@ -31,7 +31,7 @@ POSTURE = {
 
 
 class ProbeOptions(NamedTuple):
-    """How a finger searches the table and the object."""
+    """`ProbeOptions` say how a finger searches the table and the object."""
 
     reach: float = 0.03
     """How far the tip's middle is below the finger's first link, which is wider than the tip [m]: an object may be
@@ -123,7 +123,8 @@ class Probe(World):
         return lowest, max(lowest, self.top - PROBE.top_margin)
 
     def feel_table(self, places: ArrayLike, on_sample: Callable[[Sample], None] = ignore) -> float:
-        """How high the table is on average where the tip is pressed down on it, at places (n, 2) in the world [m].
+        """Returns how high the table is on average where the tip is pressed down on it, at places (n, 2) in the world
+        [m].
 
         Places beside it count for nothing. Raises InvalidInput where all are.
         """
@@ -150,7 +151,8 @@ class Probe(World):
         return float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
 
     def touch(self, sweep: Sweep, on_sample: Callable[[Sample], None] = ignore) -> Touch:
-        """What comes of a sweep: the hand goes to its start over the table, along it until it feels something, and up.
+        """Returns what comes of a sweep: the hand goes to its start over the table, along it until it feels
+        something, and up.
 
         `on_sample` is given every sample of it.
         """
@@ -175,7 +177,7 @@ class Probe(World):
         return Touch(np.array(free).reshape(-1, 3), PROBE.radius, PROBE.sigma, contact)
 
     def _sensed_contact(self, observation: Observation) -> Contacts | None:
-        """The contact of the stretched finger in the world, where it is pressed hard enough."""
+        """Returns the contact of the stretched finger in the world, where it is pressed hard enough."""
         sensed = self._tips.contacts(observation)
         if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
@@ -185,7 +187,7 @@ class Probe(World):
         return sensed.contacts.select([k]).moved(_placed(observation)[0])
 
     def _at_rest(self, on_sample: Callable[[Sample], None]) -> Contacts | None:
-        """The contact by the mean wrench of a hand that stays; None where it is lost."""
+        """Returns the contact by the mean wrench of a hand that stays; None where it is lost."""
         stays = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
         samples = list(self._along(stays))
         for sample in samples:
@@ -195,7 +197,7 @@ class Probe(World):
         return self._sensed_contact(replace(last[-1], wrenches={FINGER: mean}))
 
     def _along(self, Ts_world_palm: Array, *, sampled: bool = True) -> Iterator[Sample]:
-        """Samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.
+        """Yields samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.
 
         None where they are not `sampled`: they take longer than all the rest.
         """
@@ -233,11 +235,11 @@ class Probe(World):
         return _frame(down, direction_world) @ _frame(finger, front).T
 
     def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
-        """T_world_palm (4, 4) that has the finger's tip there."""
+        """Returns T_world_palm (4, 4) that has the finger's tip there."""
         return se3.compose(R_world_palm, middle_world - R_world_palm @ self._T_palm_finger[:3, 3])
 
     def _palms(self, R_world_palm: Array, sweep: Sweep, ways: Array) -> Array:
-        """(n, 4, 4) along a sweep, at distances (n,) from its start [m]."""
+        """Returns (n, 4, 4) along a sweep, at distances (n,) from its start [m]."""
         return _shifted(self._palm(R_world_palm, sweep.start_world), ways[:, None] * sweep.direction_world)
 
     def _tip(self, observation: Observation) -> Array:
@@ -251,14 +253,14 @@ class Probe(World):
 
 
 def _placed(observation: Observation) -> tuple[Array, Mapping[str, float]]:
-    """T_world_palm (4, 4) and joints [rad], which every observation of the simulation has."""
+    """Returns T_world_palm (4, 4) and joints [rad], which every observation of the simulation has."""
     if observation.T_world_palm is None or observation.joint_positions is None:
         raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
     return observation.T_world_palm, observation.joint_positions
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """(3, 3) axes: along the first direction, as far along the second as that leaves, and across both."""
+    """Returns (3, 3) axes: along the first direction, as far along the second as that leaves, and across both."""
     x = first / np.linalg.norm(first)
     y = second - (second @ x) * x
     y /= np.linalg.norm(y)
@@ -266,7 +268,7 @@ def _frame(first: Array, second: Array) -> Array:
 
 
 def _ways(length: float) -> Array:
-    """(n,) how far a sweep of some length has gone after each step of the simulation [m]."""
+    """Returns (n,) how far a sweep of some length has gone after each step of the simulation [m]."""
     t = np.arange(
         0.0, length / PROBE.sweep_speed + PROBE.acceleration_time / 2, 1 / SCENARIO.steps_per_second
     )
@@ -279,5 +281,5 @@ def _ways(length: float) -> Array:
 
 
 def _shifted(T: Array, shift: Array) -> Array:
-    """A pose (4, 4) moved by (3,), or by each of (n, 3) [m]."""
+    """Returns a pose (4, 4) moved by (3,), or by each of (n, 3) [m]."""
     return np.asarray(se3.compose(T[:3, :3], T[:3, 3] + shift))

@@ -10,7 +10,7 @@ from handsight.simulation.scenario import SCENARIO, Profile, Scenario
 
 
 class PullOptions(NamedTuple):
-    """How something pulls at the object until it slips."""
+    """`PullOptions` say how something pulls at the object until it slips."""
 
     begin: float = 3.4
     """When it pulls, as `motion.PULLED` has it: the object is lifted and at rest by then [s]."""
@@ -34,7 +34,7 @@ PULL = PullOptions()
 
 
 class Pull:
-    """One draw of it: where to, how fast, how far; `wrench` is what it does to the object now."""
+    """A `Pull` is one draw of it: where to, how fast, how far; `wrench` is what it does to the object now."""
 
     def __init__(self, scenario: Scenario, normals_palm: Array) -> None:
         """The scenario's motion must be a profile; `normals_palm` (n, 3): of the tips' contacts with the object."""
@@ -51,7 +51,7 @@ class Pull:
         self._profile, self._slipped = scenario.motion, 0.0
 
     def wrench(self, time: float, slips: float, moves: float) -> Array:
-        """(6,) force [N] and torque [N m] along the palm's axes, for the simulator's next step.
+        """Returns (6,) force [N] and torque [N m] along the palm's axes, for the simulator's next step.
 
         `slips`: how fast the object slips along the tips [m/s]; `moves`: how fast it moves at all [m/s].
         """
@@ -66,7 +66,7 @@ class Pull:
 
 
 def height(profile: str, since: float) -> float:
-    """How strong a pull is, in parts of its greatest force, so long after its begin [s]."""
+    """Returns how strong a pull is, in parts of its greatest force, so long after its begin [s]."""
     share = since / PULL.duration
     if profile == "ramp":
         return share
@@ -77,5 +77,5 @@ def height(profile: str, since: float) -> float:
 
 
 def pulls(motion: str) -> bool:
-    """Whether a motion is one in which the object is pulled."""
+    """Returns whether a motion is one in which the object is pulled."""
     return motion in get_args(Profile)

@@ -52,7 +52,7 @@ class Renderer:
         self._context.free()
 
     def take(self, configuration: Array, T_world_camera: Array) -> tuple[Color, Depth]:
-        """Color (h, w, 3) and depth (h, w) along the optical axis [m] of the scene in that configuration."""
+        """Returns color (h, w, 3) and depth (h, w) along the optical axis [m] of the scene in that configuration."""
         self._pose(configuration, T_world_camera)
         self._drawn.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0  # half of the time
         color, buffer = self._pixels()
@@ -69,7 +69,8 @@ class Renderer:
         ghost: tuple[Array, Rgba] | None,
         show_object: bool,
     ) -> Color:
-        """Color (h, w, 3); `ghost`: T_palm_object (4, 4) and color of a second object, drawn through the hand."""
+        """Returns color (h, w, 3); `ghost`: T_palm_object (4, 4) and color of a second object, drawn through the
+        hand."""
         self._pose(configuration, T_world_camera)
         geom = self._scene.model.geom("object").id
         for drawn in self._drawn.geoms[: self._drawn.ngeom]:
@@ -110,7 +111,7 @@ class Renderer:
         self._drawn.ngeom += 1
 
     def _pixels(self, *, finer: int = 1) -> tuple[Color, Depth]:
-        """Color and depth buffer at so many times the image's size."""
+        """Returns color and depth buffer at so many times the image's size."""
         self._context.make_current()
         width, height = finer * IMAGE_SIZE[0], finer * IMAGE_SIZE[1]
         color, depth = (
@@ -132,7 +133,7 @@ def render(
     show_object: bool = True,
     T_world_camera: ArrayLike | None = None,
 ) -> Color:
-    """A picture (480, 640, 3) of hand, object and table as they are in a sample.
+    """Returns a picture (480, 640, 3) of hand, object and table as they are in a sample.
 
     `ghost`: T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1);
     `show_object`: whether the true one is drawn; `T_world_camera` (4, 4): from where, optical frame, in a world
@@ -149,7 +150,7 @@ def render(
 
 
 def _context() -> "GLContext":
-    """An OpenGL context without a screen: the one $MUJOCO_GL names, else EGL, else OSMesa."""
+    """Returns an OpenGL context without a screen: the one $MUJOCO_GL names, else EGL, else OSMesa."""
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")
     platform, reasons = os.environ.get("PYOPENGL_PLATFORM"), []

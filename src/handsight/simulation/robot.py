@@ -31,7 +31,7 @@ from handsight.simulation.skin import PALM_SKIN
 
 
 class ModelErrorOptions(NamedTuple):
-    """How a simulated robot's model of the object is wrong."""
+    """`ModelErrorOptions` say how a simulated robot's model of the object is wrong."""
 
     scan_points: int = 4000  # points of a scanned object's cloud
     scan_seed: int = 7  # of its noise
@@ -43,7 +43,7 @@ MODEL_ERROR = ModelErrorOptions()
 
 
 def rig_of(scenario: Scenario) -> Rig:
-    """The rig as the robot knows it: calibrated sensors, the believed camera, sigmas of usual size.
+    """Returns the rig as the robot knows it: calibrated sensors, the believed camera, sigmas of usual size.
 
     The same for all seeds and nuisances: what is wrong with a robot is not in its rig file. Raises MissingExtra without
     mujoco or gymnasium-robotics.
@@ -85,7 +85,7 @@ def rig_of(scenario: Scenario) -> Rig:
 
 
 def model_of(scenario: Scenario) -> ObjectModel:
-    """The object as the robot knows it: scaled, dented or scanned as the scenario's nuisances say.
+    """Returns the object as the robot knows it: scaled, dented or scanned as the scenario's nuisances say.
 
     A mesh's is its convex hull, which is what is simulated. Raises InvalidFile or InvalidObject for a mesh that cannot
     be used.
@@ -149,7 +149,7 @@ def _finger(name: str, unloaded: Array) -> Finger:
 
 
 def _dented(model: ObjectModel, depth: float, seed: int) -> ObjectModel:
-    """The same with a round dent in its side, where the seed says."""
+    """Returns the same with a round dent in its side, where the seed says."""
     import trimesh
 
     remesh: Any = trimesh.remesh

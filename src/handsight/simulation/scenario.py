@@ -21,7 +21,7 @@ Phase = Literal["touch", "close", "hold", "move", "pull"]
 
 
 class ScenarioLimits(NamedTuple):
-    """What a scenario may be."""
+    """`ScenarioLimits` are what a scenario may be."""
 
     torsion: float = 0.005
     """Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
@@ -135,7 +135,7 @@ class Nuisances:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One grasp or manipulation: what, which draw of it, how it is recorded."""
+    """A `Scenario` is one grasp or manipulation: what, which draw of it, how it is recorded."""
 
     object: str = "can"
     """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres: its convex hull is what is
@@ -191,7 +191,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipContact:
-    """A contact of a fingertip as the simulator has it: truth to test with, nothing a robot knows."""
+    """A `TipContact` is a contact of a fingertip as the simulator has it: truth to test with, nothing a robot knows."""
 
     finger: str
     point_palm: Array
@@ -215,7 +215,7 @@ class TipContact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """One instant: what the robot measured, and what is true."""
+    """A `Sample` is one instant: what the robot measured, and what is true."""
 
     observation: Observation
     T_palm_object: Array

@@ -71,7 +71,8 @@ STIFF = {"solref": [0.01, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A compiled scene, the same for all draws of one object: bodies PALM, `object`, and a `_tip` for each finger."""
+    """A `Scene` is a compiled scene, the same for all draws of one object: bodies PALM, `object`, and a `_tip` for
+    each finger."""
 
     model: Any
     """mujoco.MjModel, never changed after this."""
@@ -106,8 +107,8 @@ def scene(
     *,
     friction: float = 1.0,
 ) -> Scene:
-    """The scene with that object (`can`, `box` or a mesh file), its mass [kg], what its centre is shifted by [m], and
-    the tips' `friction`.
+    """Returns the scene with that object (`can`, `box` or a mesh file), its mass [kg], what its centre is shifted by
+    [m], and the tips' `friction`.
 
     Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be
     used.
@@ -134,7 +135,7 @@ def scene(
 
 
 def hand_file() -> Path:
-    """Where gymnasium-robotics keeps the hand; raises MissingExtra."""
+    """Returns where gymnasium-robotics keeps the hand; raises MissingExtra."""
     found = find_spec("gymnasium_robotics")  # importing it would print
     if found is None or found.origin is None:
         raise MissingExtra("simulation needs gymnasium-robotics: pip install 'handsight[sim]'")
@@ -263,7 +264,7 @@ def _weigh_object(spec: "MjSpec", usual: "MjModel", mass: float, shift: tuple[fl
 
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
-    """Vertices (k, 3) [m] and faces (m, 3) of a mesh file's convex hull, in the file's frame."""
+    """Returns vertices (k, 3) [m] and faces (m, 3) of a mesh file's convex hull, in the file's frame."""
     import trimesh
 
     from handsight.objects.files import read_shape

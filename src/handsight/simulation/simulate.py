@@ -58,7 +58,7 @@ class Sensors:
             self._renderer.close()
 
     def observe(self) -> Observation:
-        """What is measured now; the world must have been refreshed."""
+        """Returns what is measured now; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         n, color, depth, vision = self.nuisances, None, None, None
@@ -90,7 +90,7 @@ class Sensors:
         )
 
     def sample(self) -> Sample:
-        """What is measured now, and what is true; the world must have been refreshed."""
+        """Returns what is measured now, and what is true; the world must have been refreshed."""
         world = self.world
         return Sample(
             observation=self.observe(),
@@ -103,7 +103,7 @@ class Sensors:
         )
 
     def _due(self, per_second: float) -> bool:
-        """Whether something that comes so often comes with this sample."""
+        """Returns whether something that comes so often comes with this sample."""
         so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
 
@@ -129,7 +129,7 @@ class Sensors:
 
 
 def _one_tip(nuisances: Nuisances, seed: int) -> Array:
-    """(fingers, 6) what one tip reads too much."""
+    """Returns (fingers, 6) what one tip reads too much."""
     rng = np.random.default_rng((seed, 12))
     finger, direction = rng.choice([FINGERS.index(name) for name in GRIPPING]), rng.normal(size=3)
     bias = np.zeros((len(FINGERS), 6))
@@ -138,14 +138,14 @@ def _one_tip(nuisances: Nuisances, seed: int) -> Array:
 
 
 def _drawn(sigma_first: float, sigma_second: float, rng: np.random.Generator, *rows: int) -> Array:
-    """(*rows, 6) errors: three with one sigma, three with another."""
+    """Returns (*rows, 6) errors: three with one sigma, three with another."""
     return np.repeat([sigma_first, sigma_second], 3) * rng.normal(size=(*rows, 6))
 
 
 def simulate(
     scenario: Scenario, progress: Callable[[float], None] | None = None, grasp: Grasp | None = None
 ) -> Iterator[Sample]:
-    """Samples at the scenario's rate, from the open hand on; the same scenario gives the same ones.
+    """Yields samples at the scenario's rate, from the open hand on; the same scenario gives the same ones.
 
     The fingers close (1 s, the object held in place), the object is let go, and the palm holds still or moves: 1.9 s
     for a grasp, 18.4 s for a manipulation. `progress` is told the share that is done, 0 to 1. Raises MissingExtra
@@ -160,7 +160,8 @@ def simulate(
 def samples(
     scenario: Scenario, world: World, sensors: Sensors, progress: Callable[[float], None] | None = None
 ) -> Iterator[Sample]:
-    """What sensors, which are closed at the end, have of a world's motion, at the scenario's rate; see `simulate`."""
+    """Yields what sensors, which are closed at the end, have of a world's motion, at the scenario's rate; see
+    `simulate`."""
     every, steps = (
         round(SCENARIO.steps_per_second / scenario.rate),
         round(world.duration * SCENARIO.steps_per_second),

@@ -18,7 +18,7 @@ from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
 
 
 class SkinOptions(NamedTuple):
-    """How a simulated tactile array feels."""
+    """`SkinOptions` say how a simulated tactile array feels."""
 
     foam: float = 1e7  # springs of a skin of 5 mm of foam [N/m per m²]
     rubber: float = 6e7
@@ -51,7 +51,7 @@ PALM_SKIN = TaxelArray(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A convex body as the planes around it."""
+    """A `Solid` is a convex body as the planes around it."""
 
     normals: Array
     """(k, 3) outward."""
@@ -83,7 +83,8 @@ class Solid:
         return cls(normals, np.einsum("ki,ki->k", normals, corners[:, 0]))
 
     def ahead(self, points: Array, direction: Array) -> Array:
-        """(n,) how far ahead of points (n, 3) the body begins along a unit direction [m]; infinite where it is not.
+        """Returns (n,) how far ahead of points (n, 3) the body begins along a unit direction [m]; infinite where it
+        is not.
 
         Negative where it begins behind.
         """
@@ -97,7 +98,7 @@ class Solid:
 
 
 def sunk(gaps: Array, force: float, stiffness: float) -> Array:
-    """(n,) forces [N] of springs that a body is pressed into until together they hold `force`.
+    """Returns (n,) forces [N] of springs that a body is pressed into until together they hold `force`.
 
     `gaps` (n,): how far ahead of each the body is [m], infinite: nowhere; `stiffness` of a spring [N/m].
     """
@@ -118,7 +119,7 @@ def taxel_forces(
     uneven: Array | float = 0.0,
     springs: float = SKIN.rubber,
 ) -> Array:
-    """(rows, columns) what each taxel feels of a solid at a pose that presses on the skin with a force [N].
+    """Returns (rows, columns) what each taxel feels of a solid at a pose that presses on the skin with a force [N].
 
     `uneven` (rows, columns): how far each taxel is below the flat grid [m]. `springs` [N/m per m²].
     """
@@ -147,7 +148,8 @@ class PalmSkin:
         self._solid = solid_of(scenario.object)
 
     def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
-        """(rows, columns) of the array, by its name [N]; `force`: how hard the object presses on the palm [N]."""
+        """Returns (rows, columns) of the array, by its name [N]; `force`: how hard the object presses on the palm
+        [N]."""
         T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
         true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
         share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))

@@ -23,7 +23,7 @@ from handsight.simulation.world import World
 
 
 class TouchSearchOptions(NamedTuple):
-    """How an object on a table is searched by touch."""
+    """`TouchSearchOptions` say how an object on a table is searched by touch."""
 
     area_side: float = 0.3  # of the square that the object stands within [m]
     sigma_table_height: float = 0.0025
@@ -39,7 +39,7 @@ TABLE_PROBES = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:
-    """The rig as the robot knows it; raises as `rig_of`.
+    """Returns the rig as the robot knows it; raises as `rig_of`.
 
     Its camera stands for the search, whose pose comes in the world and has no constant error of its own.
     """
@@ -53,7 +53,7 @@ def start_search(
     R_scene_object: Array | None = None,
     on_sample: Callable[[Sample], None] = ignore,
 ) -> tuple[Probe, Belief]:
-    """The hand above the table, which it has felt, and what is believed before the first touch.
+    """Returns the hand above the table, which it has felt, and what is believed before the first touch.
 
     The object stands as `R_scene_object` (3, 3) has it (None: as in its file), where the scenario's seed says.
     `on_sample` is called with every sample. Raises as `simulate`.
@@ -76,7 +76,7 @@ def start_search(
 
 
 def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
-    """Samples of a search by touch, until the object is found, and then of the scenario's own motion.
+    """Yields samples of a search by touch, until the object is found, and then of the scenario's own motion.
 
     No sample has anything of a camera. The first one after the search has what that has found, as a pose in the world
     with its covariance, in the place of vision's; the hand's way from there to the object is not simulated. `grasp`:
@@ -101,7 +101,7 @@ def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Ite
 
 
 def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> Iterator[Sample]:
-    """Samples of the hand that closes where the object is believed to be, the object where it is."""
+    """Yields samples of the hand that closes where the object is believed to be, the object where it is."""
     found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle

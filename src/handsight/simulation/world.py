@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class WorldOptions(NamedTuple):
-    """When a simulated grasp has failed."""
+    """`WorldOptions` say when a simulated grasp has failed."""
 
     servo_time: float = 0.15  # for the servos to hold the open hand [s]
     max_shift: float = 0.03  # how far an object moves in a grasp that holds it [m]
@@ -34,7 +34,7 @@ AWAY = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class World:
-    """One draw of a scene over time; `step` is the only thing that changes it."""
+    """A `World` is one draw of a scene over time; `step` is the only thing that changes it."""
 
     def __init__(self, scenario: Scenario, grasp: Grasp) -> None:
         """At time 0: the hand is open and still, the object stands on the table, held in place.
@@ -109,27 +109,28 @@ class World:
         return se3.compose(body.xmat.reshape(3, 3), body.xpos)
 
     def reading(self, finger: str) -> Array:
-        """(6,) what its sensor reads: force [N] and torque [N m] of the link on the tip, in the sensor's frame."""
+        """Returns (6,) what its sensor reads: force [N] and torque [N m] of the link on the tip, in the sensor's
+        frame."""
         return np.concatenate([self.data.sensor(f"{finger}_{kind}").data for kind in ("force", "torque")])
 
     def T_palm_object(self) -> Array:
-        """(4, 4) true."""
+        """Returns (4, 4) true."""
         return se3.inverse(self.pose(PALM)) @ self.pose("object")
 
     def moved(self) -> tuple[float, float]:
-        """How far [m], and by what angle [rad], the object has moved in the palm since it was free."""
+        """Returns how far [m], and by what angle [rad], the object has moved in the palm since it was free."""
         if self._T_palm_object_freed is None:
             return 0.0, 0.0
         moved = se3.difference(self.T_palm_object(), self._T_palm_object_freed)
         return float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
 
     def dropped(self) -> bool:
-        """Whether the object has left the grasp since it was free."""
+        """Returns whether the object has left the grasp since it was free."""
         shift, turn = self.moved()
         return shift > WORLD.max_shift or turn > WORLD.max_rotation
 
     def touches(self) -> list[tuple[str, float, float]]:
-        """Contacts of the hand with the object: the hand's geom, how hard it presses [N], how deep [m]."""
+        """Returns contacts of the hand with the object: the hand's geom, how hard it presses [N], how deep [m]."""
         found = []
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
             names = [self.scene.model.geom(int(geom)).name for geom in contact.geom]
@@ -141,7 +142,7 @@ class World:
         return found
 
     def pressed(self, geom: str) -> float:
-        """How hard the object presses on one of the hand's geoms, straight at it [N]."""
+        """Returns how hard the object presses on one of the hand's geoms, straight at it [N]."""
         total, wrench = 0.0, np.zeros(6)
         pair = {self.scene.model.geom(name).id for name in (geom, "object")}
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
@@ -151,12 +152,12 @@ class World:
         return total
 
     def thrown(self) -> bool:
-        """Whether the object flies as nothing that falls does: the simulator's fault."""
+        """Returns whether the object flies as nothing that falls does: the simulator's fault."""
         velocity = self.data.joint("object").qvel[:3]
         return not (np.linalg.norm(velocity[:2]) < WORLD.flying_speed and velocity[2] < WORLD.flying_speed)
 
     def tip_contacts(self) -> tuple[TipContact, ...]:
-        """The fingertips' contacts with whatever they touch."""
+        """Returns the fingertips' contacts with whatever they touch."""
         T_palm_world = se3.inverse(self.pose(PALM))
         return tuple(
             self._tip_contact(i, contact, side, T_palm_world)
@@ -185,7 +186,7 @@ class World:
         )
 
     def _velocity(self, geom: int, point: Array) -> Array:
-        """(2, 3) of a geom's body in the world: of its point there [m/s], and of its turn [rad/s]."""
+        """Returns (2, 3) of a geom's body in the world: of its point there [m/s], and of its turn [rad/s]."""
         body, found = int(self.scene.model.geom_bodyid[geom]), np.zeros(6)
         kind = self._mujoco.mjtObj.mjOBJ_BODY
         self._mujoco.mj_objectVelocity(self.scene.model, self.data, kind, body, found, 0)
@@ -241,6 +242,6 @@ class World:
 
 
 def rows(Ts: Array) -> Array:
-    """(n, 7) positions and quaternions, w first as MuJoCo has them, of (n, 4, 4)."""
+    """Returns (n, 7) positions and quaternions, w first as MuJoCo has them, of (n, 4, 4)."""
     xyzw = se3.quaternion_from_rotation(Ts[:, :3, :3])
     return np.hstack([Ts[:, :3, 3], xyzw[:, 3:], xyzw[:, :3]])

@@ -17,7 +17,7 @@ ENOUGH_DIRECTIONS = 2
 
 
 def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[ObjectWeight | None, str]:
-    """The weighing whose centre of mass in the object is known best, and, where none is believed, why.
+    """Returns the weighing whose centre of mass in the object is known best, and, where none is believed, why.
 
     `tracker`: of a model without a centre of mass, else what comes out is what was put in.
     """
@@ -37,7 +37,7 @@ def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[
 
 
 def center_of(found: ObjectWeight, model: ObjectModel) -> tuple[Array, float]:
-    """The centre of mass (3,) that the object's symmetries allow [m], and its largest sigma."""
+    """Returns the centre of mass (3,) that the object's symmetries allow [m], and its largest sigma."""
     zero = kept_center(model.symmetries, np.zeros(3))
     kept = np.column_stack([kept_center(model.symmetries, axis) - zero for axis in np.eye(3)])
     covariance = kept @ found.covariance @ kept.T

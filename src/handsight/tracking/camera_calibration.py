@@ -21,7 +21,7 @@ LITTLE_TURN = np.deg2rad(20)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
-    """Where the camera is, by touch."""
+    """A `CameraCalibration` says where the camera is, by touch."""
 
     T_mount_camera: Array
     """(4, 4) its corrected pose in what it is fixed to."""
@@ -35,7 +35,7 @@ class CameraCalibration:
     """How far the palm turned in the mount while the object was held [rad]."""
 
     def away_from(self, T_mount_camera: Array) -> tuple[float, float]:
-        """How far another pose of the camera puts what is at the pivot from there [m], and turns it [rad]."""
+        """Returns how far another pose of the camera puts what is at the pivot from there [m], and turns it [rad]."""
         away = correction_between(self.T_mount_camera, T_mount_camera, self.pivot)
         return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
 
@@ -43,7 +43,7 @@ class CameraCalibration:
 def calibrate_camera(
     observations: Iterable[Observation], rig: Rig, model: ObjectModel
 ) -> CameraCalibration | None:
-    """The constant error of the rig's camera, estimated with the object's pose while the palm turns.
+    """Returns the constant error of the rig's camera, estimated with the object's pose while the palm turns.
 
     None where no object was ever touched and measured by vision; raises InvalidInput where the rig has no camera.
     """
@@ -54,7 +54,8 @@ def calibrate_camera(
 def calibrations(
     observations: Iterable[Observation], tracker: Tracker, tally: Tally
 ) -> Iterator[CameraCalibration]:
-    """What `calibrate_camera` would answer after each observation that has something to say; `tally` is filled."""
+    """Yields what `calibrate_camera` would answer after each observation that has something to say; `tally` is
+    filled."""
     camera = tracker.rig.camera
     if camera is None:
         raise InvalidInput("camera: expected one in the rig, got none")
@@ -75,7 +76,7 @@ def calibrations(
 def _calibration(
     camera: MountedCamera, pivot: Array, wrong: Array, covariance: Array, turned: float
 ) -> CameraCalibration:
-    """The camera's pose, given vision's bias (6,) about the pivot and its covariance (6, 6)."""
+    """Returns the camera's pose, given vision's bias (6,) about the pivot and its covariance (6, 6)."""
     # Vision is off by that, so the camera is where it took it from.
     back = se3.rotation_exp(-wrong[3:])
     correction = np.concatenate([-back @ wrong[:3], -wrong[3:]])
@@ -89,13 +90,14 @@ def _calibration(
 
 
 def corrected(T_mount_camera: Array, correction: Array, pivot: Array) -> Array:
-    """(4, 4) the camera's pose after a correction (6,): what it sees at the pivot shifts, all turns about it."""
+    """Returns (4, 4) the camera's pose after a correction (6,): what it sees at the pivot shifts, all turns about
+    it."""
     E = se3.compose(se3.rotation_exp(correction[3:]), np.zeros(3))
     E[:3, 3] = pivot + correction[:3] - E[:3, :3] @ pivot
     return np.asarray(E @ T_mount_camera)
 
 
 def correction_between(T_mount_camera: Array, other: Array, pivot: Array) -> Array:
-    """(6,) the correction that makes one pose of a camera (4, 4) another."""
+    """Returns (6,) the correction that makes one pose of a camera (4, 4) another."""
     E = other @ se3.inverse(T_mount_camera)
     return np.concatenate([se3.apply(E, pivot[None])[0] - pivot, se3.rotation_log(E[:3, :3])])

@@ -33,12 +33,12 @@ class HandView:
     """(6, 6) of what is seen, (δp, δθ) along the mount's axes."""
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """(4, 4) where the camera should see a palm that is elsewhere, T_mount_palm (4, 4)."""
+        """Returns (4, 4) where the camera should see a palm that is elsewhere, T_mount_palm (4, 4)."""
         return np.asarray(self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm) @ T_mount_palm)
 
     def bias(self, pivot: Array) -> tuple[Array, Array]:
-        """What it says of vision's bias about a pivot (3,) in the mount [m]: (4, 4) as `PoseAndBias.T_measured_true`
-        has it, and its covariance (6, 6)."""
+        """Returns what it says of vision's bias about a pivot (3,) in the mount [m]: (4, 4) as
+        `PoseAndBias.T_measured_true` has it, and its covariance (6, 6)."""
         E = self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm)
         R, arm = E[:3, :3], E[:3, :3] @ (pivot - self.T_mount_palm[:3, 3])
         to_pivot = np.eye(6)
@@ -47,14 +47,14 @@ class HandView:
         return se3.compose(R, shift), to_pivot @ self.covariance @ to_pivot.T
 
     def agrees(self, other: "HandView") -> bool:
-        """Whether both may be of one camera."""
+        """Returns whether both may be of one camera."""
         pivot = self.T_mount_palm[:3, 3]
         (mine, covariance), (theirs, more) = self.bias(pivot), other.bias(pivot)
         off = se3.difference(theirs, mine)
         return bool(off @ np.linalg.solve(covariance + more, off) < AGREE_CHI2)
 
     def same_side(self, other: "HandView") -> bool:
-        """Whether the palm is seen about as in another view."""
+        """Returns whether the palm is seen about as in another view."""
         # Of one camera: where its own frame is does not matter.
         off = se3.difference(self.T_mount_palm_detected, other.T_mount_palm_detected)
         return bool(np.linalg.norm(off[:3]) < OTHER_SIDE[0] and np.linalg.norm(off[3:]) < OTHER_SIDE[1])
@@ -62,7 +62,7 @@ class HandView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFromPalm:
-    """What views of the hand have said of the camera so far."""
+    """A `CameraFromPalm` is what views of the hand have said of the camera so far."""
 
     believed: tuple[HandView, ...] = ()
     """One from each side."""
@@ -85,5 +85,5 @@ class CameraFromPalm:
         return replace(after, believed=(*self.believed, view))
 
     def biases(self, pivot: Array) -> Iterator[tuple[Array, Array]]:
-        """What each believed view says of vision's bias about a pivot."""
+        """Returns what each believed view says of vision's bias about a pivot."""
         return (view.bias(pivot) for view in self.believed)

@@ -18,7 +18,7 @@ MAX_UNCONFIRMED = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackClock:
-    """What is known of the clock of a track."""
+    """A `TrackClock` is what is known of the clock of a track."""
 
     unconfirmed: tuple[TrackState, ...] = ()
     """The state before each of the last jumps ahead, as long as nothing has confirmed them."""

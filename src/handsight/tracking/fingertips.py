@@ -27,7 +27,7 @@ ON_TABLE = len(REASONS) - 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingertipContacts:
-    """What the fingertips feel at one instant."""
+    """A `FingertipContacts` is what the fingertips feel at one instant."""
 
     fingers: tuple[str, ...]
     """The fingers that touch, in the contacts' order."""
@@ -51,7 +51,7 @@ class FingertipContacts:
 
 
 class FingertipSensors:
-    """A rig's fingertips with their force/torque sensors."""
+    """A `FingertipSensors` is a rig's fingertips with their force/torque sensors."""
 
     def __init__(self, rig: Rig) -> None:
         """The rig's hand must have a tip for every finger."""
@@ -66,7 +66,8 @@ class FingertipSensors:
         )
 
     def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
-        """What is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are wrong.
+        """Returns what is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are
+        wrong.
 
         `offsets`: what is known of the joints' constant errors; None: what the rig says. Without T_world_palm gravity's
         direction is not known, and the tips' weight (some 40 mN) stays in the readings; nor is the table's place, and
@@ -109,7 +110,7 @@ class FingertipSensors:
         return FingertipContacts(fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads)
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
-        """(n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""
+        """Returns (n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""
         if not isinstance(wrenches, Mapping):
             came = checks.brief(wrenches)
             raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
@@ -124,7 +125,7 @@ class FingertipSensors:
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:
-    """(6,) as it is, or NaN where there is one in it; raises InvalidInput."""
+    """Returns (6,) as it is, or NaN where there is one in it; raises InvalidInput."""
     try:
         array = np.asarray(wrench)
     except ValueError:  # ragged
@@ -134,7 +135,7 @@ def _reading(wrench: ArrayLike, name: str) -> Array:
 
 
 def finger_record(finger: Finger) -> tuple[object, ...]:
-    """A finger as the kernel takes it; FINGER names the fields."""
+    """Returns a finger as the kernel takes it; FINGER names the fields."""
     T, known = finger.T_frame_surface, finger.calibration
     return (
         tuple(finger.tip.record[0]),

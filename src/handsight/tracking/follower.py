@@ -35,7 +35,7 @@ Correct = Callable[..., PoseEstimate]
 
 
 class FollowerOptions(NamedTuple):
-    """When a lost fit is searched for again."""
+    """`FollowerOptions` say when a lost fit is searched for again."""
 
     inflation: float = 9.0
     """How much more variance a prior gets where nothing fits: the search then starts from several poses."""
@@ -124,7 +124,7 @@ FIELDS = tuple(field.name for field in fields(TrackState))
 
 
 class _Step:
-    """One step on its way: it begins with all of a state's fields, each of which it may bind anew."""
+    """A `_Step` is one step on its way: it begins with all of a state's fields, each of which it may bind anew."""
 
     stamp: float
     label: State
@@ -217,7 +217,7 @@ class _Step:
     def _with_vision(
         self, observation: Observation, smoother: PoseBiasSmoother | None
     ) -> PoseBiasSmoother | None:
-        """The smoother after what vision says: of an image that is looked at, else a pose of another's."""
+        """Returns the smoother after what vision says: of an image that is looked at, else a pose of another's."""
         rides = self.estimate.T_palm_object if self.estimate is not None and self.grasp.grasped else None
         processed = self.images.observe(observation, self.vision.camera_from_palm, rides)
         self.processed = processed.observation
@@ -252,7 +252,7 @@ class _Step:
             self.weight.weigher.forget("the object slips")
 
     def _regrasped(self, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
-        """The smoother after fingers came or went, which may have pushed the object."""
+        """Returns the smoother after fingers came or went, which may have pushed the object."""
         self.offsets = self.follower.joint_offsets(self)
         self.learnt_from = self.correction
         state, T, table = smoother.now, self.T_world_palm, self.rig.table
@@ -269,7 +269,8 @@ class _Step:
         return smoother.restarted(state)
 
     def _due(self, touched: Contacts, *, vision: bool) -> bool:
-        """Whether vision, touch or a slip has something new to say, or touch has not been asked for long enough."""
+        """Returns whether vision, touch or a slip has something new to say, or touch has not been asked for long
+        enough."""
         last = self.correction
         if last is None:
             return True
@@ -342,7 +343,7 @@ class _Step:
         return estimate, smoother
 
     def _reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> PoseEstimate:
-        """The estimate where links of the hand that are larger in their file than they are have been found."""
+        """Returns the estimate where links of the hand that are larger in their file than they are have been found."""
         fits = estimate.consistent and not estimate.outliers
         if fits and self.stamp - self.links_checked_at < HAND_OUTSIDE.check_period:
             return estimate
@@ -352,7 +353,7 @@ class _Step:
         return estimate
 
     def _doubt(self, estimate: PoseEstimate) -> str:
-        """What speaks against an answer; empty: nothing."""
+        """Returns what speaks against an answer; empty: nothing."""
         if self.slip.now.slipping:
             return SLIPS
         if not estimate.consistent:

@@ -12,7 +12,7 @@ GraspChange = Literal["grasped", "regrasped", "released"]
 
 
 class GraspDetection(NamedTuple):
-    """When an object is grasped, lifted and released."""
+    """A `GraspDetection` says when an object is grasped, lifted and released."""
 
     release_after: float = 0.2
     """Nothing may be touched for so long before the object counts as released [s]: contacts flicker as fingers close.
@@ -25,7 +25,7 @@ GRASP = GraspDetection()
 
 
 class GraspState:
-    """Whether one object is grasped, over time."""
+    """A `GraspState` says whether one object is grasped, over time."""
 
     def __init__(self) -> None:
         """Nothing is grasped at first."""
@@ -35,7 +35,8 @@ class GraspState:
         self._height: float | None = None
 
     def update(self, fingers: tuple[str, ...], stamp: float) -> GraspChange | None:
-        """What has changed: a grasp begun, ended, or its fingers so different that the object may have moved."""
+        """Returns what has changed: a grasp begun, ended, or its fingers so different that the object may have
+        moved."""
         now = frozenset(fingers)
         if now:
             self._touched_at = stamp
@@ -51,7 +52,8 @@ class GraspState:
         return change
 
     def on_table(self, height: float) -> bool:
-        """Whether an object that stood when it was grasped still does; `height` of the palm in the world [m]."""
+        """Returns whether an object that stood when it was grasped still does; `height` of the palm in the world
+        [m]."""
         if self._height is None:
             self._height = height
         return height < self._height + GRASP.lifted
@@ -78,7 +80,7 @@ class ContactMemory:
             self._last = dict(kept)
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
-        """The contacts of now and, after them, those of other fingers, whose names come too.
+        """Returns the contacts of now and, after them, those of other fingers, whose names come too.
 
         Remembered ones are less certain by what the object has moved since.
         """

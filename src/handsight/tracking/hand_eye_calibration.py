@@ -18,7 +18,7 @@ from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, det
 
 
 class HandViewOptions(NamedTuple):
-    """Which pictures of a recording are used to calibrate the camera."""
+    """`HandViewOptions` say which pictures of a recording are used to calibrate the camera."""
 
     period: float = 0.25  # between pictures that are used [s]
     max_views: int = 60  # pictures that are used
@@ -33,7 +33,7 @@ SPREAD = 0.015, float(np.deg2rad(6))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandCalibration:
-    """Where the camera is, by the hand that it saw."""
+    """A `HandCalibration` says where the camera is, by the hand that it saw."""
 
     T_mount_camera: Array
     """(4, 4) its corrected pose in what it is fixed to."""
@@ -52,7 +52,7 @@ class HandCalibration:
 
 
 class HandViews:
-    """What the pictures of a recording say of the camera's pose, gathered while they pass."""
+    """A `HandViews` is what the pictures of a recording say of the camera's pose, gathered while they pass."""
 
     def __init__(self, rig: Rig) -> None:
         """The rig as it is believed; without intrinsics, or shapes of the hand, nothing is gathered."""
@@ -65,7 +65,7 @@ class HandViews:
             self._camera = Camera.of(camera)
 
     def watched(self, observations: Iterable[Observation]) -> Iterator[Observation]:
-        """The same observations; their depth images are looked at as they pass."""
+        """Yields the same observations; their depth images are looked at as they pass."""
         for observation in observations:
             self._watch(observation)
             yield observation
@@ -101,7 +101,8 @@ class HandViews:
         self._views.append((T_mount_camera, pivot, covariance))
 
     def calibration(self) -> HandCalibration | None:
-        """The mean of the views that agree with their middle one; None where fewer than `HAND_VIEWS.min_views` do."""
+        """Returns the mean of the views that agree with their middle one; None where fewer than
+        `HAND_VIEWS.min_views` do."""
         if len(self._views) < HAND_VIEWS.min_views or self._rig.camera is None:
             return None
         Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
@@ -126,7 +127,7 @@ class HandViews:
 
 
 def _at(detection: PalmDetection, arm: Array, R_mount_camera: Array) -> Array:
-    """(6, 6) a seen hand's covariance at its middle, `arm` from the palm's origin, along the mount's axes."""
+    """Returns (6, 6) a seen hand's covariance at its middle, `arm` from the palm's origin, along the mount's axes."""
     to_middle = np.eye(6)
     to_middle[:3, 3:] = -se3.skew(arm)
     return se3.rotate_covariance(R_mount_camera, to_middle @ detection.covariance @ to_middle.T)

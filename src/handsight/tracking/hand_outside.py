@@ -18,7 +18,7 @@ from handsight.rig import Rig
 
 
 class HandOutsideOptions(NamedTuple):
-    """How the hand's links are kept outside the object."""
+    """`HandOutsideOptions` say how the hand's links are kept outside the object."""
 
     sigma_surface: float = 0.001
     """What a link's surface is off by beside its joints, per axis [m]: soft skin, facets, screws."""
@@ -44,7 +44,7 @@ Solve = Callable[[Outside], PoseEstimate]
 
 @dataclass(frozen=True, slots=True)
 class LinkMargins:
-    """How much smaller links are than their shapes, as far as contacts that fit have told."""
+    """A `LinkMargins` says how much smaller links are than their shapes, as far as contacts that fit have told."""
 
     notes: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     """By link: when [s], and how deep it was inside the object [m]."""
@@ -83,7 +83,7 @@ class HandOutside:
         self._first = np.searchsorted(self._surface.body_of, np.arange(len(self.links)))
 
     def at(self, joint_positions: Mapping[str, float] | None, margins: LinkMargins) -> Outside | None:
-        """The links as they lie; None where a joint is missing, or there are no points."""
+        """Returns the links as they lie; None where a joint is missing, or there are no points."""
         surface = self._surface
         if not self.links or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
             return None
@@ -101,7 +101,7 @@ class HandOutside:
     def reconciled(
         self, estimate: PoseEstimate, outside: Outside, solve: Solve
     ) -> tuple[PoseEstimate, dict[str, float]]:
-        """The estimate, and the depth [m] of links that are inside the object though contacts fit.
+        """Returns the estimate, and the depth [m] of links that are inside the object though contacts fit.
 
         Where there are such links, or contacts do not fit with them but without, the answer is that of the contacts
         with links that give way. `solve`: the estimate with other points.

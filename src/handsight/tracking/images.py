@@ -28,7 +28,7 @@ FOUND_SIGMAS = 0.01, float(np.deg2rad(3.0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageResult:
-    """What an observation says once its depth image was looked at."""
+    """An `ImageResult` is what an observation says once its depth image was looked at."""
 
     observation: Observation
     """With the pose that the image gives as its vision; with none where the object is not seen."""
@@ -39,7 +39,8 @@ class ImageResult:
 
 
 class ImageVision:
-    """A rig's depth camera: follows one object, finds the hand, and leaves it out of what may be the object."""
+    """An `ImageVision` is a rig's depth camera: follows one object, finds the hand, and leaves it out of what may be
+    the object."""
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
         """Whether it is `on`: else, and without the camera's intrinsics, observations stay as they are."""
@@ -70,7 +71,7 @@ class ImageVision:
     def observe(
         self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
     ) -> ImageResult:
-        """What an observation says; `from_palm`: what earlier images have said of the camera.
+        """Returns what an observation says; `from_palm`: what earlier images have said of the camera.
 
         T_palm_object: (4, 4) of an object that rides in the hand; None where nothing holds it. Raises InvalidInput for
         images that are none of the camera's.
@@ -124,7 +125,7 @@ class Eye:
         from_palm: CameraFromPalm,
         T_palm_object: Array | None,
     ) -> tuple[PoseMeasurement | None, HandView | None]:
-        """Where the object is in the camera, and the hand, each if it is seen."""
+        """Returns where the object is in the camera, and the hand, each if it is seen."""
         image = self._camera.check_depth(depth, "observation.depth")
         self.images += 1
         view, mask, T_camera_palm = self._see_hand(stamp, image, then, from_palm)
@@ -152,7 +153,7 @@ class Eye:
     def _see_hand(
         self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm
     ) -> tuple[HandView | None, Mask | None, Array | None]:
-        """The palm's view, the hand's pixels and T_camera_palm, each as far as it can be told."""
+        """Returns the palm's view, the hand's pixels and T_camera_palm, each as far as it can be told."""
         joints, camera = then.joint_positions, self._mounted
         T_mount_palm = np.eye(4) if camera.on == "palm" else then.T_world_palm
         if T_mount_palm is None:

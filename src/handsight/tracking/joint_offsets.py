@@ -53,7 +53,7 @@ class JointOffsets:
         return np.asarray(np.linalg.cholesky(self.covariance + reading * np.eye(len(self.joints))))
 
     def corrected(self, joint_positions: Mapping[str, float]) -> Mapping[str, float]:
-        """Joint positions without the offsets; joints that are missing, or no number, stay so."""
+        """Returns joint positions without the offsets; joints that are missing, or no number, stay so."""
         if not self.mean.any():
             return joint_positions
         offsets = dict(zip(self.joints, self.mean.tolist(), strict=True))
@@ -62,7 +62,8 @@ class JointOffsets:
     def after(
         self, model: ObjectModel, contacts: Contacts, by_error: Array, T_palm_object: Array, prior: PosePrior
     ) -> "JointOffsets":
-        """The offsets after a grip of an object at about `T_palm_object` (4, 4), where `prior` had it without touch.
+        """Returns the offsets after a grip of an object at about `T_palm_object` (4, 4), where `prior` had it without
+        touch.
 
         `contacts` (n): at positions `corrected` by these offsets; `by_error` (n, 6, j): how they change, along `root`.
         Pose and offsets are solved for together, to first order: where the pose moves by x and the offsets are b more

@@ -17,7 +17,7 @@ Mount = Literal["world", "palm"]
 
 
 class GateOptions(NamedTuple):
-    """Which measurements of the object's pose are wrong."""
+    """`GateOptions` say which measurements of the object's pose are wrong."""
 
     chi2: float = 27.9
     """Of six numbers, which one in ten thousand exceeds: such a measurement is wrong, or the object has moved."""
@@ -36,7 +36,7 @@ EYE, EYE_6 = np.eye(4), np.eye(6)
 
 
 class VisionUpdate:
-    """A rig's camera as a sensor of poses, and what has become of its measurements.
+    """A `VisionUpdate` is a rig's camera as a sensor of poses, and what has become of its measurements.
 
     They are carried into the frame the camera is fixed to, its mount: there its bias is constant.
     """
@@ -60,7 +60,8 @@ class VisionUpdate:
     def update(
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
     ) -> PoseBiasSmoother | None:
-        """The smoother after an observation; the same one (or None) where that has no pose, or none that can be.
+        """Returns the smoother after an observation; the same one (or None) where that has no pose, or none that can
+        be.
 
         Raises InvalidInput where the pose is in the frame of a camera that the rig has not, or far from any hand.
         """
@@ -95,7 +96,7 @@ class VisionUpdate:
         return smoother.informed(*new[-1].bias(smoother.pivot))
 
     def afresh(self) -> PoseBiasSmoother | None:
-        """What the last measurement says on its own, in the palm of then; None where there was none."""
+        """Returns what the last measurement says on its own, in the palm of then; None where there was none."""
         if self._last is None:
             return None
         T_mount_object, _, T_mount_palm = self._last
@@ -104,7 +105,8 @@ class VisionUpdate:
         return self._gated(started, *self._last)
 
     def in_palm(self, observation: Observation | None, T_world_palm: Array | None) -> Array | None:
-        """(4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no place."""
+        """Returns (4, 4) the measured pose in the palm, its bias still in it; None where there is none or it has no
+        place."""
         measured = None if observation is None else observation.vision
         if measured is None:
             return None
@@ -132,7 +134,7 @@ class VisionUpdate:
         return measured.frame
 
     def _in_mount(self, measured: PoseMeasurement) -> tuple[Array, Array]:
-        """The measured pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
+        """Returns the measured pose in the mount's frame, and its covariance (6, 6) along the mount's axes."""
         T_mount_frame = self.camera.T_mount_camera if measured.frame == "camera" else EYE
         if measured.covariance is None:
             return T_mount_frame @ measured.T_frame_object, self._usual_covariance
@@ -142,7 +144,7 @@ class VisionUpdate:
     def _gated(
         self, smoother: PoseBiasSmoother, T_mount_object: Array, covariance: Array, T_mount_palm: Array
     ) -> PoseBiasSmoother:
-        """The smoother after a measurement; beyond the gate it is left out, until several in a row are."""
+        """Returns the smoother after a measurement; beyond the gate it is left out, until several in a row are."""
         expected = smoother.expected(T_mount_palm)
         T = self._model.nearest(T_mount_object, expected)
         if smoother.mahalanobis2(T, covariance, T_mount_palm) > GATES.chi2:
@@ -156,13 +158,13 @@ class VisionUpdate:
 
 
 def invertible(covariance: Array) -> Array:
-    """A covariance (6, 6) of what is known exactly, or in some direction far better than in others, is of what is known
-    well: to 10 µm, 10 µrad and a hundred-thousandth of the widest."""
+    """Returns a covariance (6, 6) of what is known exactly, or in some direction far better than in others, is of
+    what is known well: to 10 µm, 10 µrad and a hundred-thousandth of the widest."""
     return np.asarray(covariance + 1e-10 * max(1.0, *covariance.diagonal().tolist()) * EYE_6)
 
 
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
-    """The state given that the object stands on the table; None where that is beyond the gate.
+    """Returns the state given that the object stands on the table; None where that is beyond the gate.
 
     It stands along the one of its six axes' directions that points up most.
     """

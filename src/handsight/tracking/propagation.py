@@ -35,12 +35,12 @@ class Correction:
 
 
 def process_variance(process_noise: Array, seconds: float) -> Array:
-    """(6,) variance of a random walk of `process_noise` (6,) a second, after so long [s]."""
+    """Returns (6,) variance of a random walk of `process_noise` (6,) a second, after so long [s]."""
     return np.minimum(process_noise * seconds, MAX_PROPAGATION)
 
 
 def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> Array:
-    """(3, 3) of where in the palm [m] a point fixed on the object (3,) is.
+    """Returns (3, 3) of where in the palm [m] a point fixed on the object (3,) is.
 
     What a declared symmetry leaves at zero in the information is no uncertainty.
     """
@@ -48,11 +48,11 @@ def point_covariance(estimate: PoseEstimate, model: ObjectModel, point_object: A
 
 
 def sigma_of_point(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> float:
-    """Largest standard deviation of where in the palm a point fixed on the object (3,) is [m]."""
+    """Returns largest standard deviation of where in the palm a point fixed on the object (3,) is [m]."""
     return math.sqrt(_at_point(estimate, model, point_object)[1])
 
 
 def _at_point(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> tuple[Array, float]:
-    """The covariance, and its largest eigenvalue."""
+    """Returns the covariance, and its largest eigenvalue."""
     covariance, lever = np.empty((3, 3)), estimate.T_palm_object[:3, :3] @ point_object
     return covariance, kernel.at_point(np.array(estimate.information), model.radius, lever, covariance)

@@ -54,7 +54,7 @@ class Step:
 
 @dataclass(slots=True)
 class Tally:
-    """What a replay came to."""
+    """A `Tally` is what a replay came to."""
 
     observations: int = 0
     answered: int = 0
@@ -76,7 +76,7 @@ MAX_MESSAGES = 100
 
 
 class Taken(NamedTuple):
-    """An observation that the tracker has taken."""
+    """A `Taken` is an observation that the tracker has taken."""
 
     stamp: float
     passed: float
@@ -87,7 +87,7 @@ class Taken(NamedTuple):
 
 
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
-    """The tracker's answers, one for each observation it can answer; `tally` is filled as they come.
+    """Yields the tracker's answers, one for each observation it can answer; `tally` is filled as they come.
 
     An observation that is wrong in itself is counted with what is wrong, and the next is taken. One that comes late has
     no answer, nor has one that jumps ahead and is taken back: after a jump an answer waits for the next observation.
@@ -121,7 +121,8 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
 
 
 def _passed_over(observation: Observation, last: float, tally: Tally) -> float:
-    """The stamp up to which time has passed, with a refused observation, if its stamp can be told from a wrong one."""
+    """Returns the stamp up to which time has passed, with a refused observation, if its stamp can be told from a
+    wrong one."""
     stamp = getattr(observation, "stamp", None)
     if not isinstance(stamp, float) or not math.isfinite(stamp) or stamp <= last or stamp - last > MAX_JUMP:
         return last
@@ -145,7 +146,7 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
 
 
 def _counted(taken: Taken, tally: Tally) -> Iterator[Step]:
-    """The answer, if there is one, once nothing takes it back."""
+    """Yields the answer, if there is one, once nothing takes it back."""
     tally.recorded += taken.passed
     if taken.passed:
         tally.states[taken.state] = tally.states.get(taken.state, 0.0) + taken.passed

@@ -55,7 +55,7 @@ def put_ready(
 def _T_palm_frame(
     contact: ContactMeasurement, rig: Rig, finger: Finger, T_palm_tip: Array, name_of: str
 ) -> Array:
-    """(4, 4) of the frame that a contact is given in; raises InvalidInput."""
+    """Returns (4, 4) of the frame that a contact is given in; raises InvalidInput."""
     frames = {
         "tip": T_palm_tip @ finger.T_frame_surface,
         "palm": np.eye(4),

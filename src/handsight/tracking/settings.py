@@ -13,7 +13,8 @@ from handsight.errors import InvalidInput
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerSettings:
-    """When a tracker corrects, how it expects things to move, and when it admits that it does not know.
+    """A `TrackerSettings` says when a tracker corrects, how it expects things to move, and when it admits that it
+    does not know.
 
     The defaults serve a hand that holds still or moves slowly.
     """

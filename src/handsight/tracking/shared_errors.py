@@ -74,7 +74,8 @@ def together(
 
 
 def moved_contacts(contacts: Contacts, T_palm_object: Array) -> Array:
-    """(n, 6, 6) what moving the object by (δp, δθ) does to contacts that stay: as if they moved the other way."""
+    """Returns (n, 6, 6) what moving the object by (δp, δθ) does to contacts that stay: as if they moved the other
+    way."""
     M = np.zeros((len(contacts), 6, 6))
     M[:, :3, :3] = -np.eye(3)
     M[:, :3, 3:] = se3.skew(contacts.points_palm - T_palm_object[:3, 3])

@@ -17,7 +17,7 @@ from handsight.rig import Rig
 
 
 class SkinOptions(NamedTuple):
-    """How readings of tactile arrays are used."""
+    """`SkinOptions` say how readings of tactile arrays are used."""
 
     min_baseline: int = 5  # readings of an untouched array from which on their mean is its baseline
     max_baseline: int = 50  # readings that are taken for it
@@ -34,7 +34,7 @@ Place = tuple[Array, Array | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinContacts:
-    """What all arrays say at one instant; in the palm it is put when it is asked for."""
+    """A `SkinContacts` is what all arrays say at one instant; in the palm it is put when it is asked for."""
 
     touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
     """By array that was heard and whose link's place is known."""
@@ -53,7 +53,8 @@ class SkinContacts:
         return found
 
     def beside(self, outside: Outside | None) -> Outside | None:
-        """The hand's links, and what cannot be above the untouched taxels of arrays that are pressed elsewhere."""
+        """Returns the hand's links, and what cannot be above the untouched taxels of arrays that are pressed
+        elsewhere."""
         for touch, place in self.touches.values():
             if touch.pressed.any():
                 more = Outside.of_skin(touch, *place)
@@ -61,7 +62,7 @@ class SkinContacts:
         return outside
 
     def news(self, last: "SkinContacts") -> bool:
-        """Whether other taxels are pressed than at the last correction."""
+        """Returns whether other taxels are pressed than at the last correction."""
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
@@ -87,7 +88,7 @@ class Untouched:
     """(rows, columns)"""
 
     def baseline(self, full_scale: float | None) -> Array | float:
-        """(rows, columns) what each reads untouched, NaN for those not to be believed; 0 of too few readings.
+        """Returns (rows, columns) what each reads untouched, NaN for those not to be believed; 0 of too few readings.
 
         Not believed are taxels at full scale, and those that never change where most do: dead or stuck.
         """
@@ -101,7 +102,8 @@ class Untouched:
 
 
 class SkinSensors:
-    """A rig's tactile arrays; what it knows it binds anew and never changes in place, for a tracker may come back."""
+    """A `SkinSensors` is a rig's tactile arrays; what it knows it binds anew and never changes in place, for a
+    tracker may come back."""
 
     def __init__(self, rig: Rig) -> None:
         """Nothing was heard yet."""
@@ -114,7 +116,7 @@ class SkinSensors:
         self._untouched: Mapping[str, Untouched] = {}
 
     def observed(self, observation: Observation, *, touched: bool) -> SkinContacts:
-        """What is felt now; `touched`: a fingertip feels something, so that the arrays may, too.
+        """Returns what is felt now; `touched`: a fingertip feels something, so that the arrays may, too.
 
         An array on a link whose joints were not heard says nothing. Raises InvalidInput.
         """
@@ -130,7 +132,8 @@ class SkinSensors:
         return SkinContacts(found)
 
     def _touch(self, name: str, array: TaxelArray, values: Array, *, touched: bool) -> SkinTouch:
-        """What the array's readings say above its baseline, of which these are part where nothing is touched."""
+        """Returns what the array's readings say above its baseline, of which these are part where nothing is
+        touched."""
         reading = array.reading(values, f"observation.skin[{name!r}]")
         known = self._untouched.get(name)
         if not touched and (known is None or known.count < SKIN.max_baseline):

@@ -13,7 +13,7 @@ from handsight.tracking.smoother import PoseBiasSmoother
 
 
 class SlipUpdateOptions(NamedTuple):
-    """How a slip moves the estimate."""
+    """`SlipUpdateOptions` say how a slip moves the estimate."""
 
     sigma_speed: float = 0.05  # of slips [m/s]
     max_travel: float = 0.03  # how far one takes an object that is still in the hand [m]
@@ -30,7 +30,7 @@ EVERY_WAY = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
 
 
 class SlipUpdate:
-    """Whether the object slips, over time, and what that does; what changes is bound anew."""
+    """A `SlipUpdate` says whether the object slips, over time, and what that does; what changes is bound anew."""
 
     def __init__(self, rig: Rig) -> None:
         """Nothing is felt yet."""
@@ -76,7 +76,8 @@ class SlipUpdate:
         return smoother.restarted(state.spread(more * along))
 
     def asks(self, corrected: float) -> bool:
-        """Whether a correction of that stamp [s] is no longer good: a slip has begun or ended since, or goes on."""
+        """Returns whether a correction of that stamp [s] is no longer good: a slip has begun or ended since, or goes
+        on."""
         now = self.now
         if now.slipping and self.detector.stamp - corrected >= SLIP_UPDATE.period - 1e-9:
             return True

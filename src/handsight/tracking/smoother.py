@@ -63,7 +63,7 @@ class PoseAndBias:
         return PoseAndBias(se3.moved(self.Ts, step.reshape(2, 6)), self.covariance)
 
     def difference(self, reference: "PoseAndBias") -> Array:
-        """(12,) the step δ with `reference.moved(δ) = self`."""
+        """Returns (12,) the step δ with `reference.moved(δ) = self`."""
         return se3.difference(self.Ts, reference.Ts).reshape(12)
 
     def updated(self, H: Array, innovation: Array, noise: Array) -> "PoseAndBias":
@@ -197,19 +197,19 @@ class PoseBiasSmoother:
         return replace(self, prior=prior)._solved(self.measurements)
 
     def mahalanobis2(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> float:
-        """Squared Mahalanobis distance (χ², six degrees of freedom) of a measurement from its prediction."""
+        """Returns squared Mahalanobis distance (χ², six degrees of freedom) of a measurement from its prediction."""
         now, measured = self.now, np.empty(1, dtype=MEASUREMENT)
         measured[0] = T_mount_palm, T_mount_object, covariance, self.process_noise
         return float(pose_bias.distance2(now.Ts, now.covariance, self.pivot, measured))
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """(4, 4) the pose that vision should measure, in the mount's frame; `T_mount_palm` (4, 4)."""
+        """Returns (4, 4) the pose that vision should measure, in the mount's frame; `T_mount_palm` (4, 4)."""
         T = np.empty((4, 4))
         pose_bias.expect(self.solved.Ts, self.pivot, np.array(T_mount_palm), T)
         return T
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
-        """The maximum a posteriori of the prior and these measurements, begun at the last answer."""
+        """Returns the maximum a posteriori of the prior and these measurements, begun at the last answer."""
         noise, Ts, covariance = self.process_noise, self.solved.Ts.copy(), np.empty((12, 12))
         prior = self.prior
         if not pose_bias.smooth(prior.Ts, prior.covariance, self.pivot, measurements, Ts, covariance):
@@ -220,7 +220,7 @@ class PoseBiasSmoother:
 
 
 def nearest_semidefinite(information: Array) -> Array:
-    """The nearest positive semidefinite matrix, in metres and radians of a hand-sized object (0.1 m)."""
+    """Returns the nearest positive semidefinite matrix, in metres and radians of a hand-sized object (0.1 m)."""
     scale = np.array([1.0] * 3 + [0.1] * 3)
     values, vectors = np.linalg.eigh(information / scale[:, None] / scale)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * scale[:, None] * scale)

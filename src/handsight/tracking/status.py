@@ -16,7 +16,7 @@ VISION_ALONE = "nothing is touched: the pose is vision's"
 
 @dataclass(frozen=True, slots=True)
 class TrackStatus:
-    """When something was last measured, and when contacts last fitted."""
+    """A `TrackStatus` says when something was last measured, and when contacts last fitted."""
 
     settings: TrackerSettings
     measured_at: float = -math.inf
@@ -33,11 +33,11 @@ class TrackStatus:
         return replace(self, fits_at=stamp) if consistent or self.fits_at == -math.inf else self
 
     def unfitted(self, stamp: float) -> bool:
-        """Whether contacts have contradicted every pose for long."""
+        """Returns whether contacts have contradicted every pose for long."""
         return stamp - self.fits_at > LOST_WITHOUT_FIT
 
     def judged(self, stamp: float, sigma: float, doubt: str) -> tuple[State, str]:
-        """The state, and why it is no better, of an answer whose position has that `sigma` [m].
+        """Returns the state, and why it is no better, of an answer whose position has that `sigma` [m].
 
         `doubt`: what else speaks against it, though it may be right; empty: nothing.
         """

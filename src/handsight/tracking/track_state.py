@@ -25,7 +25,8 @@ NO_CONTACTS, NO_MARGINS = FingertipContacts((), None, {}), LinkMargins()
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TrackState:
-    """What is known of one object in one hand after some observations; see `Follower.step`, which makes the next one.
+    """A `TrackState` is what is known of one object in one hand after some observations; see `Follower.step`, which
+    makes the next one.
 
     It can be kept, copied and pickled. Undoing an observation is going on from the state before it.
     """

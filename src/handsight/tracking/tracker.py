@@ -31,7 +31,7 @@ MAX_LEFT_OUT = 100
 
 
 class Tracker:
-    """One object in one hand. Give it every observation; it answers with the pose at each.
+    """A `Tracker` is one object in one hand. Give it every observation; it answers with the pose at each.
 
     The object is fixed in the palm between corrections (the paper's assumption), its uncertainty growing; while it is
     not grasped, it is fixed in the world. It is corrected when a finger touches or lets go, when a contact has moved,

@@ -25,7 +25,7 @@ NEWS = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectWeight:
-    """What the object in the hand weighs, as the fingertips' loads tell it."""
+    """An `ObjectWeight` is what the object in the hand weighs, as the fingertips' loads tell it."""
 
     mass: float
     """[kg]"""
@@ -98,7 +98,8 @@ class WeightUpdate:
         return bool(np.abs(found.center_palm - reported.center_palm).max() > NEWS)
 
     def evidence(self) -> WeightEvidence | None:
-        """Where the object's centre of mass is; None where the model has none, or the weight is not believed."""
+        """Returns where the object's centre of mass is; None where the model has none, or the weight is not
+        believed."""
         found, center = self.weigher.believed, self.model.center_of_mass
         if found is None or center is None:
             return None
@@ -124,7 +125,7 @@ class WeightUpdate:
         return together(self.model, estimate, given, prior, (weighing, evidence), offsets)
 
     def of(self, estimate: PoseEstimate | None) -> ObjectWeight | None:
-        """What the object weighs, where it is at a pose; None where it was not weighed since it was grasped."""
+        """Returns what the object weighs, where it is at a pose; None where it was not weighed since it was grasped."""
         found = self.weigher.weighing
         if found is None or estimate is None:
             return None
@@ -150,5 +151,5 @@ class WeightUpdate:
 
 
 def _by_pose(found: Weighing, T_palm_object: Array) -> Array:
-    """(3, 6) how far the object's point at the centre of mass moves by (δp, δθ)."""
+    """Returns (3, 6) how far the object's point at the centre of mass moves by (δp, δθ)."""
     return np.hstack([np.eye(3), -se3.skew(found.center_palm - T_palm_object[:3, 3])])

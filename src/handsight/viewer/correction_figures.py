@@ -26,7 +26,7 @@ CLOUD = 900
 
 
 class Panel(NamedTuple):
-    """A problem and its answer."""
+    """A `Panel` is a problem and its answer."""
 
     model: ObjectModel
     contacts: Contacts
@@ -98,7 +98,7 @@ def _draw(axes: "Axes3D", panel: Panel) -> None:
 
 
 def draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
-    """The points drawn (n, 3) [m], palm frame, after drawing the object's creases and a thin cloud of it."""
+    """Returns the points drawn (n, 3) [m], palm frame, after drawing the object's creases and a thin cloud of it."""
     cloud, _ = model.sample(CLOUD)
     cloud = se3.apply(T_palm_object, cloud)
     axes.scatter(*cloud.T, s=1.6, color=color, alpha=0.45, depthshade=False)

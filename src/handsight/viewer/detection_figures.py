@@ -28,7 +28,7 @@ MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
 
 
 class DetectionFigureOptions(NamedTuple):
-    """How a detection is drawn."""
+    """`DetectionFigureOptions` say how a detection is drawn."""
 
     min_weight: float = 0.01  # of a second pose that is drawn
     margin: float = 0.35

@@ -22,7 +22,7 @@ from handsight.viewer.page import PAGE
 
 
 class LiveViewerOptions(NamedTuple):
-    """How often a live view is drawn."""
+    """`LiveViewerOptions` say how often a live view is drawn."""
 
     curve_period: float = 0.25  # between two plots [s]
     idle_pause: float = 0.1  # how long a tracker is given nothing while it rests [s]
@@ -35,7 +35,7 @@ LIVE_VIEWER = LiveViewerOptions()
 
 
 def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] = print) -> "Viewer":
-    """A page that shows a tracker at work to any browser of this machine; `Viewer.update` gives it what is new.
+    """Returns a page that shows a tracker at work to any browser of this machine; `Viewer.update` gives it what is new.
 
     ```
     tracker = hs.Tracker(rig, model)
@@ -53,7 +53,7 @@ def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] 
 
 
 class NullViewer:
-    """A viewer that shows nothing, at no cost: for a program that may be told to show nothing."""
+    """A `NullViewer` is a viewer that shows nothing, at no cost: for a program that may be told to show nothing."""
 
     @property
     def address(self) -> str:
@@ -140,7 +140,7 @@ class Viewer(NullViewer):
         _end(self._process)
 
     def _started(self, port: int) -> str:
-        """The page's address; raises what it was refused for."""
+        """Returns the page's address; raises what it was refused for."""
         self._send((*self._shown, port))
         try:
             found: str | HandsightError = self._pipe.recv()
@@ -167,7 +167,7 @@ class Viewer(NullViewer):
         self._watched = False
 
     def _next(self) -> viewer_process.Frame | None:
-        """What the page does not have, once there is something; None: it is the end."""
+        """Returns what the page does not have, once there is something; None: it is the end."""
         while not self._closed:
             self._changed.wait(LIVE_VIEWER.idle_pause)
             self._changed.clear()
@@ -188,7 +188,8 @@ class Viewer(NullViewer):
         return None
 
     def _curves(self) -> Curves | None:
-        """The last minute, of the newest track: a clock that was set back begins anew. None: it was just plotted."""
+        """Returns the last minute, of the newest track: a clock that was set back begins anew. None: it was just
+        plotted."""
         now = time.monotonic()
         if now - self._plotted < LIVE_VIEWER.curve_period:
             return None

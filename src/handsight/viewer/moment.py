@@ -23,7 +23,7 @@ VISION_FOR = 1.0
 
 
 class Measured(NamedTuple):
-    """What vision said last."""
+    """A `Measured` is what vision said last."""
 
     stamp: float
     """When [s]."""
@@ -33,7 +33,7 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Moment:
-    """An answer with the observation it answers."""
+    """A `Moment` is an answer with the observation it answers."""
 
     stamp: float
     """[s]"""
@@ -116,7 +116,8 @@ class Moment:
             return {}
 
     def forces(self, rig: Rig) -> dict[str, Array]:
-        """(3,) what the object exerts on each finger that touches, in the palm [N]; fingers without a reading left out.
+        """Returns (3,) what the object exerts on each finger that touches, in the palm [N]; fingers without a reading
+        left out.
 
         Without the palm's pose in the world the tips' weight is still in it.
         """

@@ -23,7 +23,7 @@ HOST = "127.0.0.1"
 
 
 class PageOptions(NamedTuple):
-    """Where the page is served, and how often it is drawn."""
+    """`PageOptions` say where the page is served, and how often it is drawn."""
 
     port: int = 8080  # the usual one
     max_port: int = 65535  # the largest there is
@@ -37,7 +37,7 @@ PAGE = PageOptions()
 
 
 def require_viser() -> ModuleType:
-    """The package viser; raises MissingExtra where it is absent."""
+    """Returns the package viser; raises MissingExtra where it is absent."""
     try:
         return import_module("viser")
     except ImportError:
@@ -45,7 +45,7 @@ def require_viser() -> ModuleType:
 
 
 class Page:
-    """A server on this machine alone, the scene and the panel on its page."""
+    """A `Page` is a server on this machine alone, the scene and the panel on its page."""
 
     def __init__(
         self, rig: Rig, model: ObjectModel, *, port: int = PAGE.port, title: str = "handsight"
@@ -163,12 +163,12 @@ class Page:
 
 
 def _unsaid() -> contextlib.redirect_stdout[io.StringIO]:
-    """What viser prints within, its banner and its end, goes nowhere."""
+    """Returns what viser prints within, its banner and its end, goes nowhere."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 def side_view(along: Array, up: Array) -> Array:
-    """(3,) unit: from where both `along` and up are seen from the side, from somewhat above."""
+    """Returns (3,) unit: from where both `along` and up are seen from the side, from somewhat above."""
     across = np.cross(up, along)
     if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
         across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])

@@ -109,7 +109,7 @@ class Panel:
 
 
 def _chips(moment: Moment, forces: dict[str, Array]) -> Iterator[str]:
-    """A label for each finger: how hard it is pushed, or why it has no contact."""
+    """Yields a label for each finger: how hard it is pushed, or why it has no contact."""
     touching, wrong = moment.fingertips.fingers, moment.outliers
     for name in (*touching, *moment.fingertips.reasons):
         color, label = "#9e9e9e", moment.fingertips.reasons.get(name, "")
@@ -133,7 +133,7 @@ def _legend() -> str:
 
 
 def _strip(curves: Curves, now: float) -> str:
-    """The states over time in their colours, with a mark."""
+    """Returns the states over time in their colours, with a mark."""
     begin, end = curves.times[0], curves.times[-1]
     changes = [k for k, state in enumerate(curves.states) if k == 0 or state != curves.states[k - 1]]
     changes = changes[:: max(1, -(-len(changes) // MOST_CHANGES))]

@@ -21,7 +21,7 @@ from handsight.vision.pixels import Color
 
 
 class PictureOptions(NamedTuple):
-    """What is shown of an image."""
+    """`PictureOptions` are what is shown of an image."""
 
     max_width: int = 320  # of an image that is shown [pixels]
     around: float = 0.25  # half of what is shown around the palm, where that is in the image [m]
@@ -37,7 +37,7 @@ PICTURE = PictureOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """An image of the rig's camera."""
+    """A `Picture` is an image of the rig's camera."""
 
     camera: Camera | None
     """Of these pixels; None: nobody knows."""
@@ -53,7 +53,7 @@ class Picture:
     """(4, 4) with the calibration's error in it, as what vision measures is placed in the palm."""
 
     def with_outlines(self, model: ObjectModel, outlines: Mapping[tuple[int, int, int], Array]) -> Color:
-        """The image with the object's outlines: by colour, at T_camera_object (4, 4); the last one on top."""
+        """Returns the image with the object's outlines: by colour, at T_camera_object (4, 4); the last one on top."""
         image = pixels.color(self.image) if isinstance(self.image, bytes) else self.image
         if self.camera is None or not outlines:
             return image
@@ -64,14 +64,14 @@ class Picture:
         return image
 
     def packed(self) -> "Picture":
-        """The same in a fifth of the memory."""
+        """Returns the same in a fifth of the memory."""
         if isinstance(self.image, bytes):
             return self
         return replace(self, image=jpeg(self.image), points_palm=self.points_palm.astype(np.float16))
 
 
 def edge(there: Mask) -> Mask:
-    """(h, w) the pixels just outside of an area, two wide."""
+    """Returns (h, w) the pixels just outside of an area, two wide."""
     grown = there.copy()
     for _ in range(2):  # scipy.ndimage takes twenty times as long
         before = grown.copy()
@@ -83,7 +83,7 @@ def edge(there: Mask) -> Mask:
 
 
 def jpeg(image: Color) -> bytes:
-    """An image (h, w, 3) as a file."""
+    """Returns an image (h, w, 3) as a file."""
     from PIL import Image  # which viser needs
 
     buffer = io.BytesIO()
@@ -94,7 +94,7 @@ def jpeg(image: Color) -> bytes:
 def picture(
     rig: Rig, observation: Observation, from_palm: CameraFromPalm, T_world_palm: Array | None
 ) -> Picture | None:
-    """What an observation's images show; None where it has none."""
+    """Returns what an observation's images show; None where it has none."""
     color, depth = observation.color, observation.depth
     # An image of other pixels than depth's is of another camera than the rig's.
     alike = color is not None and (depth is None or color.shape[:2] == depth.shape)
@@ -117,7 +117,7 @@ def picture(
 
 
 def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | None) -> Array | None:
-    """T_camera_palm (4, 4): as the hand in the camera's images has shown, else as the camera was calibrated.
+    """Returns T_camera_palm (4, 4): as the hand in the camera's images has shown, else as the camera was calibrated.
 
     None where the rig has no camera, or one in the world and the palm's place in it is not known.
     """
@@ -133,7 +133,7 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
 
 
 def _camera_of(rig: Rig, shape: tuple[int, ...]) -> Camera | None:
-    """The rig's camera, if images of that shape (h, w) are its."""
+    """Returns the rig's camera, if images of that shape (h, w) are its."""
     mounted = rig.camera
     if mounted is None or mounted.intrinsics is None or mounted.size != (shape[1], shape[0]):
         return None
@@ -141,7 +141,7 @@ def _camera_of(rig: Rig, shape: tuple[int, ...]) -> Camera | None:
 
 
 def _window(camera: Camera | None, T_camera_palm: Array | None, image: Color) -> tuple[slice, slice]:
-    """The rows and columns that are shown: around the hand where it is in the image, and not too many."""
+    """Returns the rows and columns that are shown: around the hand where it is in the image, and not too many."""
     rows, columns = slice(0, image.shape[0]), slice(0, image.shape[1])
     if camera is not None and T_camera_palm is not None:
         pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]
@@ -173,7 +173,7 @@ def _grey(depth: Depth) -> Color:
 
 
 def _cloud(camera: Camera, depth: Depth, T_camera_palm: Array) -> tuple[NDArray[np.float32], Indices]:
-    """Points in the palm (n, 3) around it, and their places among the pixels (n,)."""
+    """Returns points in the palm (n, 3) around it, and their places among the pixels (n,)."""
     points = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
     center = T_camera_palm[:3, 3].astype(np.float32)
     with np.errstate(invalid="ignore"):

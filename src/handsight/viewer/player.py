@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class PlayerOptions(NamedTuple):
-    """How a recording is played."""
+    """`PlayerOptions` say how a recording is played."""
 
     frame: float = 1 / 30  # between two moments that are kept or drawn [s]
     plot_period: float = 0.2  # between two plots [s]
@@ -59,7 +59,7 @@ class Timeline:
         return self._stamps[-1] - self._stamps[0] if self._stamps else 0.0
 
     def at(self, time: float) -> Moment:
-        """The last one that is not later than a time since the first [s]; else the first."""
+        """Returns the last one that is not later than a time since the first [s]; else the first."""
         # The sum of a difference may be below the stamp it was made of: seconds since 1970 have a quarter of a µs.
         return self.moments[
             max(0, bisect.bisect_right(self._stamps, self.begin + time + PLAYER.time_tolerance) - 1)
@@ -114,7 +114,7 @@ class Player:
             self._thread.join()
 
     def _build(self, gui: "GuiApi") -> "GuiSliderHandle":
-        """The slider and its buttons."""
+        """Returns the slider and its buttons."""
         self._button = gui.add_button("Pause", order=CONTROLS)
         slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0, order=CONTROLS + 1)
         speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x", order=CONTROLS + 2)

@@ -23,7 +23,7 @@ HAND: Color = (176, 182, 194)
 
 
 class SceneStyle(NamedTuple):
-    """How hand, object and contacts are drawn."""
+    """A `SceneStyle` says how hand, object and contacts are drawn."""
 
     hand_opacity: float = 0.55  # contacts, and arrows that begin there, are visible through it
     object_opacity: float = 0.75  # the same of the object
@@ -198,7 +198,7 @@ class Scene:
         _see(handle, wanted and len(points) > 0)
 
     def _copy(self, name: str, layer: str, opacity: float) -> "SceneNodeHandle":
-        """The object, as triangles or as points."""
+        """Returns the object, as triangles or as points."""
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
             # Two of them at one place would flicker.
@@ -226,5 +226,5 @@ def _see(handle: "SceneNodeHandle", visible: bool) -> None:
 
 
 def quaternions_wxyz(Ts: Array) -> Array:
-    """(..., 4) of poses (..., 4, 4), as viser takes them."""
+    """Returns (..., 4) of poses (..., 4, 4), as viser takes them."""
     return se3.quaternion_from_rotation(Ts[..., :3, :3])[..., [3, 0, 1, 2]]

@@ -17,7 +17,7 @@ LIKELY = 0.02
 
 
 def sentence(moment: Moment) -> str:
-    """The state, why it is no better, and what the answer rests on."""
+    """Returns the state, why it is no better, and what the answer rests on."""
     mentions_touch = "touched" in moment.reason and not moment.fingertips.fingers
     parts = [
         part
@@ -57,7 +57,7 @@ def _touch(fingers: Sequence[str], fit: str) -> str:
 
 
 def open_directions(estimate: PoseEstimate) -> str:
-    """What contacts leave open, in words; empty where they leave nothing."""
+    """Returns what contacts leave open, in words; empty where they leave nothing."""
     rows = estimate.unobservable
     if len(rows) == 6:
         return "every direction"

@@ -13,7 +13,7 @@ from handsight.tracking.propagation import point_covariance
 
 
 class ShapeStyle(NamedTuple):
-    """How edges and uncertain directions are drawn."""
+    """A `ShapeStyle` says how edges and uncertain directions are drawn."""
 
     crease: float = np.deg2rad(25)  # angle between triangles at which an edge is drawn [rad]
     open_shift: float = 0.65  # half a flat direction's double arrow in parts of the object's diameter
@@ -27,7 +27,8 @@ SHAPES = ShapeStyle()
 
 
 class Open(NamedTuple):
-    """A direction that contacts leave open, as a line with an arrow's head at one of its ends, or at both."""
+    """An `Open` is a direction that contacts leave open, as a line with an arrow's head at one of its ends, or at
+    both."""
 
     line: Array
     """(n, 3) in the palm [m]: two ends of a slide, or an arc about the axis of a turn."""
@@ -35,7 +36,7 @@ class Open(NamedTuple):
 
 
 class Ellipsoid(NamedTuple):
-    """Where the object's middle is with 95 %."""
+    """An `Ellipsoid` says where the object's middle is with 95 %."""
 
     T_palm_axes: Array
     """(4, 4) its middle and principal axes."""
@@ -44,7 +45,7 @@ class Ellipsoid(NamedTuple):
 
 
 def creases(model: ObjectModel) -> Array:
-    """(k, 2, 3) edges [m] at which the surface bends sharply or ends."""
+    """Returns (k, 2, 3) edges [m] at which the surface bends sharply or ends."""
     if not len(model.faces):
         return np.empty((0, 2, 3))
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
@@ -54,13 +55,13 @@ def creases(model: ObjectModel) -> Array:
 
 
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
-    """(3,) the object's middle in the palm [m]."""
+    """Returns (3,) the object's middle in the palm [m]."""
     return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
 
 
 def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
-    """A direction (6,) of `PoseEstimate.unobservable` about the object's middle `center` (3,): a slide or a turn,
-    whichever it mostly is."""
+    """Returns a direction (6,) of `PoseEstimate.unobservable` about the object's middle `center` (3,): a slide or a
+    turn, whichever it mostly is."""
     # About the object's middle, where a turn leaves the drawn object in place.
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
         reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
@@ -74,7 +75,7 @@ def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:
-    """Where the object's middle is; along what is open no longer than the object."""
+    """Returns where the object's middle is; along what is open no longer than the object."""
     values, axes = np.linalg.eigh(point_covariance(estimate, model, model.center_object))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))

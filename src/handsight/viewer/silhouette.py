@@ -13,7 +13,7 @@ CLOUD, DOT = 6000, 2
 
 
 def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> Depth:
-    """What the camera would see of the object alone: depth (h, w) [m], infinite where it is not."""
+    """Returns what the camera would see of the object alone: depth (h, w) [m], infinite where it is not."""
     if len(model.faces):
         return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth
     points = se3.apply(T_camera_object, model.sample(CLOUD)[0])

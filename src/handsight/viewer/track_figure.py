@@ -47,7 +47,7 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
 
 
 def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
-    """(4, n, 3) [cm]: the base tracked, seen and true (NaN where not known), and sigma of the tracked."""
+    """Returns (4, n, 3) [cm]: the base tracked, seen and true (NaN where not known), and sigma of the tracked."""
     curves = np.full((4, len(steps), 3), np.nan)
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm

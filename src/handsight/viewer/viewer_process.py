@@ -28,7 +28,7 @@ from handsight.viewer.picture import picture
 
 
 class ViewerProcessOptions(NamedTuple):
-    """How often the viewer's process works."""
+    """`ViewerProcessOptions` say how often the viewer's process works."""
 
     frame: float = 1 / 30  # between two frames [s]
     poll_period: float = 0.2  # between two looks whether a page is open [s]
@@ -49,7 +49,7 @@ main(pipe)
 
 
 class Shot(NamedTuple):
-    """An image, and where the camera was by what was known then."""
+    """A `Shot` is an image, and where the camera was by what was known then."""
 
     observation: Observation
     from_palm: CameraFromPalm
@@ -57,7 +57,7 @@ class Shot(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What there is to draw."""
+    """A `Frame` is what there is to draw."""
 
     begins: tuple[Rig, ObjectModel] | None
     """The hand and the object; None: those of before."""
@@ -69,7 +69,7 @@ class Frame(NamedTuple):
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
-    """The process in which `main` runs, and the way to it."""
+    """Returns the process in which `main` runs, and the way to it."""
     ours, theirs = Pipe()
     with theirs:
         handle = theirs.fileno()

@@ -22,7 +22,8 @@ LARGEST = 100.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthNoise:
-    """A kind of depth camera's errors along its optical axis, at depth z [m]; each sigma is one standard deviation.
+    """A `DepthNoise` is a kind of depth camera's errors along its optical axis, at depth z [m]; each sigma is one
+    standard deviation.
 
     Noise comes anew with each image. Smooth bias and offset are constant for one camera, as its calibration left them.
     """
@@ -71,17 +72,18 @@ class DepthNoise:
             )
 
     def sigma(self, z: ArrayLike) -> Array:
-        """Standard deviation of a pixel's depth z [m] from image to image, of z's shape."""
+        """Returns standard deviation of a pixel's depth z [m] from image to image, of z's shape."""
         depth, (a, b, c) = np.asarray(z, dtype=np.float64), self.axial
         return np.asarray(np.maximum(a + depth * (b + depth * c), 0.0))
 
     def bias(self, z: ArrayLike) -> Array:
-        """Standard deviation of what is wrong with it in each image alike [m]: no number of images or pixels of one
-        place takes it away."""
+        """Returns standard deviation of what is wrong with it in each image alike [m]: no number of images or pixels
+        of one place takes it away."""
         return np.hypot(self.offset, self.smooth * np.square(np.asarray(z, dtype=np.float64)))
 
     def times(self, amount: float) -> "DepthNoise":
-        """The same with errors of `amount` times the size, and as many times the pixels lost; 0: exact in its range.
+        """Returns the same with errors of `amount` times the size, and as many times the pixels lost; 0: exact in its
+        range.
 
         Raises InvalidInput.
         """

@@ -20,7 +20,7 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 class FileLimits(NamedTuple):
-    """What files of images may hold."""
+    """`FileLimits` are what files of images may hold."""
 
     max_image: int = 200_000_000  # bytes of an image
     max_camera: int = 100_000  # bytes of a camera
@@ -35,7 +35,7 @@ Side = Annotated[int, Meta(gt=0, le=MAX_PIXELS)]
 
 
 class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
-    """What a camera's file says [pixels]."""
+    """A `CameraForm` is what a camera's file says [pixels]."""
 
     fx: Pixels
     fy: Pixels
@@ -50,7 +50,8 @@ class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_camera(path: str | Path) -> Camera:
-    """The camera of a JSON file: fx, fy, cx, cy, width, height [pixels], and `lens` where images are not rectified.
+    """Returns the camera of a JSON file: fx, fy, cx, cy, width, height [pixels], and `lens` where images are not
+    rectified.
 
     `lens`: k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV. Raises InvalidFile with the file's name and the key.
     """
@@ -63,7 +64,7 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | None = None) -> Depth:
-    """Depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
+    """Returns depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
 
     `scale`: metres of a step; of a BOP scene a thousandth of its `depth_scale`. `camera`: that the image must be of the
     size of. Raises InvalidFile for what is no such image, for one of another size or without any depth, and where the

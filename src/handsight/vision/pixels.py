@@ -20,7 +20,7 @@ Color = NDArray[np.uint8]
 
 
 class DepthLimits(NamedTuple):
-    """What a depth image may hold."""
+    """`DepthLimits` are what a depth image may hold."""
 
     max_pixels: int = 20_000_000  # of a compressed image, before it is unpacked; a kilobyte may hold as many
     min_median: float = 0.02
@@ -34,7 +34,8 @@ MILLIMETRE = 1e-3
 
 
 def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
-    """Depth (h, w) [m], NaN where there is none; of whole numbers, `scale` metres each and 0 for none, or of metres.
+    """Returns depth (h, w) [m], NaN where there is none; of whole numbers, `scale` metres each and 0 for none, or of
+    metres.
 
     Raises InvalidInput where the median says that the unit is another.
     """
@@ -66,7 +67,7 @@ def color(data: bytes) -> Color:
 
 
 def sixteen_bits(data: bytes) -> NDArray[np.uint16]:
-    """The numbers (h, w) of the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
+    """Returns the numbers (h, w) of the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
     return _opened(data, _sixteen_bits)
 
 

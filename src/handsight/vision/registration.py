@@ -16,7 +16,7 @@ BEHIND = 0.01
 
 
 class Registered(NamedTuple):
-    """What a depth image's pixels look like."""
+    """A `Registered` is what a depth image's pixels look like."""
 
     color: Color
     """(h, w, 3) red, green, blue of each depth pixel; 0 where the colour camera does not see it."""
@@ -31,7 +31,7 @@ def register_color(
     color_camera: Camera,
     T_color_depth: ArrayLike,
 ) -> Registered:
-    """The colour of each pixel of a depth image (h, w) [m] of `camera`.
+    """Returns the colour of each pixel of a depth image (h, w) [m] of `camera`.
 
     `color` (H, W, 3) of `color_camera`, which has the depth camera's frame at `T_color_depth` (4, 4). A pixel without
     depth has no colour, nor has one that is hidden from the colour camera by what the depth image shows: its surface,
@@ -58,7 +58,7 @@ def register_color(
 
 
 def _faces(known: Mask) -> Indices:
-    """(m, 3) triangles between neighbouring pixels (h, w) that are all known, by their places in the image."""
+    """Returns (m, 3) triangles between neighbouring pixels (h, w) that are all known, by their places in the image."""
     places = np.arange(known.size).reshape(known.shape)
     a, b, c, d = places[:-1, :-1], places[:-1, 1:], places[1:, :-1], places[1:, 1:]
     faces = np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)

@@ -47,7 +47,7 @@ Factor = tuple[float, Vec3, Vec3, Vec3]
 
 @inner
 def surface_at(nodes: Any, field: Any, point: Vec3, pose: Pose) -> Surface:
-    """The object's surface near a palm point."""
+    """Returns the object's surface near a palm point."""
     R, p = pose
     place = tmul(R, sub(point, p))
     d, g, H = field_at(nodes, field, place)
@@ -97,7 +97,8 @@ def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: 
 
 @inner
 def contact_cost(evidence: Any, pose: Pose) -> float:
-    """Squared residuals of all contacts in use, and the log determinants of what whitens them, on the fine field."""
+    """Returns squared residuals of all contacts in use, and the log determinants of what whitens them, on the fine
+    field."""
     model, nodes, field, total = evidence.model, evidence.nodes, evidence.model.fine, 0.0
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
@@ -147,7 +148,8 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
 
 @inner
 def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
-    """How far the fine field is off the surface near an object point: variances of its distance and its normal."""
+    """Returns how far the fine field is off the surface near an object point: variances of its distance and its
+    normal."""
     if error.inverse_cell == 0.0:
         return error.least_distance, error.least_normal
     distance, normal = model_error(error, nodes, place, 0)
@@ -156,7 +158,8 @@ def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
 
 @inner
 def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float, float]:
-    """Two of the four variances of a model's error near an object point, from the `first` on; linear between nodes."""
+    """Returns two of the four variances of a model's error near an object point, from the `first` on; linear between
+    nodes."""
     one, other = 0.0, 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
     u = scale(sub(place, vector(error.origin)), error.inverse_cell)
@@ -227,7 +230,7 @@ def invert_covariance(factor: Factor, has_normal: bool, out: Any) -> None:
 
 @inner
 def mahalanobis2(contact: Any, surface: Surface, factor: Factor) -> float:
-    """Squared whitened residuals of a contact."""
+    """Returns squared whitened residuals of a contact."""
     distance, _, facing, _, _ = surface
     d0, low, d, (l21, l31, l32) = factor
     square = distance * distance / d0
@@ -241,7 +244,7 @@ def mahalanobis2(contact: Any, surface: Surface, factor: Factor) -> float:
 
 @inner
 def at_edge(model: Any, contact: Any, surface: Surface) -> bool:
-    """Whether the surface bends as sharply as an edge, and the contact's normal tells the face."""
+    """Returns whether the surface bends as sharply as an edge, and the contact's normal tells the face."""
     K = surface[3]
     bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
     return bend > model.edge_curvature2 and contact.has_normal != 0
@@ -249,7 +252,7 @@ def at_edge(model: Any, contact: Any, surface: Surface) -> bool:
 
 @inner
 def flattened(contact: Any, surface: Surface) -> Surface:
-    """A plane along the contact's normal in place of an edge.
+    """Returns a plane along the contact's normal in place of an edge.
 
     A contact that the prior has pushed to an edge is stopped on one side only; the sharp bend there is a wall, not a
     measurement of the way back.

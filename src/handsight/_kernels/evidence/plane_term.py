@@ -18,7 +18,7 @@ lengthens the next. On scans, whose fields are round at edges, it ends a little 
 
 @inner
 def lowest_point(evidence: Any, up: Vec3) -> Vec3:
-    """The point of the surface that is lowest along a unit direction, both in the object's frame."""
+    """Returns the point of the surface that is lowest along a unit direction, both in the object's frame."""
     field = evidence.model.fine
     half = vector(field.origin)
     if field.kind == BOX:
@@ -56,7 +56,8 @@ def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
 
 @inner
 def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
-    """How far the object stays above a plane [m], or less where it does; below zero, its lowest point in the palm."""
+    """Returns how far the object stays above a plane [m], or less where it does; below zero, its lowest point in the
+    palm."""
     (R, p), bounds = pose, evidence.model.bounds
     normal = vector(plane.normal)
     up, height = tmul(R, normal), dot(normal, sub(p, vector(plane.point)))
@@ -90,7 +91,7 @@ def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
 
 @inner
 def plane_cost(evidence: Any, pose: Pose) -> float:
-    """Squared residuals of all planes."""
+    """Returns squared residuals of all planes."""
     total = 0.0
     for i in range(len(evidence.outside)):
         plane = evidence.outside[i]

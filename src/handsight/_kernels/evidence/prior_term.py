@@ -118,7 +118,7 @@ def _forget_spin(axis: Vec3, information: Any) -> None:
 
 @inner
 def turn_between(prior: Any, R: Mat33) -> tuple[Vec3, Mat33]:
-    """The rotation vector from the prior's rotation, or axis, to R, and its derivative by a turn of R."""
+    """Returns the rotation vector from the prior's rotation, or axis, to R, and its derivative by a turn of R."""
     if prior.has_axis:
         axis = vector(prior.axis_object)
         return swing(mul(matrix(prior.rotation), axis), mul(R, axis))
@@ -128,7 +128,7 @@ def turn_between(prior: Any, R: Mat33) -> tuple[Vec3, Mat33]:
 
 @inner
 def swing(axis_from: Vec3, axis_to: Vec3) -> tuple[Vec3, Mat33]:
-    """The shortest rotation vector from one axis to another, and its derivative by a turn of the other.
+    """Returns the shortest rotation vector from one axis to another, and its derivative by a turn of the other.
 
     With n the vector's direction and angle α, a turn δθ changes it by (n nᵀ + α / sin α (n × from)(n × to)ᵀ) δθ:
     nothing about the axis itself.
@@ -157,7 +157,7 @@ def _log_derivative(turn: Vec3) -> Mat33:
 
 @inner
 def rotation_exp(turn: Vec3) -> Mat33:
-    """The rotation of a rotation vector."""
+    """Returns the rotation of a rotation vector."""
     half = 0.5 * norm(turn)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
     S = skew(turn)
@@ -168,7 +168,7 @@ def rotation_exp(turn: Vec3) -> Mat33:
 
 @inner
 def rotation_log(Q: Mat33) -> Vec3:
-    """The rotation vector of a rotation; exact near 0 and near π."""
+    """Returns the rotation vector of a rotation; exact near 0 and near π."""
     v = (Q[2][1] - Q[1][2]) / 2, (Q[0][2] - Q[2][0]) / 2, (Q[1][0] - Q[0][1]) / 2
     sine, trace = norm(v), Q[0][0] + Q[1][1] + Q[2][2]
     cosine = (trace - 1) / 2
@@ -188,7 +188,7 @@ def rotation_log(Q: Mat33) -> Vec3:
 
 @inner
 def _error(prior: Any, pose: Pose) -> tuple[Vec3, Vec3]:
-    """The pivot in the palm, and how far it is from the prior's."""
+    """Returns the pivot in the palm, and how far it is from the prior's."""
     R, p = pose
     pivot = add(p, mul(R, vector(prior.pivot_object)))
     return pivot, sub(pivot, vector(prior.pivot_palm))
@@ -219,7 +219,7 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
 
 @inner
 def prior_cost(prior: Any, pose: Pose) -> float:
-    """The prior's squared residuals at a pose; 0 where there is none."""
+    """Returns the prior's squared residuals at a pose; 0 where there is none."""
     if prior.kind == NO_PRIOR:
         return 0.0
     _, off = _error(prior, pose)
@@ -230,7 +230,7 @@ def prior_cost(prior: Any, pose: Pose) -> float:
 
 @inner
 def prior_width(model: Any, prior: Any) -> float:
-    """How far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
+    """Returns how far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
     C, c = prior.covariance, mul(matrix(prior.pose.rotation), vector(model.center))
     turn = C[3, 3] + C[4, 4] + C[5, 5]
     # Of the object's center: δp + δθ × c.

@@ -64,7 +64,7 @@ def add_evidence(
 
 @inner
 def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
-    """Minus two log of the density of some kinds of evidence at a pose, up to a constant, on the fine field."""
+    """Returns minus two log of the density of some kinds of evidence at a pose, up to a constant, on the fine field."""
     total = 0.0
     if kinds & WALLS:
         total += outside_cost(evidence, evidence.model.fine, pose)

@@ -13,7 +13,7 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def _error(weight: Any, pose: Pose) -> tuple[Vec3, Vec3]:
-    """The object's centre of mass in the palm, and how far it is from where the loads have it."""
+    """Returns the object's centre of mass in the palm, and how far it is from where the loads have it."""
     R, p = pose
     center = add(p, mul(R, vector(weight.center_object)))
     return center, sub(center, vector(weight.center_palm))
@@ -37,7 +37,7 @@ def add_weight(weight: Any, pose: Pose, frame: Frame, equations: Any) -> None:
 
 @inner
 def weight_cost(weight: Any, pose: Pose) -> float:
-    """Its squared residuals at a pose; 0 where it is not known."""
+    """Returns its squared residuals at a pose; 0 where it is not known."""
     if not weight.known:
         return 0.0
     _, off = _error(weight, pose)

@@ -113,7 +113,7 @@ def _along_object(covariance: Any, R: Mat33, center: Vec3, radius: float, u: Any
 
 @entry
 def largest_shift(model: Any, nodes: Any, rotation: Any, covariance: Any) -> float:
-    """How far the surface is off at most [m] after one deviation along any of the least known directions.
+    """Returns how far the surface is off at most [m] after one deviation along any of the least known directions.
 
     covariance (6, 6): of (δp, δθ) of the object's origin along the camera's axes. A turn that the object looks the same
     after leaves its surface where it is.

@@ -24,7 +24,7 @@ SLOTS = 4
 
 @inner
 def step_at(z: float) -> float:
-    """The largest step in depth between neighbours of one part [m]."""
+    """Returns the largest step in depth between neighbours of one part [m]."""
     return STEP + STEP_BY_SQUARE * z * z
 
 
@@ -53,7 +53,8 @@ def sort_pixels(rays: Any, image: Any, table: Any, known: Any, labels: Any) -> N
 
 @entry
 def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
-    """Numbers the connected parts of `OPEN` pixels in `labels` (h, w) from 0 on, and fills in their sizes; how many.
+    """Numbers the connected parts of `OPEN` pixels in `labels` (h, w) from 0 on, and fills in their sizes;
+    how many.
 
     Parts of less than `least` pixels are `OUT`.
     """
@@ -109,7 +110,8 @@ def spread(rays: Any, depth: Any, order: Any, spacing: float, chosen: Any) -> in
 
 @inner
 def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
-    """The unit normal, towards the camera, of what is seen at a pixel; zero where its surroundings are no surface."""
+    """Returns the unit normal, towards the camera, of what is seen at a pixel; zero where its surroundings are no
+    surface."""
     z, x0, y0 = depth[v, u], rays[v, u, 0], rays[v, u, 1]
     step, count = 2 * step_at(z), 0
     xx = xy = yy = sx = sy = xd = yd = sd = 0.0

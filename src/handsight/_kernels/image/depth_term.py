@@ -30,7 +30,7 @@ PAIRED = 100
 
 @inner
 def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
-    """Weight and residual of a SEEN, where it is, and the surface's normal there in the camera."""
+    """Returns weight and residual of a SEEN, where it is, and the surface's normal there in the camera."""
     nodes, field = surface
     R, p = pose
     P = vector(points.point)
@@ -43,7 +43,8 @@ def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, 
 
 @inner
 def _equations(surface: Any, points: Any, pose: Pose, about: Vec3, bound: float, u: Any) -> float:
-    """The sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω). surface: nodes, field."""
+    """Returns the sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω). surface: nodes,
+    field."""
     total = 0.0
     u.matrix[:] = 0.0
     u.values[:] = 0.0
@@ -77,8 +78,8 @@ def _hold(expected: tuple[Pose, Any], center: Vec3, pose: Pose, u: Any) -> None:
 def refine_pose(
     model: Any, nodes: Any, points: Any, stage: Any, expected: tuple[Pose, Any], pose: Pose
 ) -> Pose:
-    """The pose after Gauss-Newton steps to where points lie on the surface; rung: as of `refine_poses`, the third not
-    below the look's own bound; expected: as of `_hold`."""
+    """Returns the pose after Gauss-Newton steps to where points lie on the surface; rung: as of `refine_poses`, the
+    third not below the look's own bound; expected: as of `_hold`."""
     field = model.fine if stage[0] else model.coarse
     u, center, steps = local(UNCERTAINTY), vector(model.center), int(stage[3])
     longest = LONGEST_SHIFT * 2 * model.radius, LONGEST_TURN
@@ -134,7 +135,7 @@ def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any)
 
 @inner
 def _pulls(surface: Any, points: Any, pose: Pose, about: Vec3, bound: float, pulls: tuple[Any, Any]) -> int:
-    """How many points count, and how their depths pull the object by (τ, ω).
+    """Returns how many points count, and how their depths pull the object by (τ, ω).
 
     told: `values`, the sum of pulls, `wider`, of their squares; (m, 8) slopes x/z and y/z and pull of those first.
     """

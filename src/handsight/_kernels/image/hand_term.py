@@ -29,7 +29,7 @@ from handsight._kernels.solve.damped import damped_step
 
 
 class HandScoreOptions(NamedTuple):
-    """How a hand's pose is refined on a depth image, and what each of its pixels says of it."""
+    """`HandScoreOptions` say how a hand's pose is refined on a depth image, and what each of its pixels says of it."""
 
     max_shift: float = 0.03  # of one step [m]
     max_rotation: float = 0.3  # of one step [rad]
@@ -75,7 +75,8 @@ def _cosine(cells: Any, corner: Any, P: Vec3, n: Vec3) -> float:
 
 @inner
 def row_of(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[float, float]:
-    """Weight and residual of a point in the camera; image: depth (h, w), rays (h, w, 2), cells and their corner."""
+    """Returns weight and residual of a point in the camera; image: depth (h, w), rays (h, w, 2), cells and their
+    corner."""
     depth, rays, cells, corner = image
     if not -dot(n, P) > PALM_SCAN.facing_cosine * norm(P):
         return 0.0, 0.0
@@ -93,7 +94,7 @@ def row_of(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[flo
 def _equations(
     camera: Any, image: Any, hand: Any, pose: tuple[Mat33, Vec3, Vec3], bound: float, u: Any
 ) -> float:
-    """The sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω) about `pose[2]`."""
+    """Returns the sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω) about `pose[2]`."""
     R, p, about = pose
     total = 0.0
     u.matrix[:] = 0.0

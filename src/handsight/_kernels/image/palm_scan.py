@@ -14,7 +14,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 
 class PalmScanOptions(NamedTuple):
-    """How poses of the palm are compared with a coarse depth image."""
+    """`PalmScanOptions` say how poses of the palm are compared with a coarse depth image."""
 
     facing_cosine: float = 0.2
     """Least cosine between a point's normal and the way to the camera for the point to be visible."""

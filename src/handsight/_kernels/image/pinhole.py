@@ -16,7 +16,7 @@ PASSES, TOLERANCE = 60, 1e-9
 
 @inner
 def lens(camera: Any, x: float, y: float) -> tuple[float, float]:
-    """Where the lens bends a ray to; plumb_bob (k4 to k6: 0) or rational polynomial."""
+    """Returns where the lens bends a ray to; plumb_bob (k4 to k6: 0) or rational polynomial."""
     k, r2 = camera.lens, x * x + y * y
     p1, p2 = k[2], k[3]
     radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))

@@ -16,7 +16,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 
 class PoseScoreOptions(NamedTuple):
-    """How well a pose of the object explains a depth image, pixel by pixel."""
+    """`PoseScoreOptions` say how well a pose of the object explains a depth image, pixel by pixel."""
 
     facing_cosine: float = 0.12
     """Least cosine between a sample's normal and the way to the camera for the sample to be visible."""

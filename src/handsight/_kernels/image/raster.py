@@ -25,7 +25,7 @@ def _corner(camera: Any, point: Vec3) -> Vec3:
 
 @inner
 def _span(v: float, a: Vec3, b: Vec3, left: float, right: float) -> tuple[float, float]:
-    """A row's stretch, grown by where an edge crosses it."""
+    """Returns a row's stretch, grown by where an edge crosses it."""
     if not min(a[1], b[1]) <= v <= max(a[1], b[1]):
         return left, right
     if a[1] == b[1]:
@@ -62,7 +62,7 @@ def _fill(depth: Any, drawn: Any, label: int, a: Vec3, b: Vec3, c: Vec3) -> None
 
 @inner
 def _cut(inside: Vec3, outside: Vec3) -> Vec3:
-    """Where an edge crosses the plane at `NEAR`."""
+    """Returns where an edge crosses the plane at `NEAR`."""
     t = (inside[2] - NEAR) / (inside[2] - outside[2])
     x, y, _ = add(inside, scale(sub(outside, inside), t))
     return x, y, NEAR

@@ -19,7 +19,7 @@ CLEAR = 3.0
 
 @inner
 def _depth_between(depth: Any, u: float, v: float) -> float:
-    """The depth at a place between four pixels of one surface; 0 where they are not, or one has none.
+    """Returns the depth at a place between four pixels of one surface; 0 where they are not, or one has none.
 
     One over the depth is interpolated: on a plane it is linear in the image.
     """

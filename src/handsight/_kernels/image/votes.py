@@ -37,7 +37,7 @@ TURN = 1 << POINT_BITS
 
 @inner
 def about_normal(n: Vec3) -> Mat33:
-    """A rotation that brings a unit normal to +x, the same for the same normal (Duff and others, JCGT 2017)."""
+    """Returns a rotation that brings a unit normal to +x, the same for the same normal (Duff and others, JCGT 2017)."""
     sign = 1.0 if n[2] >= 0 else -1.0
     a = -1 / (sign + n[2])
     b = n[0] * n[1] * a
@@ -51,7 +51,7 @@ def _angle(cosine: float) -> int:
 
 @inner
 def cell_of(first: Vec3, n1: Vec3, second: Vec3, n2: Vec3, diameter: float) -> int:
-    """Which of the cells a pair of points and unit normals falls into; below 0: none."""
+    """Returns which of the cells a pair of points and unit normals falls into; below 0: none."""
     d = sub(second, first)
     length = norm(d)
     step = int(length * (DISTANCES / diameter))
@@ -63,7 +63,7 @@ def cell_of(first: Vec3, n1: Vec3, second: Vec3, n2: Vec3, diameter: float) -> i
 
 @inner
 def spin_of(frame: Mat33, first: Vec3, second: Vec3) -> float:
-    """The angle of a pair's second point about the first one's normal, which the frame brings to +x."""
+    """Returns the angle of a pair's second point about the first one's normal, which the frame brings to +x."""
     d = mul(frame, sub(second, first))
     return np.arctan2(d[2], d[1])
 

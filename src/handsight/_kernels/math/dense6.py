@@ -11,7 +11,8 @@ TINY = 1e-300
 
 @inner
 def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
-    """Whether there is a Cholesky factor of the (n, n) matrix, its lower triangle read, plus a `ridge`; writes it.
+    """Returns whether there is a Cholesky factor of the (n, n) matrix, its lower triangle read, plus a `ridge`;
+    writes it.
 
     The diagonal of `out` holds the factor's reciprocals.
     """

@@ -62,7 +62,7 @@ def _spline(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _basis(builder: Any, f: Any) -> list[Any]:
-    """Weights of four nodes, their slopes and their bends, as vectors."""
+    """Returns weights of four nodes, their slopes and their bends, as vectors."""
     four = _filled(builder, f, _DOUBLES)
     return [_polynomial(builder, rows, four) for rows in (_VALUE, _SLOPE, _BEND)]
 
@@ -105,7 +105,7 @@ def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> A
 
 
 def _weighted(context: Any, builder: Any, kind: Any, weight: Any, rows: Any) -> list[list[Any]]:
-    """The rows of W J."""
+    """Returns the rows of W J."""
     n = len(rows)
     if isinstance(kind, types.UniTuple):
         diagonal = [_filled(builder, w, _DOUBLES) for w in cgutils.unpack_tuple(builder, weight, n)]
@@ -124,7 +124,8 @@ def _weighted(context: Any, builder: Any, kind: Any, weight: Any, rows: Any) -> 
 
 @intrinsic
 def local(_: Any, dtype: Any) -> Any:
-    """A record of the type, on the stack and not filled in: it lives until the kernel that asks for it returns."""
+    """Returns a record of the type, on the stack and not filled in: it lives until the kernel that asks for it
+    returns."""
     return dtype.dtype(dtype), _local
 
 
@@ -139,7 +140,7 @@ def _local(context: Any, builder: Any, signature: Any, _: Any) -> Any:
 
 @intrinsic
 def scan(_: Any, table: Any, query: Any) -> Any:
-    """The column of a table with the least product with the query; of equals the first.
+    """Returns the column of a table with the least product with the query; of equals the first.
 
     `table`: (7, n) float32, n a multiple of 8, of fixed size. `query`: 7 float32.
     """
@@ -182,7 +183,7 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
 
 
 def _load(builder: Any, pointer: Any, place: Any, kind: Any) -> Any:
-    """A vector that begins at `place`, wherever that is."""
+    """Returns a vector that begins at `place`, wherever that is."""
     address = builder.bitcast(builder.gep(pointer, [place]), kind.as_pointer())
     return builder.load(address, align=4 if kind.element == _SINGLE else 8)
 
@@ -201,13 +202,13 @@ def _packed(builder: Any, numbers: Any) -> Any:
 
 
 def _filled(builder: Any, number: Any, kind: Any) -> Any:
-    """A vector of the same number."""
+    """Returns a vector of the same number."""
     first = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(_INT32, 0))
     return _splat(builder, first, 0)
 
 
 def _splat(builder: Any, vector: Any, k: int) -> Any:
-    """Its k-th element in every place."""
+    """Returns its k-th element in every place."""
     same = ir.Constant(ir.VectorType(_INT32, vector.type.count), [k] * vector.type.count)
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), same)
 

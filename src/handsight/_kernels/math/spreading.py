@@ -22,7 +22,7 @@ def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
 
 @inner
 def _least(numbers: Any) -> int:
-    """Where the least of the numbers is, of equals the first."""
+    """Returns where the least of the numbers is, of equals the first."""
     best, least = -1, np.inf
     for j in range(len(numbers)):
         if numbers[j] < least:
@@ -52,7 +52,7 @@ def _farthest(features: Any, columns: Any, chosen: Any) -> None:
 
 @entry
 def spread_out(features: Any, n: int, steps: int) -> Any:
-    """(n, 6) places spread evenly over the features (m, 6): the farthest ones, then Lloyd's steps."""
+    """Returns (n, 6) places spread evenly over the features (m, 6): the farthest ones, then Lloyd's steps."""
     chosen, gap = np.empty((n, WIDE)), np.empty(n)
     _farthest(features, features.T.copy(), chosen)
     for _ in range(steps):
@@ -74,7 +74,7 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
 
 @entry
 def snapped(features: Any, middles: Any) -> Any:
-    """(n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
+    """Returns (n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
     columns, gap = features.T.copy(), np.empty(len(features))
     index = np.empty(len(middles), np.int64)
     for j in range(len(middles)):

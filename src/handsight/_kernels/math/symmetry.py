@@ -59,7 +59,8 @@ def store_transform(pose: Pose, T: Any) -> None:
 
 @inner
 def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
-    """The pose after the k-th element of the group, spun about the axis, if there is one, to be near the reference."""
+    """Returns the pose after the k-th element of the group, spun about the axis, if there is one, to be near the
+    reference."""
     element, (R, p) = symmetry.rotation[k], pose
     shift = element[0, 3], element[1, 3], element[2, 3]
     turned = matmul(R, matrix(element))
@@ -85,7 +86,7 @@ def _spun(axis: Vec3, R: Mat33, reference: Mat33) -> Mat33:
 
 @inner
 def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
-    """The equivalent of a pose nearest to the reference in |δp|² + radius² |δθ|²; of equals the first."""
+    """Returns the equivalent of a pose nearest to the reference in |δp|² + radius² |δθ|²; of equals the first."""
     symmetry, radius = model.symmetry, model.radius
     if symmetry.kind == NO_SYMMETRY:
         return pose
@@ -106,7 +107,8 @@ def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
 
 @inner
 def are_distinct(model: Any, a: Pose, b: Pose, limits: Any) -> bool:
-    """Whether two poses differ by more than a shift of the object's center [m] or a turn [rad], modulo symmetry."""
+    """Returns whether two poses differ by more than a shift of the object's center [m] or a turn [rad], modulo
+    symmetry."""
     R, p = nearest(model, a, b)
     center = vector(model.center)
     gap = add(sub(p, b[1]), mul(sub33(R, b[0]), center))

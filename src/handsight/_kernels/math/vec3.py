@@ -16,19 +16,19 @@ Mat33: TypeAlias = tuple[Vec3, Vec3, Vec3]
 
 @inner
 def vector(x: np.ndarray) -> Vec3:
-    """The first three numbers of an array."""
+    """Returns the first three numbers of an array."""
     return x[0], x[1], x[2]
 
 
 @inner
 def matrix(x: np.ndarray) -> Mat33:
-    """The upper left 3x3 of an array, such as the rotation of a pose (4, 4)."""
+    """Returns the upper left 3x3 of an array, such as the rotation of a pose (4, 4)."""
     return (x[0, 0], x[0, 1], x[0, 2]), (x[1, 0], x[1, 1], x[1, 2]), (x[2, 0], x[2, 1], x[2, 2])
 
 
 @inner
 def block(x: np.ndarray, i: int, j: int) -> Mat33:
-    """The 3x3 of an array that begins at row i and column j."""
+    """Returns the 3x3 of an array that begins at row i and column j."""
     return (
         (x[i, j], x[i, j + 1], x[i, j + 2]),
         (x[i + 1, j], x[i + 1, j + 1], x[i + 1, j + 2]),
@@ -142,7 +142,7 @@ def transpose(M: Mat33) -> Mat33:
 
 @inner
 def matmul(A: Mat33, B: Mat33) -> Mat33:
-    """A B."""
+    """Returns a B."""
     a, b, c = A
     return (
         (
@@ -165,7 +165,7 @@ def matmul(A: Mat33, B: Mat33) -> Mat33:
 
 @inner
 def add33(A: Mat33, B: Mat33) -> Mat33:
-    """A + B."""
+    """Returns a + B."""
     a, b, c = A
     d, e, f = B
     return (
@@ -177,7 +177,7 @@ def add33(A: Mat33, B: Mat33) -> Mat33:
 
 @inner
 def sub33(A: Mat33, B: Mat33) -> Mat33:
-    """A - B."""
+    """Returns a - B."""
     a, b, c = A
     d, e, f = B
     return (
@@ -189,7 +189,7 @@ def sub33(A: Mat33, B: Mat33) -> Mat33:
 
 @inner
 def scale33(A: Mat33, s: float) -> Mat33:
-    """A s."""
+    """Returns a s."""
     a, b, c = A
     return (
         (a[0] * s, a[1] * s, a[2] * s),

@@ -9,7 +9,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 @inner
 def _root(parent: Any, i: int) -> int:
-    """The first node of i's set; shortens the way there."""
+    """Returns the first node of i's set; shortens the way there."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -18,7 +18,7 @@ def _root(parent: Any, i: int) -> int:
 
 @entry
 def linked(index: Any, shape: Any, distance: Any, free: Any, limit: float) -> Any:
-    """(n,) the set of each node, counted from 0 in the order of their first nodes.
+    """Returns (n,) the set of each node, counted from 0 in the order of their first nodes.
 
     `index` (n) places in a grid of `shape` (3), rising; neighbours that are both `free` (n) and whose `distance` (n)
     add up to more than the limit are in one set.

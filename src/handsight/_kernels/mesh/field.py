@@ -38,7 +38,7 @@ itself is unsure of (`blur`), are on one side."""
 
 @inner
 def field_at(nodes: Any, field: Any, place: Vec3) -> Values:
-    """Distance, gradient and Hessian of one field; `nodes`: those of all the object's grids."""
+    """Returns distance, gradient and Hessian of one field; `nodes`: those of all the object's grids."""
     if field.kind == GRID:
         return _grid(nodes, field, place)
     if field.kind == BOX:
@@ -81,7 +81,8 @@ def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
 
 @inner
 def _cell(field: Any, place: Vec3) -> tuple[int, Vec3, Vec3]:
-    """The first of the 4 x 4 x 4 nodes around a place, how far past the second it is, and past the grid [cells]."""
+    """Returns the first of the 4 x 4 x 4 nodes around a place, how far past the second it is, and past the grid
+    [cells]."""
     u = scale(sub(place, vector(field.origin)), field.inverse_cell)
     nx, ny, nz = field.shape[0], field.shape[1], field.shape[2]
     inside = _clamped(u[0], nx - 2.0), _clamped(u[1], ny - 2.0), _clamped(u[2], nz - 2.0)
@@ -92,7 +93,7 @@ def _cell(field: Any, place: Vec3) -> tuple[int, Vec3, Vec3]:
 
 @inner
 def _in_metres(field: Any, ten: Ten, beyond: Vec3) -> Values:
-    """Values of a spline as the field's, a way beyond the grid [cells]."""
+    """Returns values of a spline as the field's, a way beyond the grid [cells]."""
     d, gx, gy, gz, xx, xy, xz, yy, yz, zz = ten
     inverse = field.inverse_cell
     hessian = scale33(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), inverse * inverse)
@@ -121,7 +122,7 @@ def _where_zero(way: Vec3, v: Vec3) -> Vec3:
 
 @inner
 def _beyond(edge: Values, way: Vec3) -> Values:
-    """The field a way outside the grid, from its values at the edge."""
+    """Returns the field a way outside the grid, from its values at the edge."""
     # Behind a sheet all of it is negative.
     side = -1.0 if edge[0] < 0 else 1.0
     m, g, H = side * edge[0], scale(edge[1], side), scale33(edge[2], side)
@@ -140,7 +141,7 @@ def _beyond(edge: Values, way: Vec3) -> Values:
 
 @inner
 def _around(n: Vec3, curvature: float) -> Mat33:
-    """The Hessian of a ball's distance: (1 - n nᵀ) times its curvature."""
+    """Returns the Hessian of a ball's distance: (1 - n nᵀ) times its curvature."""
     return scale33(sub33(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), outer(n, n)), curvature)
 
 

@@ -25,7 +25,7 @@ _LEAST = 1000
 
 @inner
 def _gap2(boxes: Any, k: int, p: Vec3) -> float:
-    """The squared distance from p to box k, which is its least and its greatest corner."""
+    """Returns the squared distance from p to box k, which is its least and its greatest corner."""
     x = max(max(boxes[k, 0] - p[0], p[0] - boxes[k, 3]), 0.0)
     y = max(max(boxes[k, 1] - p[1], p[1] - boxes[k, 4]), 0.0)
     z = max(max(boxes[k, 2] - p[2], p[2] - boxes[k, 5]), 0.0)
@@ -34,7 +34,7 @@ def _gap2(boxes: Any, k: int, p: Vec3) -> float:
 
 @inner
 def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Weights of the corners in the point of triangle abc closest to p; an exact 0 off an edge."""
+    """Returns weights of the corners in the point of triangle abc closest to p; an exact 0 off an edge."""
     u, v, w = sub(b, a), sub(c, a), sub(p, a)
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     # Which corner, edge or the inside it is: Ericson, Real-Time Collision Detection, 5.1.5, one division at most.

@@ -64,7 +64,7 @@ WINDOW_VALUES = 16
 
 @inner
 def _gathered(cloud: Any, keys: Any, level: Any, place: Vec3, index: Any) -> int:
-    """How many points are within the window; fills `index` with them."""
+    """Returns how many points are within the window; fills `index` with them."""
     ny, nz = level.shape[1], level.shape[2]
     cell = scale(sub(place, vector(level.origin)), 1 / level.window)
     ix, iy, iz = int(cell[0]), int(cell[1]), int(cell[2])
@@ -87,7 +87,7 @@ def _fill(x: Any, u: float, v: float) -> None:
 
 @inner
 def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> int:
-    """Whether a point is none of the patch: 1 beside it, 2 behind it."""
+    """Returns whether a point is none of the patch: 1 beside it, 2 behind it."""
     u, v, z = place
     ahead = gradient(patch, u, v, z)
     facing = dot(ahead, normal) / max(norm(ahead), 1e-9)
@@ -105,7 +105,8 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
 
 @inner
 def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
-    """Sums of weights, of their squares, of those left out, and of squared heights; fills matrix and right side."""
+    """Returns sums of weights, of their squares, of those left out, and of squared heights; fills matrix and right
+    side."""
     patch, h = room.trial, level.window
     n, a, b, origin = (
         vector(patch.normal),
@@ -138,7 +139,7 @@ def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[fl
 
 @inner
 def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
-    """The share of weight left out, above 1 where there is no fit; moves the trial patch to its fit."""
+    """Returns the share of weight left out, above 1 where there is no fit; moves the trial patch to its fit."""
     patch, h = room.trial, level.window
     total, squares, rejected, heights = _normal_equations(cloud, index, level, room)
     if total * total < LEAST * squares or not total > 0:
@@ -201,7 +202,7 @@ def _tensor(patch: Any, out: Any) -> None:
 
 @inner
 def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
-    """Whether a patch is further from that of a smaller window than that one's deviations allow."""
+    """Returns whether a patch is further from that of a smaller window than that one's deviations allow."""
     n, limit = vector(patch.normal), DRIFT * DRIFT
     for j in range(windows):
         row = earlier[j]

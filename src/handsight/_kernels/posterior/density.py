@@ -27,7 +27,7 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[float, float]:
-    """χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
+    """Returns χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
 
     Adds to `spurious` those of what the model's bumps lend.
     """
@@ -95,13 +95,13 @@ def information(
 
 @inner
 def posterior_cost(evidence: Evidence, pose: Pose) -> float:
-    """Minus two log of the posterior density at a pose, up to a constant."""
+    """Returns minus two log of the posterior density at a pose, up to a constant."""
     return evidence_cost(evidence, ALL, pose)
 
 
 @inner
 def largest_gain(evidence: Evidence, u: Any) -> float:
-    """The most that χ² falls, to first order, when one contact is left out and the pose gives way.
+    """Returns the most that χ² falls, to first order, when one contact is left out and the pose gives way.
 
     With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
     prior's and the weight's share is in `u.equations`; what bumps lend is part of the cost, and stays.

@@ -30,7 +30,7 @@ TURN = np.array([
 
 @inner
 def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
-    """What eigenvalues of spins are above, after they were added to a matrix (6, 6) by (δp, radius δθ)."""
+    """Returns what eigenvalues of spins are above, after they were added to a matrix (6, 6) by (δp, radius δθ)."""
     R, size = pose[0], 0.0
     for i in range(6):
         size += matrix[i, i]
@@ -110,7 +110,7 @@ def _rises(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, rises: 
 
 @inner
 def _before(rises: Any, slopes: Any, k: int, other: int) -> bool:
-    """Whether a direction is integrated along rather than another: one that departs, then the wider one."""
+    """Returns whether a direction is integrated along rather than another: one that departs, then the wider one."""
     if (rises[k] > INTEGRATION.max_gaussian_rise) != (rises[other] > INTEGRATION.max_gaussian_rise):
         return rises[k] > INTEGRATION.max_gaussian_rise
     return slopes[k] < slopes[other]
@@ -118,7 +118,7 @@ def _before(rises: Any, slopes: Any, k: int, other: int) -> bool:
 
 @inner
 def at_coordinates(mode: Pose, radius: float, six: Any) -> Pose:
-    """The pose at coordinates (6) from a mode."""
+    """Returns the pose at coordinates (6) from a mode."""
     return retract_body(mode, ((six[0], six[1], six[2]), scale((six[3], six[4], six[5]), 1 / radius)))
 
 
@@ -133,8 +133,8 @@ def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
 
 @inner
 def without_bumps(evidence: Evidence, flat: Any, pose: Pose, cost: float) -> float:
-    """The cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than chance
-    explains is alike."""
+    """Returns the cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than
+    chance explains is alike."""
     if flat.bump_margin > 0.0:
         by_prior = evidence_cost(evidence, PRIOR | LOADS, pose)
         cost = by_prior + max(cost - by_prior, flat.level)
@@ -179,7 +179,7 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
 
 @inner
 def build_lattice(flat: Any) -> float:
-    """Log of the lattice's cell [m^count]; fills in its steps."""
+    """Returns log of the lattice's cell [m^count]; fills in its steps."""
     cell = 0.0
     for n in range(flat.count):
         cell += np.log(flat.spacing[n])
@@ -205,7 +205,7 @@ def coordinates_at(flat: Any, point: Any, out: Any) -> None:
 
 @inner
 def fine_enough(flat: Any, sums: Any, radius: float) -> bool:
-    """Whether deviations along the slide have places enough; else brings these closer together."""
+    """Returns whether deviations along the slide have places enough; else brings these closer together."""
     fine, wanted = True, INTEGRATION.points_per_sigma[flat.count - 1]
     for k in range(flat.count):
         mean = square = 0.0

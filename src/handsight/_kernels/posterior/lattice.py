@@ -23,8 +23,8 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def _relax(flat: Any, E: Mat33, u: Any) -> bool:
-    """Whether a step across the slide is determined; `u.column`: the step, of `u.values` the gradient, `u.matrix` the
-    Hessian by it, `u.wider` its directions (τ, radius ω) after the turn E that led to the place."""
+    """Returns whether a step across the slide is determined; `u.column`: the step, of `u.values` the gradient,
+    `u.matrix` the Hessian by it, `u.wider` its directions (τ, radius ω) after the turn E that led to the place."""
     count = flat.count_across
     for a in range(count):
         shift = mul(E, (flat.across[0, a], flat.across[1, a], flat.across[2, a]))
@@ -57,7 +57,7 @@ def _relax(flat: Any, E: Mat33, u: Any) -> bool:
 
 @inner
 def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, sums: Any, u: Any) -> float:
-    """Log weight of a place, its other coordinates made the best there; adds it to the sums.
+    """Returns log weight of a place, its other coordinates made the best there; adds it to the sums.
 
     The cost is what the step across promises: what S changes on the way is left out.
     """

@@ -49,7 +49,7 @@ from handsight._kernels.solve.batch import fill_prior, load_terms
 
 @inner
 def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, sums: Any) -> bool:
-    """Whether all that has density was visited, from the mode on."""
+    """Returns whether all that has density was visited, from the mode on."""
     u, points, reach = (
         local(UNCERTAINTY),
         np.zeros(INTEGRATION.max_points, LATTICE_POINT),
@@ -91,7 +91,7 @@ def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, sums: Any) ->
 
 @inner
 def _integrated(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: Any) -> bool:
-    """Whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
+    """Returns whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, flat, local(UNCERTAINTY))
     rows = np.empty(len(evidence.outside), OUTSIDE)
     measure_clearances(evidence, evidence.model.fine, mode, np.inf, rows)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 
 class CalibrationOptions(NamedTuple):
-    """How an information matrix is calibrated by the cost of its own mode."""
+    """`CalibrationOptions` say how an information matrix is calibrated by the cost of its own mode."""
 
     open_sigma: float = 1 / 3
     """A direction is unobservable when touch alone leaves it a standard deviation above this part of the radius."""
@@ -21,7 +21,7 @@ class CalibrationOptions(NamedTuple):
 
 
 class IntegrationOptions(NamedTuple):
-    """How a mode is integrated along its flat directions, on a lattice of points."""
+    """`IntegrationOptions` say how a mode is integrated along its flat directions, on a lattice of points."""
 
     max_gaussian_rise: float = 1.5
     """A mode is not Gaussian when the cost beside it rises by more than this factor times a Gaussian's."""

@@ -42,7 +42,8 @@ LENGTH_PER_TURN = 0.1
 
 @inner
 def _measured(Ts: Any, pivot: Vec3, T_mount_palm: Any) -> Pose:
-    """Where vision should see the object from a palm: E (T_mount_palm T_palm_object), E the bias about the pivot."""
+    """Returns where vision should see the object from a palm: E (T_mount_palm T_palm_object), E the bias about the
+    pivot."""
     (R, p), (Q, q), (E, e) = transform_of(T_mount_palm), transform_of(Ts[0]), transform_of(Ts[1])
     place = add(p, mul(R, q))
     return matmul(E, matmul(R, Q)), add(add(pivot, e), mul(E, sub(place, pivot)))
@@ -100,7 +101,7 @@ def _whiten(factored: Any, rows: Any) -> None:
 
 @inner
 def _take_in(rows: Any, mean: Any, covariance: Any) -> float:
-    """A Gaussian after a whitened measurement (6, 13), one number at a time (Kalman); its χ² before."""
+    """Returns a Gaussian after a whitened measurement (6, 13), one number at a time (Kalman); its χ² before."""
     n, gain, chi2 = len(mean), np.empty(len(mean)), 0.0
     for m in range(len(rows)):
         innovation, variance = rows[m, n], 1.0
@@ -128,8 +129,8 @@ def expect(Ts: Any, pivot: Any, T_mount_palm: Any, T: Any) -> None:
 
 @entry
 def distance2(Ts: Any, covariance: Any, pivot: Any, measurement: Any) -> float:
-    """χ² (six degrees of freedom) of a MEASUREMENT (1) against what a state expects; infinite where its noise is no
-    covariance."""
+    """Returns χ² (six degrees of freedom) of a MEASUREMENT (1) against what a state expects; infinite where its noise
+    is no covariance."""
     rows, factored, spread = np.empty((6, STATE + 1)), np.empty((6, 6)), covariance.copy()
     linearize(Ts, vector(pivot), measurement[0], rows)
     if not factor(measurement[0].covariance, 6, 0.0, factored):
@@ -140,7 +141,7 @@ def distance2(Ts: Any, covariance: Any, pivot: Any, measurement: Any) -> float:
 
 @entry
 def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, covariance: Any) -> bool:
-    """The posterior when the last of the measurements came; False where the noise of one is no covariance.
+    """Returns the posterior when the last of the measurements came; False where the noise of one is no covariance.
 
     `Ts`, the last answer, becomes the maximum a posteriori of a prior with covariance `prior` and all `measurements`
     (k) MEASUREMENT, by Gauss-Newton; `covariance` is written. A step is a Kalman filter over the measurements, in the
@@ -209,7 +210,8 @@ def _age(one: Any, process_noise: Any, covariance: Any) -> None:
 
 @inner
 def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
-    """The newer of two measurements becomes both, from the older's palm: innovations weighted by their information."""
+    """Returns the newer of two measurements becomes both, from the older's palm: innovations weighted by their
+    information."""
     expected = _measured(Ts, pivot, old.T_mount_palm)
     aged, factored, rows = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
     innovation, other = np.empty(6), np.empty(6)
@@ -244,7 +246,7 @@ def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
 
 @inner
 def _angles_between(a: Any, b: Any) -> tuple[float, float]:
-    """How far palms (4, 4) are from each other [m], [rad]."""
+    """Returns how far palms (4, 4) are from each other [m], [rad]."""
     shift, square = sub((a[0, 3], a[1, 3], a[2, 3]), (b[0, 3], b[1, 3], b[2, 3])), 0.0
     for i in range(3):
         for j in range(3):
@@ -255,8 +257,9 @@ def _angles_between(a: Any, b: Any) -> tuple[float, float]:
 
 @entry
 def merge(measurements: Any, most: int, same: Any, Ts: Any, pivot: Any) -> int:
-    """How many of the measurements (k + 1) MEASUREMENT are left when the last, which is new, has become one with that
-    of the nearest palm, if there are more than `most` or it is nearer than `same` [m], [rad]; in the order of time."""
+    """Returns how many of the measurements (k + 1) MEASUREMENT are left when the last, which is new, has become one
+    with that of the nearest palm, if there are more than `most` or it is nearer than `same` [m], [rad]; in the order
+    of time."""
     last, best, least = len(measurements) - 1, 0, np.inf
     new, near = measurements[last], False
     for k in range(last):

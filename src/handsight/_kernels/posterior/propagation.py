@@ -32,8 +32,8 @@ def inflate(information: Any, variance: Any) -> None:
 
 @entry
 def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> float:
-    """The largest eigenvalue of the `covariance` (3, 3), written, of where a point is that the object's origin carries
-    at the end of a `lever` (3).
+    """Returns the largest eigenvalue of the `covariance` (3, 3), written, of where a point is that the object's
+    origin carries at the end of a `lever` (3).
 
     What a declared symmetry leaves at zero in the information (6, 6) is no uncertainty.
     """

@@ -78,7 +78,8 @@ def subtract_spurious_information(by_touch: Any, equations: Any, radius: float) 
 
 @inner
 def cost_deviation(evidence: Evidence, pose: Pose) -> float:
-    """How far touch's cost moves from bump to bump along a slide, as a standard deviation; 0 where there are none.
+    """Returns how far touch's cost moves from bump to bump along a slide, as a standard deviation; 0 where there are
+    none.
 
     The finger's error n ~ N(0, S) stays what it is, the bumps' e ~ N(0, V) changes from place to place. With
     W = (S + V)⁻¹ the cost (n + e)ᵀ W (n + e) has the variance 4 tr(W V) - 2 tr(W V W V), a mean over n.

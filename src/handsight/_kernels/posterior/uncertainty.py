@@ -36,7 +36,7 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def retract_body(pose: Pose, flat: tuple[Vec3, Vec3]) -> Pose:
-    """The pose after a slide (s, δθ), straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
+    """Returns the pose after a slide (s, δθ), straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
     (R, p), (s, w) = pose, flat
     half = 0.5 * norm(w)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
@@ -47,7 +47,7 @@ def retract_body(pose: Pose, flat: tuple[Vec3, Vec3]) -> Pose:
 
 @inner
 def _column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, Vec3]:
-    """The slide of a length [m] along the k-th eigenvector."""
+    """Returns the slide of a length [m] along the k-th eigenvector."""
     shift, turn = (vectors[0, k], vectors[1, k], vectors[2, k]), (vectors[3, k], vectors[4, k], vectors[5, k])
     return scale(shift, length), scale(turn, length / radius)
 
@@ -110,7 +110,7 @@ def calibrated_information(
 
 @inner
 def _departure(model: Any, values: Any, rises: Any) -> float:
-    """The largest of the rises along slides; infinite where more is unknown than turns about declared axes."""
+    """Returns the largest of the rises along slides; infinite where more is unknown than turns about declared axes."""
     most, unknown = 0.0, 0
     for k in range(6):
         if values[k] * (CALIBRATION.wide_sigma * model.radius) ** 2 < 1:
@@ -121,7 +121,8 @@ def _departure(model: Any, values: Any, rises: Any) -> float:
 
 @inner
 def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool:
-    """Whether all is known of a posterior that is Gaussian along the object; writes its information and covariance.
+    """Returns whether all is known of a posterior that is Gaussian along the object; writes its information and
+    covariance.
 
     From `u.values` [1/m²] and `u.vectors`; known is what is above `least`. The contacts are linear in a slide `s` along
     the object's own, turned, axes: `δp = exp(δθ) s ≈ s + δθ × s`. Along the palm's axes a long slide with an uncertain
@@ -162,7 +163,7 @@ def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool
 
 @inner
 def _keep_known(values: Any, vectors: Any, least: float) -> tuple[int, bool]:
-    """How many directions are known, moved to the first columns; whether all are, better than `least`."""
+    """Returns how many directions are known, moved to the first columns; whether all are, better than `least`."""
     largest, known = 0.0, 0
     for k in range(6):
         largest = max(largest, values[k])
@@ -210,7 +211,8 @@ def _arc_covariance(C: Any, out: Any) -> None:
 
 @inner
 def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int:
-    """How many directions touch leaves open; writes them, orthonormal (δp, radius δθ) at the origin, to rows of `out`.
+    """Returns how many directions touch leaves open; writes them, orthonormal (δp, radius δθ) at the origin, to rows
+    of `out`.
 
     Judged at the object's center: an origin far from the object swings by metres where the object itself hardly turns.
     """

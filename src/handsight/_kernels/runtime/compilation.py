@@ -48,7 +48,7 @@ class KernelWarning(UserWarning):
 
 
 def inner(function: F) -> F:
-    """A function for other kernels: compiled into each of them, and not callable from Python."""
+    """Returns a function for other kernels: compiled into each of them, and not callable from Python."""
     return numba.njit(
         error_model="numpy",
         fastmath=FAST,
@@ -64,12 +64,12 @@ def exact(function: F) -> F:
 
 
 def entry(function: F) -> F:
-    """A kernel that Python calls; its machine code is kept on disk, and the interpreter is released."""
+    """Returns a kernel that Python calls; its machine code is kept on disk, and the interpreter is released."""
     return _kept(numba.njit(error_model="numpy", fastmath=FAST, nogil=True)(function))
 
 
 def _stamp() -> str:
-    """One for all kernels, and for the bounds that they know: they are compiled into each other."""
+    """Returns one for all kernels, and for the bounds that they know: they are compiled into each other."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in (Path(checks.__file__), *sorted(Path(__file__).parents[1].rglob("*.py"))):
         digest.update(path.read_bytes())
@@ -80,7 +80,8 @@ STAMP = _stamp()
 
 
 def folder() -> Path:
-    """Where the machine code of this version is: in `$NUMBA_CACHE_DIR` where that is set, else handsight's cache."""
+    """Returns where the machine code of this version is: in `$NUMBA_CACHE_DIR` where that is set, else handsight's
+    cache."""
     name, named = f"kernels-{STAMP}", os.environ.get("NUMBA_CACHE_DIR")
     return cache_folder.private_folder(Path(named), name) if named else cache_folder.cache_folder() / name
 
@@ -123,7 +124,7 @@ class _Files:
         self._kernel = kernel
 
     def load(self, key: Any) -> Any:
-        """What `save` was given. Raises OSError where there is nothing, ValueError where it is not that."""
+        """Returns what `save` was given. Raises OSError where there is nothing, ValueError where it is not that."""
         return pickle.loads(cache_folder.read_entry(*self._place(key)))
 
     def save(self, key: Any, compiled: Any) -> None:

@@ -99,7 +99,8 @@ GROUPS: dict[str, Callable[[], None]] = {
 
 
 def _ball() -> tuple[NDArray[Any], ...]:
-    """A ball between three contacts, as the kernels take it: model, nodes, contacts, problems, outside points."""
+    """Returns a ball between three contacts, as the kernels take it: model, nodes, contacts, problems, outside
+    points."""
     radius, directions = 0.05, np.vstack([np.eye(3), -np.eye(3)])[np.arange(records.SAMPLES) % 6]
     model = np.zeros(1, dtype=records.MODEL)
     row = model[0]

@@ -36,7 +36,7 @@ LIMITS = DESCENT.coarse, DESCENT.fine
 
 @inner
 def load_terms(contacts: Any, terms: Any) -> Vec3:
-    """The centroid of the contacts; fills in their terms."""
+    """Returns the centroid of the contacts; fills in their terms."""
     center = (0.0, 0.0, 0.0)
     for i in range(len(contacts)):
         contact, term = contacts[i], terms[i]
@@ -64,7 +64,8 @@ def fill_prior(model: Any, constraints: Any, center: Vec3, term: Any) -> None:
 
 @inner
 def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
-    """The minimum that both phases lead to from a pose, or the fine field alone; writes costs, steps, convergence."""
+    """Returns the minimum that both phases lead to from a pose, or the fine field alone; writes costs, steps,
+    convergence."""
     model, steps = evidence.model, 0
     if not follows:
         pose, steps = match(evidence, pose)
@@ -80,7 +81,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
 
 @inner
 def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, float]:
-    """Distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
+    """Returns distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
     distance, _, facing, _, _ = surface_at(nodes, model.fine, vector(contact.point), pose)
     if not contact.has_normal:
         return distance, np.nan
@@ -218,7 +219,7 @@ def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals:
 
 @entry
 def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) -> int:
-    """How many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them.
+    """Returns how many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them.
 
     `limits` (2,): apart are poses that differ by more than a shift [m] or a turn [rad].
     """

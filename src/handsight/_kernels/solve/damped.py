@@ -14,7 +14,8 @@ DAMPING = 1e-3
 
 @inner
 def damped_step(u: Any, radius: float, longest: tuple[float, float], center: Vec3, pose: Pose) -> Pose:
-    """The pose after a step of the normal equations `u.matrix`, `u.values`, which are used up; itself if there is none.
+    """Returns the pose after a step of the normal equations `u.matrix`, `u.values`, which are used up; itself if
+    there is none.
 
     radius [m]: what a turn counts by; longest: of a step [m, rad]; center: in the frame that is moved.
     """

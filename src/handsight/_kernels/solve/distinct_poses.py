@@ -27,7 +27,7 @@ def _cosine(symmetries: Any, R: Any) -> float:
 
 @inner
 def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tuple[Pose, Pose]) -> bool:
-    """Whether a symmetry brings the second pose to within the limit of the first, by shift and turn."""
+    """Returns whether a symmetry brings the second pose to within the limit of the first, by shift and turn."""
     (R, p), (R1, p1) = poses
     place = add(mul(R, about), p)
     for k in range(len(symmetries[0])):

@@ -17,7 +17,7 @@ from handsight._kernels.solve.options import DESCENT
 
 @inner
 def damped_step(equations: Any, radius: float, damping: float, workspace: Any) -> tuple[Vec3, Vec3]:
-    """A Levenberg-Marquardt step (τ, radius ω), its turn at most MAX_TURN; what nothing observes stays."""
+    """Returns a Levenberg-Marquardt step (τ, radius ω), its turn at most MAX_TURN; what nothing observes stays."""
     trace = 0.0
     for k in range(6):
         trace += equations[k, k]
@@ -33,7 +33,7 @@ def damped_step(equations: Any, radius: float, damping: float, workspace: Any) -
 
 @inner
 def retract(pose: Pose, step: tuple[Vec3, Vec3], center: Vec3, radius: float) -> Pose:
-    """The pose after a step (τ, radius ω) about `center`; the turn by Cayley's map, which needs no sine."""
+    """Returns the pose after a step (τ, radius ω) about `center`; the turn by Cayley's map, which needs no sine."""
     R, p = pose
     x, y, z = scale(step[1], 1 / (2 * radius))
     k = 2 / (1 + x * x + y * y + z * z)
@@ -62,7 +62,7 @@ def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
 def descend(
     evidence: Evidence, field: Any, pose: Pose, limits: tuple[int, float], rewhiten: bool
 ) -> tuple[Pose, float, int, bool]:
-    """The minimum below a pose: where, its cost, steps tried, whether the last was small.
+    """Returns the minimum below a pose: where, its cost, steps tried, whether the last was small.
 
     `limits`: most steps, and the step [standard deviations] that is small. A step is taken only when it lowers the
     cost; only a step that was taken can end a descent as converged. `rewhiten`: weigh the contacts as they are at the

@@ -71,7 +71,7 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
 
 @inner
 def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
-    """The pose after Gauss-Newton steps on nearest samples, and how many."""
+    """Returns the pose after Gauss-Newton steps on nearest samples, and how many."""
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)

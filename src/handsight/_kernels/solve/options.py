@@ -28,7 +28,7 @@ class DescentOptions(NamedTuple):
 
 
 class SearchOptions(NamedTuple):
-    """Which starts are worth a descent."""
+    """`SearchOptions` say which starts are worth a descent."""
 
     single_start_width: float = 0.225
     """A prior narrower than this part of the diameter needs one start."""

@@ -76,7 +76,7 @@ def draw(constraints: Any, draws: Any, descents: Any) -> None:
 
 @inner
 def _frame(z: Vec3, hint: Vec3) -> Mat33:
-    """A rotation whose third column is `z` and whose first points as far along `hint` as it can."""
+    """Returns a rotation whose third column is `z` and whose first points as far along `hint` as it can."""
     x = sub(hint, scale(z, dot(hint, z)))
     if not norm(x) > 1e-9 * norm(hint):
         least = min(abs(z[0]), min(abs(z[1]), abs(z[2])))
@@ -129,7 +129,8 @@ def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, cos
 
 @inner
 def _is_near(model: Any, a: Pose, b: Pose) -> bool:
-    """Whether two poses are the same, but for what another descent would hardly change; no symmetry is looked at."""
+    """Returns whether two poses are the same, but for what another descent would hardly change; no symmetry is looked
+    at."""
     (R, p), (Q, q) = a, b
     gap = add(sub(p, q), sub(mul(R, vector(model.center)), mul(Q, vector(model.center))))
     trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
@@ -138,7 +139,8 @@ def _is_near(model: Any, a: Pose, b: Pose) -> bool:
 
 @inner
 def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
-    """Whether phase 1 led to the pose before; `earlier` (M,) POSE: where it led those of the first k that went on."""
+    """Returns whether phase 1 led to the pose before; `earlier` (M,) POSE: where it led those of the first k that
+    went on."""
     for j in range(k):
         if rows[j, 0].cost < np.inf and _is_near(model, pose, pose_of(earlier[j])):
             return True
@@ -148,7 +150,8 @@ def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
 
 @inner
 def _select(model: Any, rows: Any, chosen: Any) -> int:
-    """How many descents are no repeats of cheaper ones, modulo symmetry; fills `chosen` with them, cheapest first."""
+    """Returns how many descents are no repeats of cheaper ones, modulo symmetry; fills `chosen` with them, cheapest
+    first."""
     count, taken = 0, np.zeros(len(rows), np.bool_)
     for _ in range(len(rows)):
         best = -1

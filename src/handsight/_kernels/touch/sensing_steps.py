@@ -143,7 +143,7 @@ def unpack_fingertip(record: Any) -> Fingertip:
 
 @lane
 def _is_load(v: Vec3) -> bool:
-    """Whether a tip can bear a force [N] or a torque [N m]; False for NaN."""
+    """Returns whether a tip can bear a force [N] or a torque [N m]; False for NaN."""
     return (abs(v[0]) <= MAX_LOAD) & (abs(v[1]) <= MAX_LOAD) & (abs(v[2]) <= MAX_LOAD)
 
 

@@ -22,7 +22,7 @@ _DTYPES = {
 
 
 class PcdLimits(NamedTuple):
-    """What a PCD file may hold."""
+    """`PcdLimits` are what a PCD file may hold."""
 
     max_fields: int = 256  # of a point
     max_count: int = 4096  # of numbers in a field
@@ -48,7 +48,7 @@ class _Header:
 
 
 def pcd_columns(data: bytes) -> dict[str, NDArray[np.generic]]:
-    """The fields with one number a point, each (n,), by name; raises BadText."""
+    """Returns the fields with one number a point, each (n,), by name; raises BadText."""
     header = _header(data)
     readers = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
     if header.kind not in readers:
@@ -138,7 +138,7 @@ def _compressed(header: _Header) -> list[NDArray[np.generic]]:
 
 
 def lzf_unpacked(packed: bytes, size: int) -> bytes:
-    """The `size` bytes that LZF packed; raises BadText where they are not that."""
+    """Returns the `size` bytes that LZF packed; raises BadText where they are not that."""
     out, at = bytearray(), 0
     try:
         while at < len(packed) and len(out) <= size:

@@ -49,7 +49,7 @@ class _Element:
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """What an element has of a property, row after row."""
+    """A `_Column` is what an element has of a property, row after row."""
 
     values: NDArray[np.generic]
     counts: NDArray[np.generic] | None = None
@@ -60,7 +60,7 @@ Table = dict[str, _Column]
 
 
 def ply_shape(data: bytes) -> tuple[Array, Array | None, Indices | None]:
-    """Vertices (k, 3), normals (k, 3) or None, and triangles (m, 3) or None for a cloud; raises BadText."""
+    """Returns vertices (k, 3), normals (k, 3) or None, and triangles (m, 3) or None for a cloud; raises BadText."""
     order, elements, at = _header(data)
     body = _Binary(data, at, order) if order else _Words(data[at:])
     tables: dict[str, Table] = {}
@@ -80,7 +80,7 @@ def ply_shape(data: bytes) -> tuple[Array, Array | None, Indices | None]:
 
 
 def ply_sigmas(data: bytes) -> Array | None:
-    """(k,) what a cloud says its points may be off by, in a property `sigma`, or None; raises BadText."""
+    """Returns (k,) what a cloud says its points may be off by, in a property `sigma`, or None; raises BadText."""
     order, elements, at = _header(data)
     if [each.name for each in elements[:1]] != ["vertex"] or any(each.name == "face" for each in elements):
         return None
@@ -126,13 +126,13 @@ def _is_list(count: str, kind: str) -> bool:
 
 
 class _Words:
-    """A body of words, a line a row."""
+    """A `_Words` is a body of words, a line a row."""
 
     def __init__(self, body: bytes) -> None:
         self._rows = rows(text_lines(body))
 
     def table(self, element: _Element) -> Table:
-        """The next rows; raises BadText."""
+        """Returns the next rows; raises BadText."""
         found, of = islice(self._rows, element.rows), element.properties
         if any(each.count for each in of):
             return _of_rows(element, (_numbers(words, element) for words in found))
@@ -143,7 +143,7 @@ class _Words:
 
 
 def _numbers(words: list[str], element: _Element) -> list[list[float]]:
-    """What a row has of each property."""
+    """Returns what a row has of each property."""
     left, found = iter(words), list[list[float]]()
     try:
         for each in element.properties:
@@ -158,13 +158,13 @@ def _numbers(words: list[str], element: _Element) -> list[list[float]]:
 
 
 class _Binary:
-    """A body of bytes."""
+    """A `_Binary` is a body of bytes."""
 
     def __init__(self, data: bytes, at: int, order: str) -> None:
         self._data, self._at, self._order = data, at, order
 
     def table(self, element: _Element) -> Table:
-        """The next rows; raises BadText."""
+        """Returns the next rows; raises BadText."""
         begin = self._at
         try:  # lists are mostly as long in each row as in the first
             sizes = [len(values) for values in self._row(element)]
@@ -190,7 +190,7 @@ class _Binary:
         return np.dtype(parts)
 
     def _row(self, element: _Element) -> list[tuple[int, ...]]:
-        """What the next row has of each property; struct.error where it ends beyond the file."""
+        """Returns what the next row has of each property; struct.error where it ends beyond the file."""
         return [
             self._take(each.kind, self._take(each.count, 1)[0] if each.count else 1)
             for each in element.properties
@@ -223,7 +223,7 @@ def _of_rows(element: _Element, found: Iterator[Sequence[Sequence[Any]]]) -> Tab
 
 
 def _three(table: Table, names: tuple[str, str, str]) -> Array | None:
-    """(k, 3) of the columns so named, or None where one is missing or a list."""
+    """Returns (k, 3) of the columns so named, or None where one is missing or a list."""
     columns = [table[name] for name in names if name in table and table[name].counts is None]
     if len(columns) < 3:
         return None

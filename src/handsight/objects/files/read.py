@@ -26,7 +26,7 @@ _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("at
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """What a file holds, in the file's own unit."""
+    """A `Shape` is what a file holds, in the file's own unit."""
 
     vertices: Array
     """(k, 3)"""
@@ -40,12 +40,12 @@ class Shape:
 
 
 def read_shape(path: str | os.PathLike[str]) -> Shape:
-    """The mesh or cloud in a file, by its extension; raises InvalidFile starting with the file's name."""
+    """Returns the mesh or cloud in a file, by its extension; raises InvalidFile starting with the file's name."""
     return shape_of(Path(path), content(path))
 
 
 def shape_of(file: Path, data: bytes) -> Shape:
-    """The mesh or cloud in the content of a file so called; raises InvalidFile."""
+    """Returns the mesh or cloud in the content of a file so called; raises InvalidFile."""
     try:
         shape = READERS[file.suffix.lower()](data)
     except BadText as error:
@@ -58,7 +58,7 @@ def shape_of(file: Path, data: bytes) -> Shape:
 
 
 def content(path: str | os.PathLike[str]) -> bytes:
-    """What is in a regular file of a known kind and sensible size; raises InvalidFile."""
+    """Returns what is in a regular file of a known kind and sensible size; raises InvalidFile."""
     file = Path(path)
     if file.suffix.lower() not in READERS:
         known = ", ".join(sorted(READERS))
@@ -70,7 +70,7 @@ def content(path: str | os.PathLike[str]) -> bytes:
 
 
 def _finite_rows(shape: Shape) -> Shape:
-    """A cloud without its missing points: sensors write those as NaN."""
+    """Returns a cloud without its missing points: sensors write those as NaN."""
     good = np.isfinite(shape.vertices).all(axis=1)
     if shape.normals is not None:
         good &= np.isfinite(shape.normals).all(axis=1) & (shape.normals != 0).any(axis=1)
@@ -115,7 +115,7 @@ def _pcd(data: bytes) -> Shape:
 
 
 def _three(columns: dict[str, NDArray[np.generic]], names: tuple[str, str, str]) -> Array | None:
-    """(k, 3) of the columns so named, or None where one is missing."""
+    """Returns (k, 3) of the columns so named, or None where one is missing."""
     if not all(name in columns for name in names):
         return None
     return np.stack([columns[name].astype(np.float64) for name in names], axis=1)

@@ -23,7 +23,8 @@ class BadText(ValueError):
 
 
 def text_lines(data: bytes) -> Iterator[str]:
-    """The lines of a text, behind the mark of UTF-8 that some editors write; comments may be in any encoding."""
+    """Returns the lines of a text, behind the mark of UTF-8 that some editors write; comments may be in any
+    encoding."""
     data = data.removeprefix(codecs.BOM_UTF8)
     for at in range(0, len(data) - LONGEST_LINE, LONGEST_LINE):
         if all(data.find(end, at, at + LONGEST_LINE) < 0 for end in (b"\n", b"\r")):
@@ -32,7 +33,7 @@ def text_lines(data: bytes) -> Iterator[str]:
 
 
 def rows(lines: Iterable[str], separator: str = "") -> Iterator[list[str]]:
-    """The words of each line that has some; `#` starts a comment, a separator parts words as spaces do."""
+    """Yields the words of each line that has some; `#` starts a comment, a separator parts words as spaces do."""
     for line in lines:
         text = line.partition("#")[0] if "#" in line else line
         words = text.replace(separator, " ").split() if separator else text.split()
@@ -41,7 +42,7 @@ def rows(lines: Iterable[str], separator: str = "") -> Iterator[list[str]]:
 
 
 def number_table(words: Iterable[Iterable[str]], width: int) -> Array:
-    """(n, width) numbers of rows of so many words; NaN is a number here."""
+    """Returns (n, width) numbers of rows of so many words; NaN is a number here."""
     try:
         return np.fromiter(map(float, chain.from_iterable(words)), np.float64).reshape(-1, width)
     except BadText:
@@ -51,7 +52,7 @@ def number_table(words: Iterable[Iterable[str]], width: int) -> Array:
 
 
 def wide(found: Iterable[list[str]], width: int, name: str) -> Iterator[list[str]]:
-    """The first `width` words of each row; BadText where there are fewer."""
+    """Yields the first `width` words of each row; BadText where there are fewer."""
     for k, words in enumerate(found):
         if len(words) < width:
             raise BadText(f"{name} {k}: expected {width} numbers, got {len(words)}")
@@ -59,7 +60,7 @@ def wide(found: Iterable[list[str]], width: int, name: str) -> Iterator[list[str
 
 
 def triangles(corners: ArrayLike, counts: ArrayLike) -> Indices:
-    """(m, 3): polygons cut into fans; `corners`: the indices of all of them, `counts`: how many each has."""
+    """Returns (m, 3): polygons cut into fans; `corners`: the indices of all of them, `counts`: how many each has."""
     index, sizes = np.asarray(corners, dtype=np.int64), np.asarray(counts, dtype=np.int64)
     if (sizes < 3).any():
         k = int(np.argmax(sizes < 3))
@@ -71,7 +72,7 @@ def triangles(corners: ArrayLike, counts: ArrayLike) -> Indices:
 
 
 def number_rows(data: bytes) -> Array:
-    """(n, 3 or 6) numbers of lines separated by spaces or commas."""
+    """Returns (n, 3 or 6) numbers of lines separated by spaces or commas."""
     found = rows(text_lines(data), ",")
     first = next(found, None)
     if first is None:
@@ -90,7 +91,7 @@ def _equal(found: Iterable[list[str]], width: int) -> Iterator[list[str]]:
 
 
 def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
-    """Vertices (k, 3), normals (k, 3) or None, and triangles (m, 3) of an OFF, NOFF or COFF text."""
+    """Returns vertices (k, 3), normals (k, 3) or None, and triangles (m, 3) of an OFF, NOFF or COFF text."""
     found = rows(text_lines(data), ",")
     words = next(found, [""])
     header = words[0].upper()
@@ -113,7 +114,7 @@ def off_shape(data: bytes) -> tuple[Array, Array | None, Indices]:
 
 
 def _take_polygon(words: list[str], corners: "array[int]", counts: "array[int]") -> None:
-    """Take in a row of a number of corners and their indices; colours may follow."""
+    """Takes in a row of a number of corners and their indices; colours may follow."""
     message = f"face {len(counts)}: expected"
     try:
         n = int(words[0])
@@ -127,7 +128,8 @@ def _take_polygon(words: list[str], corners: "array[int]", counts: "array[int]")
 
 
 def obj_shape(data: bytes) -> tuple[Array, Indices]:
-    """Vertices (k, 3) and triangles (m, 3) of an OBJ text; its materials, normals and groups are passed over."""
+    """Returns vertices (k, 3) and triangles (m, 3) of an OBJ text; its materials, normals and groups are passed
+    over."""
     vertices, corners, counts = array("d"), array("q"), array("q")
     for ending in (b"\\\n", b"\\\r\n"):  # the line goes on
         data = data.replace(ending, b"")
@@ -160,14 +162,14 @@ def _before_slash(words: list[str]) -> list[str]:
 
 
 def _from_one(index: int, known: int) -> int:
-    """An index that counts from 1, where it may count backwards from the last vertex so far, at -1."""
+    """Returns an index that counts from 1, where it may count backwards from the last vertex so far, at -1."""
     if index < -known or index == 0:
         raise BadText(f"faces: expected vertices from 1, or from -1 to -{known} backwards, got {index}")
     return index if index > 0 else known + 1 + index
 
 
 def stl_shape(data: bytes) -> tuple[Array, Indices]:
-    """Vertices (k, 3) and triangles (m, 3) of an STL in words."""
+    """Returns vertices (k, 3) and triangles (m, 3) of an STL in words."""
     lines = (line for line in text_lines(data) if "vertex" in line.lower())
     found = (words[1:] for words in rows(lines) if words[0].lower() == "vertex")
     vertices = number_table(wide(found, 3, "vertex"), 3)

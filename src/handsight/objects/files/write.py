@@ -9,7 +9,7 @@ from handsight.objects.files.read import Shape
 
 
 def ply_bytes(shape: Shape, scale: float, measured: Mask | None = None) -> bytes:
-    """A mesh or a cloud as the content of a PLY file, its coordinates times `scale`; `ply_shape` reads it back.
+    """Returns a mesh or a cloud as the content of a PLY file, its coordinates times `scale`; `ply_shape` reads it back.
 
     `measured` (k,): which vertices were, in a property of that name: 1, else 0.
     """

@@ -27,7 +27,7 @@ OUTSIDE = 0.05
 
 
 class NewObject(NamedTuple):
-    """What is to be written of an object."""
+    """A `NewObject` is what is to be written of an object."""
 
     facts: dict[str, Any]
     info: dict[str, Any]
@@ -37,7 +37,7 @@ class NewObject(NamedTuple):
 def new_object(
     file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None
 ) -> NewObject:
-    """What is to be written of the object in a file; raises InvalidInput and as `ObjectModel.from_file`."""
+    """Returns what is to be written of the object in a file; raises InvalidInput and as `ObjectModel.from_file`."""
     if not isinstance(facts, Facts):
         raise InvalidInput(f"facts: expected Facts, got {type(facts).__name__}")
     model = ObjectModel.from_file(file, scale, symmetries=symmetries)
@@ -99,7 +99,7 @@ def _numbers(models: Path) -> list[int]:
 
 
 def _ply(file: Path, scale: float) -> bytes:
-    """The file as PLY in millimetres; as it stands, with its colours, where it is that already."""
+    """Returns the file as PLY in millimetres; as it stands, with its colours, where it is that already."""
     if file.suffix.lower() == ".ply" and scale == BOP_SYMMETRIES.metres:
         return content(file)
     data = ply_bytes(read_shape(file), scale / BOP_SYMMETRIES.metres)

@@ -16,7 +16,7 @@ from handsight.objects.symmetry import SYMMETRY_LIMITS, Symmetries, about
 
 
 class BopOptions(NamedTuple):
-    """How symmetries of a BOP library are read."""
+    """`BopOptions` say how symmetries of a BOP library are read."""
 
     metres: float = 1e-3  # metres of the file's unit
     tolerance: float = 0.01
@@ -38,7 +38,7 @@ Matrix = tuple[
 
 
 class ContinuousAxis(msgspec.Struct):
-    """A line about which any turn is a symmetry."""
+    """A `ContinuousAxis` is a line about which any turn is a symmetry."""
 
     axis: Vector
     offset: Vector = (0.0, 0.0, 0.0)
@@ -46,7 +46,7 @@ class ContinuousAxis(msgspec.Struct):
 
 
 class Info(msgspec.Struct):
-    """What the file says of an object; keys that nobody here asks for are left alone."""
+    """An `Info` is what the file says of an object; keys that nobody here asks for are left alone."""
 
     diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]
     """[mm]"""
@@ -58,7 +58,7 @@ class Info(msgspec.Struct):
 
 
 def info_of(model: ObjectModel) -> dict[str, object]:
-    """What the file is to say of an object."""
+    """Returns what the file is to say of an object."""
     low, high = model.bounds_object / BOP_SYMMETRIES.metres
     of = model.symmetries
     return {
@@ -74,7 +74,8 @@ def info_of(model: ObjectModel) -> dict[str, object]:
 
 
 def symmetries_of(info: Info) -> Symmetries:
-    """The symmetries that the file means, exact however they are rounded; raises InvalidInput where these are none."""
+    """Returns the symmetries that the file means, exact however they are rounded; raises InvalidInput where these are
+    none."""
     near = BOP_SYMMETRIES.tolerance * info.diameter * BOP_SYMMETRIES.metres
     turns = [_turn(matrix, f"symmetries_discrete[{k}]") for k, matrix in enumerate(info.symmetries_discrete)]
     lines = [
@@ -110,7 +111,7 @@ def _flat(T: Array) -> list[float]:
 
 
 def _turn(matrix: Matrix, name: str) -> Array:
-    """The rigid transform [m] that a matrix [mm] of few digits means."""
+    """Returns the rigid transform [m] that a matrix [mm] of few digits means."""
     given = np.array(matrix).reshape(4, 4)
     shift = checks.position(BOP_SYMMETRIES.metres * given[:3, 3], name, (3,))
     R = _nearest_rotations(given[:3, :3])
@@ -120,14 +121,15 @@ def _turn(matrix: Matrix, name: str) -> Array:
 
 
 def _nearest_rotations(M: Array) -> Array:
-    """The rotations (..., 3, 3) nearest to matrices (..., 3, 3)."""
+    """Returns the rotations (..., 3, 3) nearest to matrices (..., 3, 3)."""
     U, _, Vt = np.linalg.svd(M)
     U[..., -1] *= np.linalg.det(U @ Vt)[..., None]
     return np.asarray(U @ Vt)
 
 
 def _swapped_about(T: Array, found: Symmetries, near: float, k: int) -> Array | None:
-    """The point about which a discrete symmetry swaps the ends of a continuous one's axis; None where it keeps them."""
+    """Returns the point about which a discrete symmetry swaps the ends of a continuous one's axis; None where it
+    keeps them."""
     point, axis = found.axes[0]
     shift = se3.apply(T, point[None])[0] - point
     along, cosine = float(shift @ axis), float(axis @ T[:3, :3] @ axis)
@@ -144,7 +146,7 @@ def _swapped_about(T: Array, found: Symmetries, near: float, k: int) -> Array | 
 
 
 def _exact(turns: list[Array], near: float) -> Array:
-    """The finite group (k, 4, 4) that turns are meant to make, closed to rounding.
+    """Returns the finite group (k, 4, 4) that turns are meant to make, closed to rounding.
 
     The mean of R(gh) R(h)⁻¹ over all h is nearer to a group's R(g) than R(g) itself, by a square each time (Grove,
     Karcher, Ruh 1974); and what all turns leave in place is the mean of where they take a point.
@@ -163,7 +165,8 @@ def _exact(turns: list[Array], near: float) -> Array:
 
 
 def _closed(turns: list[Array], near: float) -> Array:
-    """The turns and their products (k, 4, 4), the identity first; raises InvalidInput where there is no end of them."""
+    """Returns the turns and their products (k, 4, 4), the identity first; raises InvalidInput where there is no end
+    of them."""
     group, done = np.eye(4)[None], 0
     while done < len(group):
         for turn in turns:
@@ -178,7 +181,7 @@ def _closed(turns: list[Array], near: float) -> Array:
 
 
 def _gap(T: Array, others: Array, near: float) -> Array:
-    """How far a transform is off each of others (k, 4, 4); 1 where they may just be meant to be one."""
+    """Returns how far a transform is off each of others (k, 4, 4); 1 where they may just be meant to be one."""
     differences = np.abs(others - T)
     return np.asarray(
         np.maximum(

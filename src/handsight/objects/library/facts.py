@@ -11,7 +11,7 @@ from handsight.objects.files.read import LARGEST_FILE
 
 
 class FactLimits(NamedTuple):
-    """What a library says of an object."""
+    """`FactLimits` are what a library says of an object."""
 
     version: int = 1  # of the file
     max_mass: float = 100.0  # of what a hand holds [kg]; beyond it the unit is wrong
@@ -26,7 +26,7 @@ _NUMBERED = re.compile(r"\d+|obj_\d{6,}")
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What is known of an object besides its surface; raises InvalidInput for what cannot be."""
+    """A `Facts` is what is known of an object besides its surface; raises InvalidInput for what cannot be."""
 
     name: str
     """Letters, digits, blanks and `_.+-`, the first a letter or a digit, not all of them digits."""

@@ -10,7 +10,7 @@ from handsight.objects.library.store import check_content
 
 @dataclass(frozen=True)
 class Folder:
-    """Where the documents and the models' files lie side by side."""
+    """A `Folder` says where the documents and the models' files lie side by side."""
 
     place: Path
 
@@ -32,7 +32,7 @@ class Folder:
         return Documents(info, read_bytes(models / FACTS, LARGEST_DOCUMENT))
 
     def file(self, entry: Entry) -> Path:
-        """The model's file; raises InvalidFile where it is not there or not the one that was added."""
+        """Returns the model's file; raises InvalidFile where it is not there or not the one that was added."""
         path = self.models / entry.file
         known = entry.facts
         check_content(path, known.sha256 if known else None, known.bytes if known else None)

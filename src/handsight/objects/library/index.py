@@ -19,7 +19,7 @@ LARGEST_NUMBER = 10**9
 
 
 class NoLibrary(InvalidFile):
-    """A folder or a URL without one."""
+    """A `NoLibrary` is a folder or a URL without one."""
 
 
 class Documents(NamedTuple):
@@ -32,7 +32,7 @@ class Documents(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An object of a library."""
+    """An `Entry` is an object of a library."""
 
     number: int
     """BOP's `obj_id`."""
@@ -73,7 +73,7 @@ class Entry:
 
 
 def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
-    """The objects by their numbers; raises InvalidFile, which begins with the place."""
+    """Returns the objects by their numbers; raises InvalidFile, which begins with the place."""
     where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
     infos = _by_number(decode(documents.info, dict[str, Info], where), where)
     records: dict[int, Record] = {}

@@ -52,15 +52,16 @@ class Library:
         self._source = Remote(self.place) if "://" in self.place else Folder(Path(self.place))
 
     def __repr__(self) -> str:
-        """Where it is."""
+        """Returns where it is."""
         return f"<Library {self.place}>"
 
     def entries(self) -> tuple[Entry, ...]:
-        """All objects by their numbers; raises InvalidFile where there is no library, or what is none."""
+        """Returns all objects by their numbers; raises InvalidFile where there is no library, or what is none."""
         return entries(self._source.documents(), self.place)
 
     def entry(self, name: str) -> Entry:
-        """The object so called, or of that number (`5`, `obj_000005`); raises InvalidInput where there is none."""
+        """Returns the object so called, or of that number (`5`, `obj_000005`); raises InvalidInput where there is
+        none."""
         known = self.entries()
         for entry in known:
             if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
@@ -69,11 +70,12 @@ class Library:
         raise InvalidInput(f"name: expected an object of {self.place}, got {checks.brief(name)!r}{near}")
 
     def file(self, entry: Entry) -> Path:
-        """Its model on this machine; raises InvalidFile where that is missing or was changed since it was added."""
+        """Returns its model on this machine; raises InvalidFile where that is missing or was changed since it was
+        added."""
         return self._source.file(entry)
 
     def model(self, name: str) -> ObjectModel:
-        """The object so called, with its symmetries; raises as `entry` and `file`."""
+        """Returns the object so called, with its symmetries; raises as `entry` and `file`."""
         entry = self.entry(name)
         model = ObjectModel.from_file(
             self.file(entry), scale=BOP_SYMMETRIES.metres, symmetries=entry.symmetries
@@ -88,7 +90,7 @@ class Library:
         return replace(model, name=entry.name)
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
-        """A sentence for each of its objects of which something is wrong; their files are read."""
+        """Yields a sentence for each of its objects of which something is wrong; their files are read."""
         for entry in entries:
             try:
                 path = self.file(entry)
@@ -124,7 +126,7 @@ class Library:
         scale: float = 1.0,
         symmetries: Symmetries | None = None,
     ) -> Entry:
-        """The object of a mesh or a cloud, added under `facts.name`; `scale`: metres per unit of the file.
+        """Returns the object of a mesh or a cloud, added under `facts.name`; `scale`: metres per unit of the file.
 
         It is there with all that belongs to it or not at all, whoever adds at the same time and whatever ends this.
         Raises InvalidInput where the name is taken or the library a URL's, NotWritten, and as `ObjectModel.from_file`.
@@ -135,7 +137,7 @@ class Library:
         return self.entry(facts.name)
 
     def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:
-        """The object so called, whose mass [kg] and centre of mass (3,) [m] are now known so; the rest stays.
+        """Returns the object so called, whose mass [kg] and centre of mass (3,) [m] are now known so; the rest stays.
 
         Raises InvalidInput for an object that nobody has named, for a library at a URL, and for a centre that is not in
         the object; NotWritten.

@@ -30,7 +30,7 @@ NO_COPY = (OSError, ValueError, msgspec.MsgspecError)
 
 
 class _Copy(msgspec.Struct):
-    """What was fetched of a library."""
+    """A `_Copy` is what was fetched of a library."""
 
     base: str
     """The URL that the documents and the files are under."""
@@ -42,7 +42,7 @@ class _Copy(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Remote:
-    """A library at a URL."""
+    """A `Remote` is a library at a URL."""
 
     url: str
 
@@ -64,7 +64,7 @@ class Remote:
         raise NoLibrary(f"{self.url}: expected a library, with models/{INFO}, got none")
 
     def file(self, entry: Entry, *, anew: bool = False) -> Path:
-        """The model's file in the cache, fetched where it is not yet there; raises InvalidFile, NotWritten.
+        """Returns the model's file in the cache, fetched where it is not yet there; raises InvalidFile, NotWritten.
 
         `anew`: also where no document says that it is still the same.
         """
@@ -91,7 +91,7 @@ class Remote:
         return path
 
     def _copy(self) -> _Copy:
-        """What was fetched, or is now for the first time."""
+        """Returns what was fetched, or is now for the first time."""
         with contextlib.suppress(*NO_COPY):
             return self._kept()
         self.refresh()
@@ -110,7 +110,8 @@ class Remote:
 
 
 def fetched(url: str, most: int) -> bytes | None:
-    """All that is at a URL, of at most so many bytes; None where nothing is. Raises InvalidFile, MissingExtra."""
+    """Returns all that is at a URL, of at most so many bytes; None where nothing is. Raises InvalidFile,
+    MissingExtra."""
     data = bytearray()
     try:
         with _opened(url) as stream:
@@ -132,7 +133,7 @@ def fetched(url: str, most: int) -> bytes | None:
 
 
 def _opened(url: str) -> AbstractContextManager[BinaryIO]:
-    """What is at a URL: of http, https and file by the standard library, of any other kind by fsspec."""
+    """Returns what is at a URL: of http, https and file by the standard library, of any other kind by fsspec."""
     kind = url.partition("://")[0].lower()
     if kind in ("http", "https", "file"):
         from urllib.request import Request, urlopen
@@ -150,7 +151,8 @@ def _opened(url: str) -> AbstractContextManager[BinaryIO]:
 
 
 def _under(url: str, name: str) -> str:
-    """The URL of what is so called in another; of a chain, as `zip://models::file:///ycbv.zip`, in its first link."""
+    """Returns the URL of what is so called in another; of a chain, as `zip://models::file:///ycbv.zip`, in its first
+    link."""
     first, chain, rest = url.partition("::")
     between = "" if first.endswith("://") else "/"
     return f"{first if not between else first.rstrip('/')}{between}{name}{chain}{rest}"
@@ -170,5 +172,5 @@ def _folder() -> Path:
 
 
 def _by_content(sha256: str, name: str) -> Path:
-    """Where a file is kept: under its own name, which what is said of it begins with."""
+    """Returns where a file is kept: under its own name, which what is said of it begins with."""
     return _folder() / sha256 / name

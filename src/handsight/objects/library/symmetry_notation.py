@@ -18,7 +18,7 @@ WORDS = "find, an axis (z: any turn about it), or an axis and a number (z/4: qua
 
 
 class NotationOptions(NamedTuple):
-    """When a declared symmetry is refused."""
+    """`NotationOptions` say when a declared symmetry is refused."""
 
     tolerance: float = 0.04
     """Of the diameter: a shape that a turn takes this far off itself, but for a fiftieth of it, has not that symmetry.
@@ -31,7 +31,7 @@ NOTATION = NotationOptions()
 
 
 def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
-    """The symmetries that words say of a model, about the middle of its surface.
+    """Returns the symmetries that words say of a model, about the middle of its surface.
 
     Raises InvalidInput for other words and for turns that take the surface elsewhere.
     """
@@ -59,13 +59,13 @@ def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
 
 
 def _center(model: ObjectModel) -> Array:
-    """The middle of the surface (3,) [m], which every symmetry leaves in place."""
+    """Returns the middle of the surface (3,) [m], which every symmetry leaves in place."""
     surface = model.surface
     places = surface.corners.mean(axis=1) if isinstance(surface, Triangles) else surface.vertices
     return np.asarray(np.average(places, axis=0, weights=surface.areas))
 
 
 def _off(model: ObjectModel, T: Array) -> float:
-    """How far a turn takes nearly all of the surface off itself, at most [m]."""
+    """Returns how far a turn takes nearly all of the surface off itself, at most [m]."""
     moved = se3.apply(T, model.sample(NOTATION.samples)[0])
     return float(np.percentile(np.abs(model.fine.evaluate(moved).distance), NOTATION.percentile))

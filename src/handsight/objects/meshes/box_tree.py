@@ -89,7 +89,7 @@ class ClosestPointSearch:
         self._tree = tree.starts, boxes, frames, turned, around
 
     def closest(self, points: Array, within: float = np.inf) -> tuple[ClosestPoints, Indices]:
-        """The closest surface points of those points (n, 3) nearer than `within` [m], and which these are.
+        """Returns the closest surface points of those points (n, 3) nearer than `within` [m], and which these are.
 
         Of several triangles that are equally near, any. Quickest where neighbours in space follow each other.
         """
@@ -103,7 +103,7 @@ class ClosestPointSearch:
 
 
 def _frames(normals: Array) -> Array:
-    """(p, 3, 3) rotations whose third row is along these (p, 3); any rotation where there is none."""
+    """Returns (p, 3, 3) rotations whose third row is along these (p, 3); any rotation where there is none."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
     lateral = np.eye(3)[np.abs(third).argmin(axis=1)]
@@ -113,7 +113,8 @@ def _frames(normals: Array) -> Array:
 
 
 class Winding:
-    """How often a triangle mesh or an oriented cloud winds around a point: 1 inside, 0 outside, between near holes.
+    """A `Winding` says how often a triangle mesh or an oriented cloud winds around a point: 1 inside, 0 outside,
+    between near holes.
 
     Barill, Dickson, Schmidt, Levin and Jacobson 2018, "Fast winding numbers for soups and clouds": far away a
     patch acts as one dipole, its area vector at its centre; near by every triangle counts with its solid angle.
@@ -147,7 +148,7 @@ class Winding:
 
     @classmethod
     def of_mesh(cls, mesh: Triangles, tree: BoxTree | None = None) -> "Winding":
-        """The winding number of a mesh."""
+        """Returns the winding number of a mesh."""
         return cls(mesh.corners.mean(axis=1), mesh.doubled_normals / 2, mesh.corners, tree)
 
     def at(self, points: Array) -> Array:
@@ -157,5 +158,5 @@ class Winding:
         return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))
 
     def inside(self, points: Array) -> Mask:
-        """(n,) whether the surface winds around the points (n, 3) [m] more than half a time."""
+        """Returns (n,) whether the surface winds around the points (n, 3) [m] more than half a time."""
         return np.asarray(self.at(points) > 0.5)

@@ -15,7 +15,7 @@ from handsight.objects.surface import SURFACE, Triangles, diameter
 
 
 class MeshOptions(NamedTuple):
-    """When a mesh is closed, and on which side of it a node is."""
+    """`MeshOptions` say when a mesh is closed, and on which side of it a node is."""
 
     closed_share: float = 0.95  # of the edges that have two triangles, for a mesh to count as closed
     slit: float = 0.1
@@ -33,7 +33,8 @@ LINK_MARGINS = (1.001, 1.5, np.inf)
 
 
 def mesh_geometry(mesh: Triangles) -> Geometry:
-    """What is to be known of a mesh as it came: repaired, then measured; raises InvalidObject where nothing is left."""
+    """Returns what is to be known of a mesh as it came: repaired, then measured; raises InvalidObject where nothing
+    is left."""
     mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
     mesh, roughness = smoothed(mesh, size)
@@ -59,7 +60,7 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
 
 
 def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
-    """(e,) which edges of a mesh are its rim: those with one triangle, but for slits.
+    """Returns (e,) which edges of a mesh are its rim: those with one triangle, but for slits.
 
     `cell` [m]: the spacing of the finest thing that is to be told. Around a point of a rim the winding number runs
     through all that is between two whole numbers, a quarter of it on each quarter of a turn; around a slit, where edges
@@ -91,7 +92,7 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Holes:
-    """Where a surface ends."""
+    """A `Holes` says where a surface ends."""
 
     middles: Array
     """(h, 3) of each connected run of boundary edges [m]."""
@@ -100,7 +101,8 @@ class Holes:
 
 
 def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
-    """The holes of a mesh: its rim in connected runs. `rim` (e,): which edges; None: those with one triangle."""
+    """Returns the holes of a mesh: its rim in connected runs. `rim` (e,): which edges; None: those with one
+    triangle."""
     edges, _, count = mesh.edges
     pairs = edges[count == 1 if rim is None else rim]
     if not len(pairs):
@@ -116,7 +118,7 @@ def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
 
 
 def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
-    """Whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
+    """Returns whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
     if holes.extents.max(initial=0.0) > SURFACE.max_hole * diameter:
         return False
     points, normals, _ = side_samples(mesh)
@@ -140,7 +142,7 @@ class ByWinding:
     holes: Holes
 
     def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
-        """Signed distances (n,) [m] of these nodes of a grid, given their closest points."""
+        """Returns signed distances (n,) [m] of these nodes of a grid, given their closest points."""
         from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
 
         points = grid.nodes_at(index)
@@ -160,7 +162,7 @@ class ByWinding:
         return np.asarray(np.where(inside, -closest.distance, closest.distance))
 
     def _votes(self, label: Indices, points: Array) -> tuple[Mask, Mask]:
-        """Whether each set is inside, and whether its voters agree.
+        """Returns whether each set is inside, and whether its voters agree.
 
         They do not where a distance that is a little too large has linked the two sides.
         """
@@ -182,7 +184,7 @@ class ByNormal:
         self._normals = _pseudonormals(mesh, rim)
 
     def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
-        """Signed distances (n,) [m] of these nodes of a grid, given their closest points."""
+        """Returns signed distances (n,) [m] of these nodes of a grid, given their closest points."""
         zero = closest.weights == 0
         count = zero.sum(axis=1)
         # Opposite corner 0 is edge 12, and so on; with two zeros it is the third corner.
@@ -195,7 +197,7 @@ class ByNormal:
 
 
 def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
-    """(m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
+    """Returns (m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
 
     Angle-weighted, so that their sign tells the side of the nearest point wherever it lies (Baerentzen and
     Aanaes 2005); zero on the rim, edges in `rim` (e,).

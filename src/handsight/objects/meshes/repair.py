@@ -14,7 +14,7 @@ from handsight.objects.surface import Triangles, check_extent, distinct, edges_o
 
 
 class RepairOptions(NamedTuple):
-    """What is repaired in a mesh."""
+    """`RepairOptions` are what is repaired in a mesh."""
 
     flat: float = 1e-12  # a triangle whose height is below this part of its longest side has no area
     side_samples: int = 400  # places at which a mesh is asked which side is outside
@@ -28,7 +28,8 @@ REPAIR = RepairOptions()
 
 
 def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
-    """A mesh with finite, merged vertices and consistent triangles that face outwards, a tree over it, and remarks.
+    """Returns a mesh with finite, merged vertices and consistent triangles that face outwards, a tree over it, and
+    remarks.
 
     Raises InvalidObject where no surface is left.
     """
@@ -66,7 +67,7 @@ def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[
 
 
 def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
-    """Triangles with an area, each once."""
+    """Returns triangles with an area, each once."""
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     longest2 = (sides * sides).sum(axis=2).max(axis=1)
@@ -83,7 +84,8 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
 
 
 def _joined(points: Array, triangles: Indices, boundary: Indices) -> tuple[Array, Indices]:
-    """Points and triangles where corners (b, 2) of edges with one triangle that are nearly the same are the same."""
+    """Returns points and triangles where corners (b, 2) of edges with one triangle that are nearly the same are the
+    same."""
     used = np.unique(boundary)
     extent = float(np.ptp(points, axis=0).max())
     near = cKDTree(points[used]).query_pairs(REPAIR.same_corner * extent, output_type="ndarray")
@@ -100,7 +102,7 @@ def _joined(points: Array, triangles: Indices, boundary: Indices) -> tuple[Array
 
 
 def _consistent(faces: Indices, edges: tuple[Indices, ...]) -> tuple[Indices, int, bool]:
-    """Triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
+    """Returns triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
     _, of_face, count = edges
     order = np.argsort(of_face, axis=None, kind="stable")
     # Of each edge of just two triangles, its places in these; they agree where they run through it oppositely.
@@ -115,7 +117,7 @@ def _consistent(faces: Indices, edges: tuple[Indices, ...]) -> tuple[Indices, in
 
 
 def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles:
-    """The mesh with every piece that was inside out turned."""
+    """Returns the mesh with every piece that was inside out turned."""
     piece = _pieces(mesh.faces)
     count = int(piece.max()) + 1
     points, normals, face = side_samples(mesh)
@@ -136,23 +138,23 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
 
 
 def _pieces(faces: Indices) -> Indices:
-    """(m,) the connected piece of each triangle, through shared vertices."""
+    """Returns (m,) the connected piece of each triangle, through shared vertices."""
     label = components(faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1), int(faces.max()) + 1)
     return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1)
 
 
 def _turned_over(faces: Indices, flip: Mask) -> Indices:
-    """Triangles (m, 3), those in `flip` (m,) seen from the other side."""
+    """Returns triangles (m, 3), those in `flip` (m,) seen from the other side."""
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces)
 
 
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
-    """Surface points (n, 3) [m], the normals (n, 3) and indices (n,) of their triangles."""
+    """Returns surface points (n, 3) [m], the normals (n, 3) and indices (n,) of their triangles."""
     return mesh.draw_on_faces(REPAIR.side_samples, np.random.default_rng(3))
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
-    """Which (size,) of things to turn, so that linked ones, i (l,) and j (l,), agree, and whether all could.
+    """Returns which (size,) of things to turn, so that linked ones, i (l,) and j (l,), agree, and whether all could.
 
     `agree` (l,): whether they do as they are. Each thing stands twice in a graph, as it is and turned; those that
     agree are linked side to side, others crosswise. What is connected to a thing "as it is" is how its neighbours
@@ -169,6 +171,6 @@ def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool
 
 
 def components(row: Indices, column: Indices, size: int) -> Indices:
-    """(size,) the connected component of each node of a graph with links from `row` (l,) to `column` (l,)."""
+    """Returns (size,) the connected component of each node of a graph with links from `row` (l,) to `column` (l,)."""
     graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size, size))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

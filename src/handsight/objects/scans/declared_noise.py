@@ -17,7 +17,7 @@ NEAREST = 8
 
 
 def with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
-    """The same, its errors larger by standard deviations (n,) [m] that its points (n, 3) [m] are said to have.
+    """Returns the same, its errors larger by standard deviations (n,) [m] that its points (n, 3) [m] are said to have.
 
     With the correlation exp(-d²/2L²) a slope's is σ/L, a curvature's √3 σ/L².
     """

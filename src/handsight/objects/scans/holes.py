@@ -9,7 +9,7 @@ from handsight.checks import Array
 
 
 class HoleOptions(NamedTuple):
-    """When a place beside a scan is a hole."""
+    """`HoleOptions` say when a place beside a scan is a hole."""
 
     covered_gap: float = 1.5  # spacings from the nearest point up to which a place was seen by the scanner
     open_gap: float = 2.5  # spacings beyond which it was not
@@ -21,7 +21,7 @@ HOLES = HoleOptions()
 
 
 def unseen_variances(gap: Array, winding: Array, spacing: float) -> Array:
-    """(n, 4) variances, as of FieldError, at places that are `gap` (n,) [m] away from the nearest point.
+    """Returns (n, 4) variances, as of FieldError, at places that are `gap` (n,) [m] away from the nearest point.
 
     Around a place that the points enclose, or that all of them turn away from, they wind once or not at all: no surface
     passes there. Around what they leave open they wind in part; there it may pass as far away as they are, any way.

@@ -13,7 +13,7 @@ from handsight.objects.scans.windows import Noise, Patches, Points, spacing_of, 
 
 
 class NoiseOptions(NamedTuple):
-    """How a scan's noise is told from its shape, by windows of growing size."""
+    """`NoiseOptions` say how a scan's noise is told from its shape, by windows of growing size."""
 
     centres: int = 1000  # windows' centres
     first: float = 3.2  # the least window [spacings]
@@ -37,7 +37,7 @@ ANYTHING: dict[str, Any] = {"variance": 1.0, "together": 1.0, "bend": np.inf, "f
 
 
 def measured_noise(points: Points) -> tuple[Points, Noise]:
-    """The noise of points, and these with the spacing that they have along the surface.
+    """Returns the noise of points, and these with the spacing that they have along the surface.
 
     Points that are off by more than they are apart seem sparser than they are, and small windows see no surface: both
     are then looked at again, as coarsely as the noise is thick.
@@ -50,7 +50,8 @@ def measured_noise(points: Points) -> tuple[Points, Noise]:
 
 
 def noise_of(points: Points, thickness: float) -> Noise:
-    """The noise of points that are off by about `thickness` [m]: residuals of quadrics in windows of several widths.
+    """Returns the noise of points that are off by about `thickness` [m]: residuals of quadrics in windows of several
+    widths.
 
     White noise leaves the same residual in every window. What grows with the square of the window or faster is shape;
     what levels off only in wide ones is noise that neighbours share, as in depth images fused into one surface.
@@ -84,13 +85,14 @@ def noise_of(points: Points, thickness: float) -> Noise:
 
 
 def _growth(quiet: Array, windows: Array, diameter: float) -> Array:
-    """The power of the window's width that residuals grow with, from each to the next."""
+    """Returns the power of the window's width that residuals grow with, from each to the next."""
     floor = 1e-9 * diameter
     return np.asarray(np.diff(np.log(quiet + floor)) / np.diff(np.log(windows[: len(quiet)])))
 
 
 def _together(points: Points, patches: Patches, window: float) -> float:
-    """How many points share one noise, from the residuals of neighbours about patches in windows of that radius [m].
+    """Returns how many points share one noise, from the residuals of neighbours about patches in windows of that
+    radius [m].
 
     With noise that is correlated as a Gaussian of the distance d, exp(-d²/2L²), it is that over a plane.
     """

@@ -13,7 +13,7 @@ from handsight.objects.scans.windows import Points
 
 
 class NormalOptions(NamedTuple):
-    """How normals are computed from a scan's points."""
+    """`NormalOptions` say how normals are computed from a scan's points."""
 
     neighbours: int = 12  # points through which a plane is laid, and among which normals are brought to agree
     max_neighbours: int = 60  # the same where noise is large
@@ -24,7 +24,7 @@ NORMALS = NormalOptions()
 
 
 def planes(points: Points, places: Array, count: int) -> Array:
-    """(k, 3) unit normals, either way, of the planes through about `count` points around the places (k, 3).
+    """Returns (k, 3) unit normals, either way, of the planes through about `count` points around the places (k, 3).
 
     Of more than there are reasons to look at, a part as wide.
     """
@@ -39,7 +39,7 @@ def planes(points: Points, places: Array, count: int) -> Array:
 
 
 def enough_neighbours(sigma: float, spacing: float, least: int = NORMALS.neighbours) -> int:
-    """How many points a plane takes where these are off by `sigma` and `spacing` apart [m]."""
+    """Returns how many points a plane takes where these are off by `sigma` and `spacing` apart [m]."""
     return int(max(np.pi * (NORMALS.min_width * sigma / spacing) ** 2, least))
 
 
@@ -51,13 +51,14 @@ def estimated_normals(points: Array, tree: cKDTree) -> Array:
 
 
 def _through(patch: Array) -> Array:
-    """(n, 3) unit normals of the planes through points (n, k, 3)."""
+    """Returns (n, 3) unit normals of the planes through points (n, k, 3)."""
     patch = patch - patch.mean(axis=1, keepdims=True)
     return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))[1][:, :, 0])
 
 
 def _likeness(points: Array, normals: Array, pairs: tuple[Indices, Indices], turning: bool) -> Array:
-    """(m,) how much alike the normals of pairs are, -1 to 1; `turning`: but for how the surface turns between them."""
+    """Returns (m,) how much alike the normals of pairs are, -1 to 1; `turning`: but for how the surface turns between
+    them."""
     i, j = pairs
     cosine = (normals[i] * normals[j]).sum(axis=1)
     if not turning:
@@ -69,7 +70,7 @@ def _likeness(points: Array, normals: Array, pairs: tuple[Indices, Indices], tur
 
 
 def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = False) -> Array:
-    """The unit normals (n, 3), each of which may be the wrong way, made to point outwards.
+    """Returns the unit normals (n, 3), each of which may be the wrong way, made to point outwards.
 
     They are made to agree along the tree of neighbours whose planes differ least (Hoppe et al. 1992); then turned, each
     connected part, so that they point away from its middle on the whole. `turning`: points are on the surface, so that

@@ -23,7 +23,7 @@ from handsight.objects.scans.windows import (
 
 
 class PatchOptions(NamedTuple):
-    """How quadrics are fitted to a scan in windows whose size the data choose (Lepski 1991)."""
+    """`PatchOptions` say how quadrics are fitted to a scan in windows whose size the data choose (Lepski 1991)."""
 
     patches: int = 4000  # quadrics
     first: float = 3.0  # the least window [spacings]
@@ -51,7 +51,7 @@ PATCH_FIT = PatchOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScannedSurface:
-    """A surface of many quadric patches."""
+    """A `ScannedSurface` is a surface of many quadric patches."""
 
     patches: Patches
     tree: cKDTree
@@ -68,7 +68,8 @@ class ScannedSurface:
         return np.stack([v[:, 0], (v[:, 1] + v[:, 2]) / 2, (v[:, 3] + v[:, 5]) / 2], axis=1)
 
     def blended(self, nodes: Array, nearest: Indices) -> Array:
-        """(n, 4) signed distances [m] of nodes (n, 3) near the surface, and ways outwards; `nearest` patches (n,)."""
+        """Returns (n, 4) signed distances [m] of nodes (n, 3) near the surface, and ways outwards; `nearest` patches
+        (n,)."""
         out = np.empty((len(nodes), 4))
         in_parts(
             partial(blended, self.patches, self.spacing, self.around),
@@ -78,11 +79,11 @@ class ScannedSurface:
         return out
 
     def heights(self, nodes: Array, nearest: Indices) -> Array:
-        """Signed distances (n,) [m] of nodes (n, 3) near the surface, whose nearest patches (n,) are known."""
+        """Returns signed distances (n,) [m] of nodes (n, 3) near the surface, whose nearest patches (n,) are known."""
         return np.asarray(self.blended(nodes, nearest)[:, 0])
 
     def converged(self) -> tuple[Array, Array]:
-        """Points (m, 3) [m] on the blended surface, a patch's each, and unit outward normals (m, 3)."""
+        """Returns points (m, 3) [m] on the blended surface, a patch's each, and unit outward normals (m, 3)."""
         points = self.patches["point"]
         there = self.blended(points, np.arange(len(points)))
         normals = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
@@ -90,7 +91,7 @@ class ScannedSurface:
 
 
 def fitted(points: Points, noise: Noise) -> ScannedSurface:
-    """The surface through noisy points; where their normals are not known, they are estimated first."""
+    """Returns the surface through noisy points; where their normals are not known, they are estimated first."""
     noise = replace(noise, sigma=max(noise.sigma, PATCH_FIT.min_sigma * points.diameter))
     if np.isfinite(points.normals).all():
         patches = _fits(points, points.normals[: PATCH_FIT.patches], noise)

@@ -13,7 +13,7 @@ from handsight.objects.scans.windows import WINDOWS, Noise, Points
 
 
 class RoughnessOptions(NamedTuple):
-    """How far a scan's surface is off, place by place."""
+    """`RoughnessOptions` say how far a scan's surface is off, place by place."""
 
     shared: float = 0.25
     """The power of its weight in the surface that a patch's variances count by. By the first they would be what the
@@ -31,7 +31,7 @@ ROUGHNESS = RoughnessOptions()
 
 
 def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Roughness:
-    """The variances of distance, normal, slope and curvature at each patch, as a contact meets them.
+    """Returns the variances of distance, normal, slope and curvature at each patch, as a contact meets them.
 
     What the points scatter tells how far the fits are off by chance; what many points near by are off by on the
     average, more than chance explains, tells where a window was too wide for the shape.
@@ -46,7 +46,7 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
 
 
 def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
-    """(m,) squared mean [m²] and slope [rad²] of the points' residuals around each patch, less their noise."""
+    """Returns (m,) squared mean [m²] and slope [rad²] of the points' residuals around each patch, less their noise."""
     count = int(
         np.clip(
             ROUGHNESS.per_patch * len(points.places) / len(surface.patches),
@@ -73,8 +73,8 @@ def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tupl
 
 
 def _unresolved(surface: ScannedSurface, points: Points, noise: Noise) -> Array:
-    """(m,) squared height [m²] of what each patch leaves of the points, beyond their noise: detail as fine as these are
-    apart, which from one to the next is off independently."""
+    """Returns (m,) squared height [m²] of what each patch leaves of the points, beyond their noise: detail as fine as
+    these are apart, which from one to the next is off independently."""
     patches = surface.patches
     many = (
         np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, WINDOWS.thinned) * ROUGHNESS.effective

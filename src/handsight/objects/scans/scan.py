@@ -16,7 +16,7 @@ from handsight.objects.surface import Triangles, edges_of
 
 
 class ScanOptions(NamedTuple):
-    """When points are a scan, and which."""
+    """`ScanOptions` say when points are a scan, and which."""
 
     max_points: int = 20_000  # more say little more about an object that fits into a hand
     min_points: int = 200  # fewer do not tell noise from shape
@@ -35,7 +35,7 @@ SCAN = ScanOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """What noisy points say of an object's surface."""
+    """A `Scan` is what noisy points say of an object's surface."""
 
     noise: Noise
     surface: ScannedSurface
@@ -43,7 +43,8 @@ class Scan:
 
 
 def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | None:
-    """The surface behind points (n, 3) [m] with unit outward normals (n, 3) or none; None where the points are surface.
+    """Returns the surface behind points (n, 3) [m] with unit outward normals (n, 3) or none; None where the points
+    are surface.
 
     They are where they have normals and no noise to speak of; so are too few to tell.
     """
@@ -61,7 +62,8 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 
 
 def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | None]:
-    """A mesh with noisy vertices, moved to the surface behind them, and how far that is off; any other as it is."""
+    """Returns a mesh with noisy vertices, moved to the surface behind them, and how far that is off; any other as it
+    is."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) < SCAN.min_vertices or _flat_share(mesh) > SCAN.flat_share:
         return mesh, None
@@ -80,7 +82,7 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
 
 
 def _flat_share(mesh: Triangles) -> float:
-    """The share of edges at which two triangles lie in one plane."""
+    """Returns the share of edges at which two triangles lie in one plane."""
     _, of_face, count = edges_of(mesh.faces)
     order = np.argsort(of_face.reshape(-1), kind="stable") // 3
     first = (np.cumsum(count) - count)[count == 2]
@@ -90,7 +92,7 @@ def _flat_share(mesh: Triangles) -> float:
 
 
 def _vertex_normals(mesh: Triangles) -> Array:
-    """(k, 3) unit normals at the vertices, by area."""
+    """Returns (k, 3) unit normals at the vertices, by area."""
     normals = np.zeros_like(mesh.vertices)
     for k in range(3):
         np.add.at(normals, mesh.faces[:, k], mesh.doubled_normals)
@@ -98,7 +100,8 @@ def _vertex_normals(mesh: Triangles) -> Array:
 
 
 def _own_noise(vertices: Array, faces: Indices, normals: Array) -> float:
-    """The noise [m] that each vertex has of its own, on the quietest part, from second differences to its neighbours.
+    """Returns the noise [m] that each vertex has of its own, on the quietest part, from second differences to its
+    neighbours.
 
     Detail as fine as the triangles leaves residuals like noise; from vertex to vertex it is smooth.
     """

@@ -17,7 +17,7 @@ Patches = NDArray[np.void]
 
 
 class WindowOptions(NamedTuple):
-    """How points are gathered in windows."""
+    """`WindowOptions` say how points are gathered in windows."""
 
     thinned: int = 300  # points to about which a window is thinned: more say little more
     neighbours: int = 8  # points by which the spacing is measured
@@ -45,7 +45,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What a scan's points are off by, along the surface's normal."""
+    """A `Noise` is what a scan's points are off by, along the surface's normal."""
 
     sigma: float
     """One standard deviation [m]."""
@@ -56,7 +56,7 @@ class Noise:
 
 
 def started(places: Array, normals: Array) -> Patches:
-    """A patch at each place (m, 3) [m], flat, with the normal (m, 3)."""
+    """Returns a patch at each place (m, 3) [m], flat, with the normal (m, 3)."""
     patches = np.zeros(len(places), dtype=PATCH)
     patches["point"], patches["normal"] = places, normals
     least = np.abs(normals).argmin(axis=1)
@@ -91,7 +91,7 @@ def widths(least: float, most: float, ratio: float) -> Array:
 
 
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
-    """What each window (k,) [m] told of each patch, (m, k, SEEN); fits the patches in place."""
+    """Returns what each window (k,) [m] told of each patch, (m, k, SEEN); fits the patches in place."""
     fitted = np.full((len(patches), len(windows), kernel.WINDOW_VALUES), np.nan)
     for place, window in enumerate(windows):
         given = np.zeros(1, dtype=kernel.LEVEL)

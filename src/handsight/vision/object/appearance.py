@@ -19,7 +19,7 @@ DIRECTIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What is worked out of an object once."""
+    """An `Appearance` is what is worked out of an object once."""
 
     pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
     """Where each cell's pairs begin, and the pairs: first point and spin of each in one number."""
@@ -34,7 +34,7 @@ class Appearance:
 
 @lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
 def appearance_of(model: ObjectModel) -> Appearance:
-    """The appearance of an object; what takes long is kept on disk beside its fields."""
+    """Returns the appearance of an object; what takes long is kept on disk beside its fields."""
     voters = np.stack([model.points_object, model.normals_object])
     places, facing = model.sample(SAMPLES)
     directions = se3.directions(DIRECTIONS)

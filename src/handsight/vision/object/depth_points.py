@@ -16,7 +16,7 @@ WITHIN = 0.05
 
 
 def depth_points(model: ObjectModel, points_palm: ArrayLike, vision: PosePrior) -> Contacts | None:
-    """Points of a depth image as contacts without normals, for one correction with what fingers touch.
+    """Returns points of a depth image as contacts without normals, for one correction with what fingers touch.
 
     points_palm: (n, 3) [m], of the object and of what is around it, NaN where a pixel has none. vision: the pose that
     the image gave, in the palm, with all that makes it uncertain: noise, the camera's constant error, where the palm is

@@ -26,7 +26,7 @@ State = Literal["tracking", "uncertain", "lost"]
 
 
 class DepthTrackerOptions(NamedTuple):
-    """How an object is followed from image to image."""
+    """`DepthTrackerOptions` say how an object is followed from image to image."""
 
     velocity_share: float = 0.8
     """Of its velocity, that an object in nobody's grip is expected to have until the next image."""
@@ -51,7 +51,7 @@ HIDDEN = "hardly anything of it is seen"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """What a depth image says of an object that is followed."""
+    """A `Sighting` is what a depth image says of an object that is followed."""
 
     stamp: float
     """Of the image [s]."""
@@ -79,7 +79,7 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Belief:
-    """Where the object is thought to be in a frame."""
+    """A `_Belief` says where the object is thought to be in a frame."""
 
     stamp: float
     T_camera_object: Array
@@ -119,7 +119,7 @@ class DepthTracker:
         gripped: bool = False,
         expected: Array | None = None,
     ) -> Sighting:
-        """Where the object is in a depth image (h, w) [m], 0 or NaN where there is none.
+        """Returns where the object is in a depth image (h, w) [m], 0 or NaN where there is none.
 
         hand: (h, w) its pixels. table: (4,) `n·P + offset = 0` in the camera, n towards it. gripped: the object moves
         with the palm, where T_camera_palm is known. expected: T_camera_object from elsewhere, to begin from. An image
@@ -155,7 +155,7 @@ class DepthTracker:
         return Sighting(frame.stamp, None, None, "lost", reason, candidate)
 
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
-        """Why the object is lost; empty if it is not."""
+        """Returns why the object is lost; empty if it is not."""
         candidate, enough = refined.candidate[0], _is_enough(refined)
         against = candidate["passed"] + candidate["hidden"]
         if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
@@ -168,7 +168,7 @@ class DepthTracker:
         return HIDDEN
 
     def _predicted(self, frame: _Frame, hint: Array | None) -> _Belief | None:
-        """What is believed of this frame before it is looked at; None: nothing."""
+        """Returns what is believed of this frame before it is looked at; None: nothing."""
         last = self._belief
         if last is None:
             hint = self._start if hint is None else hint
@@ -191,7 +191,7 @@ class DepthTracker:
         return _Belief(frame.stamp, T if hint is None else hint, P, velocity, frame.T_camera_palm, last.lost)
 
     def _found(self, frame: _Frame) -> tuple[_Belief, RefinedPose] | None:
-        """The object somewhere in the image, if it is time to search and it is there."""
+        """Returns the object somewhere in the image, if it is time to search and it is there."""
         if abs(frame.stamp - self._searched) < DEPTH_TRACKER.search_period:
             return None
         self._searched = frame.stamp
@@ -234,7 +234,7 @@ class DepthTracker:
         )
 
     def _updated(self, frame: _Frame, predicted: _Belief, refined: RefinedPose) -> _Belief:
-        """What was expected and what was seen, each as much as it knows (Kalman)."""
+        """Returns what was expected and what was seen, each as much as it knows (Kalman)."""
         P, last = predicted.covariance, self._belief
         gain = np.linalg.solve(P + refined.covariance, P).T
         off = se3.difference(refined.T_camera_object, predicted.T_camera_object)
@@ -248,14 +248,14 @@ class DepthTracker:
         return _Belief(frame.stamp, T, (P + P.T) / 2, velocity, frame.T_camera_palm, False)
 
     def _unsure(self, belief: _Belief) -> float:
-        """How far the object's surface may be off [m]: the most that a deviation along any of the three least known
-        directions leaves it. A turn that it looks the same after leaves it where it is."""
+        """Returns how far the object's surface may be off [m]: the most that a deviation along any of the three least
+        known directions leaves it. A turn that it looks the same after leaves it where it is."""
         return depth_covariance.largest_shift(
             *self.model.record[:2], belief.T_camera_object[:3, :3], belief.covariance
         )
 
     def _refined(self, frame: _Frame, predicted: _Belief) -> RefinedPose:
-        """What an image says near where the object is expected."""
+        """Returns what an image says near where the object is expected."""
         T = predicted.T_camera_object
         J = np.eye(6)
         J[:3, 3:] = -se3.skew(T[:3, :3] @ self._middle)
@@ -263,14 +263,14 @@ class DepthTracker:
         return self._refiner.at(T, known, frame.depth, frame.hand, frame.table)
 
     def _unknown(self, T: Array) -> Array:
-        """The covariance of a pose that is as good as not known."""
+        """Returns the covariance of a pose that is as good as not known."""
         D = self.model.diameter
         return self._about_origin(
             T, np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
         )
 
     def _about_origin(self, T: Array, variances: Array) -> Array:
-        """The covariance (6, 6) at the object's origin of variances (6,) at its centre."""
+        """Returns the covariance (6, 6) at the object's origin of variances (6,) at its centre."""
         J = np.eye(6)
         J[:3, 3:] = se3.skew(T[:3, :3] @ self._middle)
         return (J * variances) @ J.T
@@ -283,7 +283,7 @@ class DepthTracker:
 
 
 def _is_enough(refined: RefinedPose) -> bool:
-    """Whether as much is seen as a pose takes."""
+    """Returns whether as much is seen as a pose takes."""
     return (
         refined.points >= DEPTH_TRACKER.min_points
         and refined.candidate["explained"][0] >= DEPTH_TRACKER.min_pixels

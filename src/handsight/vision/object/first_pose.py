@@ -20,7 +20,7 @@ from handsight.vision.object.region import Scene, observed_points
 
 
 class FirstPoseOptions(NamedTuple):
-    """How a first pose is found: points that vote, poses that are compared."""
+    """`FirstPoseOptions` say how a first pose is found: points that vote, poses that are compared."""
 
     spacing: float = 1 / 24  # of observed points [diameters]
     max_points: int = 900  # observed points
@@ -57,7 +57,7 @@ Candidates = NDArray[np.void]
 
 @dataclass(frozen=True, eq=False)
 class ObjectDetection:
-    """Where an object may be, the likeliest first; nowhere, if it is not there."""
+    """An `ObjectDetection` says where an object may be, the likeliest first; nowhere, if it is not there."""
 
     Ts_camera_object: Array
     """(k, 4, 4)"""
@@ -74,7 +74,7 @@ class ObjectDetection:
 
 
 def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTURED_LIGHT) -> ObjectDetection:
-    """The poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
+    """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
     Votes of point pairs, each of them laid on the image by more and more of its points, those that the image as a
     whole supports best going on. At last it counts too how many points lie on the surface as close as noise lets them.
@@ -123,25 +123,26 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
 
 
 def poses_of(candidates: Candidates) -> Array:
-    """(..., 4, 4) T_camera_object of LOOK (...)."""
+    """Returns (..., 4, 4) T_camera_object of LOOK (...)."""
     return se3.compose(candidates["pose"]["rotation"], candidates["pose"]["position"])
 
 
 def scores(candidates: Candidates) -> Array:
-    """(k, 2) of LOOK (k,): score, and close pixels in its units."""
+    """Returns (k, 2) of LOOK (k,): score, and close pixels in its units."""
     return np.stack(
         [candidates["score"], candidates["close"] ** (1 - pose_score.POSE_SCORE.size_exponent)], axis=1
     )
 
 
 def depths(model: ObjectModel, candidates: Candidates) -> Array:
-    """(k,) how far off the object's centre is along the optical axis [m]; 1 mm where it is not before the camera."""
+    """Returns (k,) how far off the object's centre is along the optical axis [m]; 1 mm where it is not before the
+    camera."""
     z = candidates["pose"]["position"][:, 2] + candidates["pose"]["rotation"][:, 2] @ model.center_object
     return np.asarray(np.maximum(z, 1e-3))
 
 
 def _references(observed: Candidates, parts: int) -> Indices:
-    """Points that vote: spread over the parts by the roots of their sizes, else big ones take them all."""
+    """Returns points that vote: spread over the parts by the roots of their sizes, else big ones take them all."""
     has = (observed["normal"] != 0).any(axis=1)
     counts = np.bincount(observed["part"][has], minlength=parts)
     share = np.sqrt(counts)
@@ -153,7 +154,7 @@ def _references(observed: Candidates, parts: int) -> Indices:
 
 
 def distinct(model: ObjectModel, candidates: Candidates, score: Array, most: int, far: float) -> Indices:
-    """Which looks, the best first, are apart from all better ones, modulo symmetry; far: [diameters]."""
+    """Returns which looks, the best first, are apart from all better ones, modulo symmetry; far: [diameters]."""
     axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
     about = axes[0][0] if axes else model.center_object
     group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)

@@ -15,7 +15,7 @@ from handsight.vision.object.region import Scene, scene_of, table_plane
 
 
 class LocateOptions(NamedTuple):
-    """When an object is found in an image."""
+    """`LocateOptions` say when an object is found in an image."""
 
     max_plane: float = 1.5  # a plane that is so many of the object's diameters wide is no part of it
     min_probability: float = 0.02
@@ -38,7 +38,8 @@ def locate(
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> ObjectDetection:
-    """Where the object is in a depth image (h, w) [m], 0 or NaN where there is none; nowhere, and why, if it is not.
+    """Returns where the object is in a depth image (h, w) [m], 0 or NaN where there is none; nowhere, and why, if it
+    is not.
 
     wanted, hand: (h, w) pixels it may be in (all), and those of the hand. table: (4,) `n·P + offset = 0` in the camera,
     n towards it; else the widest plane. noise: of the depth. Raises InvalidInput for images of another size than the
@@ -68,7 +69,8 @@ def scene_in(
     hand: Mask | None = None,
     table: Array | None = None,
 ) -> Scene:
-    """What of an image may be an object; a plane wider than `extent` [m] is a table. Raises as `locate` does."""
+    """Returns what of an image may be an object; a plane wider than `extent` [m] is a table. Raises as `locate`
+    does."""
     depth = camera.check_depth(depth)
     for name, mask in (("wanted", wanted), ("hand", hand)):
         if mask is not None:
@@ -86,7 +88,7 @@ def scene_in(
 
 
 def nothing_in(scene: Scene) -> str:
-    """Why a scene without parts has none."""
+    """Returns why a scene without parts has none."""
     if not (scene.depth > 0).any():
         return "no pixel has a depth"
     return "nothing is seen there but the table and the hand"

@@ -22,7 +22,7 @@ def pose_covariances(
     candidates: NDArray[np.void],
     noise: DepthNoise,
 ) -> Array:
-    """(k, 6, 6) of LOOK (k,) by (δp, δθ) of the object's origin along the camera's axes.
+    """Returns (k, 6, 6) of LOOK (k,) by (δp, δθ) of the object's origin along the camera's axes.
 
     Of SEEN (n,) those within a look's bound count, with errors that they share as the noise has it: a pixel's own, its
     neighbours', a smooth bias and one of the whole image. On top of that come pixels' places and the model's error.
@@ -36,7 +36,7 @@ def pose_covariances(
 
 
 def errors_of(camera: Camera, noise: DepthNoise, z: Array) -> Array:
-    """(k, 6) as kernels take them, of points at depths z (k,) [m]: variances [m²], and lengths by 1/slope²."""
+    """Returns (k, 6) as kernels take them, of points at depths z (k,) [m]: variances [m²], and lengths by 1/slope²."""
     variance, slope = noise.sigma(z) ** 2, camera.matrix[0, 0]
     lengths = [(slope / length) ** 2 for length in (noise.correlation, noise.smooth_length)]
     biases = (noise.smooth * z**2) ** 2, noise.offset**2
@@ -45,7 +45,7 @@ def errors_of(camera: Camera, noise: DepthNoise, z: Array) -> Array:
 
 
 def _errors(model: ObjectModel, camera: Camera, noise: DepthNoise, z: Array) -> Array:
-    """(k, 11): those of the points, and what the object and the image add."""
+    """Returns (k, 11): those of the points, and what the object and the image add."""
     errors = np.zeros((len(z), 11))
     errors[:, :6] = errors_of(camera, noise, z)
     errors[:, 7] = (PIXEL * z / camera.matrix[0, 0]) ** 2 + model.sigma_point**2

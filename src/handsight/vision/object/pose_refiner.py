@@ -19,7 +19,7 @@ from handsight.vision.object.region import REGION
 
 
 class RefinerOptions(NamedTuple):
-    """How a pose is refined on an image."""
+    """`RefinerOptions` say how a pose is refined on an image."""
 
     within: float = 0.12  # of the expected surface, for a point to count [diameters]
     margin: float = 0.15  # what is searched around its silhouette [diameters]
@@ -36,7 +36,7 @@ ONE_PART = np.zeros(1)
 
 
 class RefinedPose(NamedTuple):
-    """What depth alone says."""
+    """A `RefinedPose` is what depth alone says."""
 
     T_camera_object: Array
     """(4, 4)"""
@@ -69,7 +69,8 @@ class PoseRefiner:
     def at(
         self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None
     ) -> RefinedPose:
-        """The pose that depth (h, w) settles, from the expected one on; the hand's pixels and the table left out.
+        """Returns the pose that depth (h, w) settles, from the expected one on; the hand's pixels and the table left
+        out.
 
         known (6, 6): information by (δp, δθ) of the object's centre along the camera's axes, which holds what hardly
         any point sees where it is expected.
@@ -92,7 +93,7 @@ class PoseRefiner:
         return RefinedPose(poses_of(candidate)[0], covariance, candidate, count)
 
     def _around(self, T: Array) -> tuple[slice, slice]:
-        """Rows and columns around the object's silhouette; empty where it is out of the picture."""
+        """Returns rows and columns around the object's silhouette; empty where it is out of the picture."""
         points = se3.apply(T, self.model.points_object)
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.camera.record, points, pixels)

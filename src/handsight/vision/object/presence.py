@@ -13,7 +13,8 @@ sums, and how close points lie, tell more of drawn pictures, and lead a real cam
 
 
 def evidence_of(candidates: NDArray[np.void]) -> Array:
-    """(k, 5) of LOOK (k,): one; of the expected pixels the shares explained, seen past, hidden and left over."""
+    """Returns (k, 5) of LOOK (k,): one; of the expected pixels the shares explained, seen past, hidden and left
+    over."""
     size = np.maximum(candidates["expected"], LEAST)
     shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
     left = np.minimum(candidates["unexplained"] / size, MOST_UNEXPLAINED)
@@ -21,12 +22,12 @@ def evidence_of(candidates: NDArray[np.void]) -> Array:
 
 
 def log_odds(candidates: NDArray[np.void]) -> Array:
-    """(k,) that the object is where LOOK (k,) have it, against that it is not."""
+    """Returns (k,) that the object is where LOOK (k,) have it, against that it is not."""
     return np.asarray(evidence_of(candidates) @ EVIDENCE)
 
 
 def probabilities(odds: Array) -> Array:
-    """(n,) of answers with such log odds (n,) against none of them: with that of none, their sum is 1."""
+    """Returns (n,) of answers with such log odds (n,) against none of them: with that of none, their sum is 1."""
     most = max(float(odds.max(initial=0.0)), 0.0)
     here = np.exp(odds - most)
     return np.asarray(here / (here.sum() + np.exp(-most)))

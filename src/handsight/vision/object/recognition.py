@@ -17,7 +17,7 @@ from handsight.vision.object.presence import log_odds, probabilities
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """Which object it is, and where."""
+    """A `Recognition` says which object it is, and where."""
 
     scores: dict[str, float]
     """Probability of each name, the likeliest first."""
@@ -45,7 +45,8 @@ def recognise(
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> Recognition:
-    """Which of the models (by name) the wanted pixels of a depth image show, as `locate` takes them: scores over all.
+    """Returns which of the models (by name) the wanted pixels of a depth image show, as `locate` takes them: scores
+    over all.
 
     Each is looked for in the same parts of the image. Raises InvalidInput as `locate` does, and for no models.
     """

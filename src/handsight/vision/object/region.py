@@ -13,7 +13,7 @@ from handsight.checks import Array, Mask
 
 
 class RegionOptions(NamedTuple):
-    """How an image is divided into table and parts."""
+    """`RegionOptions` say how an image is divided into table and parts."""
 
     table_within: float = 0.010  # what is nearer to a table's plane is the table's [m]
     trials: int = 200  # planes through three points each
@@ -30,7 +30,7 @@ NO_TABLE = np.array([0, 0, 0, np.inf])
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A depth image, and what of it may be the object."""
+    """A `Scene` is a depth image, and what of it may be the object."""
 
     camera: Camera
     depth: Depth
@@ -44,7 +44,7 @@ class Scene:
 def scene_of(
     camera: Camera, depth: Depth, *, wanted: Mask, hand: Mask | None = None, table: Array | None = None
 ) -> Scene:
-    """The parts of an image's wanted pixels (h, w) that are neither hand nor table (4: normal, offset)."""
+    """Returns the parts of an image's wanted pixels (h, w) that are neither hand nor table (4: normal, offset)."""
     known, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
     masks = wanted, np.zeros(depth.shape, dtype=bool) if hand is None else hand
     image = depth.astype(np.float32, copy=False), *masks
@@ -56,7 +56,8 @@ def scene_of(
 
 
 def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, seed: int = 0) -> Array | None:
-    """The plane (4,) that most of the wanted pixels lie on and that is wider than `extent` [m]; None: there is none.
+    """Returns the plane (4,) that most of the wanted pixels lie on and that is wider than `extent` [m]; None: there
+    is none.
 
     Normal towards the camera, `n·P + offset = 0` on it (random sample consensus).
     """

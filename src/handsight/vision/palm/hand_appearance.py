@@ -19,7 +19,7 @@ from handsight.hand.surface import HandShape, sample_by_area
 
 
 class AppearanceOptions(NamedTuple):
-    """What of a hand a camera can see."""
+    """`AppearanceOptions` are what of a hand a camera can see."""
 
     points: int = 1200  # by which a hand is aligned with an image
     merge_distance: float = 0.005  # vertices nearer than this are one where only visibility is asked for [m]
@@ -36,7 +36,7 @@ APPEARANCE = AppearanceOptions()
 
 @dataclass(frozen=True, eq=False)
 class HandAppearance:
-    """A hand's points and triangles, each of which moves with one link; worked out once."""
+    """A `HandAppearance` is a hand's points and triangles, each of which moves with one link; worked out once."""
 
     chains: Chains
     skin: tuple[Array, Array, Indices]
@@ -63,7 +63,7 @@ class HandAppearance:
         return cls(shape.chains, skin, _coarser(shape), area / len(points))
 
     def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
-        """The hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m].
+        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m].
 
         Raises InvalidInput as `Hand.Ts_palm_tip` does.
         """
@@ -81,7 +81,7 @@ class HandAppearance:
 
 @dataclass(frozen=True, eq=False)
 class PlacedHand:
-    """A hand in the palm's axes, with its joints at certain positions."""
+    """A `PlacedHand` is a hand in the palm's axes, with its joints at certain positions."""
 
     appearance: HandAppearance
     skin: Array
@@ -104,12 +104,13 @@ class PlacedHand:
         return float(np.linalg.norm(self.skin[0] - self.middle, axis=1).max())
 
     def by_joints(self, rows: Indices) -> Array:
-        """(k, 3, j) how the points `rows` (k,) move in the palm by each joint [m/rad]."""
+        """Returns (k, 3, j) how the points `rows` (k,) move in the palm by each joint [m/rad]."""
         bodies = self.appearance.skin[2][rows]
         return self.appearance.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
 
     def outline_continued(self, camera: Camera, depth: Depth, T_camera_palm: Array) -> float:
-        """Share of the pixels around the hand, as it would be drawn there, in which what is seen goes on as near as it.
+        """Returns share of the pixels around the hand, as it would be drawn there, in which what is seen goes on as
+        near as it.
 
         Around a hand in the air most are far behind; a hand that was laid onto a table has none that are. Where
         something hides the outline, or there is no depth, it does not count; all of it: 1.
@@ -130,8 +131,8 @@ class PlacedHand:
         )
 
     def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
-        """(k, 3) points in the air, in the palm's axes, `APPEARANCE.beside` off the hand's outline and as near as it
-        [m]."""
+        """Returns (k, 3) points in the air, in the palm's axes, `APPEARANCE.beside` off the hand's outline and as
+        near as it [m]."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE.beside)
         off = max(round(APPEARANCE.beside * small.matrix[0, 0] / distance), 1)
@@ -144,7 +145,7 @@ class PlacedHand:
         return se3.apply(se3.inverse(T_camera_palm), points)
 
     def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
-        """(m,) which points a camera there sees of the hand alone; out of its image all that face it."""
+        """Returns (m,) which points a camera there sees of the hand alone; out of its image all that face it."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
@@ -171,7 +172,7 @@ def _smaller(camera: Camera) -> Camera:
 
 @lru_cache(maxsize=4)  # where a hand comes to lie it is drawn for its outline and for what is seen of it
 def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
-    """The depth of its coarse triangles at a quarter of the size; inf beside them."""
+    """Returns the depth of its coarse triangles at a quarter of the size; inf beside them."""
     T = np.frombuffer(T_camera_palm).reshape(4, 4)
     return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.appearance.coarse[2]).depth
 

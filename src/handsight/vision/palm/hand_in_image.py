@@ -20,7 +20,7 @@ class HandInImage:
         self._appearance = HandAppearance.of(rig.hand) if len(self._shape.faces) else None
 
     def placed(self, joint_positions: Mapping[str, float] | None) -> PlacedHand | None:
-        """The hand with its joints there; None without shapes, or where a joint is missing."""
+        """Returns the hand with its joints there; None without shapes, or where a joint is missing."""
         joints = joint_positions or {}
         if self._appearance is None or not joints.keys() >= {
             *self._shape.joints,
@@ -71,7 +71,7 @@ class HandInImage:
         joint_positions: Mapping[str, float] | None,
         T_camera_palm: Array,
     ) -> Mask | None:
-        """(h, w) which pixels are the hand's; None where nothing is known of it."""
+        """Returns (h, w) which pixels are the hand's; None where nothing is known of it."""
         joints = joint_positions or {}
         if not len(self._shape.faces) or not joints.keys() >= set(self._shape.joints):
             return None

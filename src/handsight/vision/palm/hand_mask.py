@@ -19,7 +19,7 @@ def hand_mask(
     T_camera_palm: Array,
     slack: float = SLACK,
 ) -> Mask:
-    """(h, w) whether a pixel is the hand's. What is in front of the hand is not: the object may be."""
+    """Returns (h, w) whether a pixel is the hand's. What is in front of the hand is not: the object may be."""
     drawn = camera.draw(se3.apply(T_camera_palm, vertices_palm), faces).depth
     rows, columns = np.nonzero(np.isfinite(drawn))
     mask = np.zeros(depth.shape, dtype=bool)

@@ -26,7 +26,7 @@ def palm_covariance(
     stage: tuple[Indices, float],
     noise: DepthNoise,
 ) -> Array:
-    """(6, 6) of LOOK (1,) by (δp, δθ) of the palm along the camera's axes.
+    """Returns (6, 6) of LOOK (1,) by (δp, δθ) of the palm along the camera's axes.
 
     rung: rows of the points that are seen (k,), and Tukey's bound [m]. Points err as the noise has it: each by itself,
     with its neighbours, with all. On top of that come pixels' places and what constant errors of the joints do, to
@@ -64,7 +64,8 @@ def palm_covariance(
 
 
 def _spread(pulls: Array, slopes: Array, error: Array) -> Array:
-    """(6, 6) the covariance of the sum of pulls (m, 6) of points at slopes (m, 2); what neighbours share by a few.
+    """Returns (6, 6) the covariance of the sum of pulls (m, 6) of points at slopes (m, 2); what neighbours share by a
+    few.
 
     error: as of `depth_term.inform_all`.
     """

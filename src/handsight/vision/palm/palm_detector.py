@@ -26,7 +26,7 @@ from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture
 
 
 class DetectorOptions(NamedTuple):
-    """When a palm is detected."""
+    """`DetectorOptions` say when a palm is detected."""
 
     max_sigmas: float = 4.0  # of the belief, beyond which no answer is taken
     search_factor: float = 2.5  # times that, beyond which none goes on to become one
@@ -97,7 +97,8 @@ def detect_palm(
     sigma_rotation: float,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> PalmDetection | PalmNotFound:
-    """The palm's pose in the camera, or why a depth image (h, w) [m], 0 or NaN where there is none, does not tell it.
+    """Returns the palm's pose in the camera, or why a depth image (h, w) [m], 0 or NaN where there is none, does not
+    tell it.
 
     T_camera_palm: as believed, off by `sigma_position` [m] at the hand's middle and `sigma_rotation` [rad] per axis.
     What is searched, and with it the time, grows with them. `noise` has a say in the covariance. Raises InvalidInput.
@@ -170,7 +171,8 @@ def _positive(value: float, name: str) -> float:
 def _laid(
     picture: Picture, hand: PlacedHand, rows: Indices, stage: tuple[float, ...], candidates: NDArray[np.void]
 ) -> NDArray[np.void]:
-    """The looks moved to where points, some of `rows`, lie on the image, and judged by them; rung: see RUNGS."""
+    """Returns the looks moved to where points, some of `rows`, lie on the image, and judged by them; rung: see
+    RUNGS."""
     count, first, last, steps, bound = stage
     few = rows[: int(count)]
     skin, camera = np.ascontiguousarray(hand.skin[:, few]), picture.camera.record
@@ -184,7 +186,7 @@ def _laid(
 def _finished(
     picture: Picture, hand: PlacedHand, candidate: NDArray[np.void], stage: tuple[float, ...] = LAST
 ) -> NDArray[np.void]:
-    """A look (1,) laid on by all points that are seen; what goes on beside it is taken from its score."""
+    """Returns a look (1,) laid on by all points that are seen; what goes on beside it is taken from its score."""
     rows = np.flatnonzero(hand.visible_from(picture.camera, poses_of(candidate)[0]))
     candidate = _laid(picture, hand, rows, (len(rows), *stage), candidate.copy())
     expected, goes_on = (
@@ -203,7 +205,7 @@ def _finished(
 def _believed(
     belief: Belief, candidates: NDArray[np.void], limit: float = DETECTOR.max_sigmas
 ) -> NDArray[np.void]:
-    """Those that the belief can be off by, so many sigmas; the best first."""
+    """Returns those that the belief can be off by, so many sigmas; the best first."""
     hand, T, sigmas = belief.hand, belief.T, belief.sigmas
     Ts = poses_of(candidates)
     off = np.linalg.norm(se3.apply(Ts, hand.middle[None])[:, 0] - se3.apply(T, hand.middle[None])[0], axis=1)
@@ -215,7 +217,7 @@ def _believed(
 def _answer(
     picture: Picture, hand: PlacedHand, candidates: NDArray[np.void], noise: DepthNoise
 ) -> PalmDetection | PalmNotFound:
-    """The best, where it is good enough and no other is nearly as good."""
+    """Returns the best, where it is good enough and no other is nearly as good."""
     if not len(candidates) or not candidates["score"][0] > DETECTOR.min_score:
         return PalmNotFound("no_fit")
     best, fits = candidates[:1].copy(), candidates["explained"] / np.maximum(candidates["expected"], 1.0)

@@ -17,7 +17,7 @@ from handsight.vision.palm.hand_appearance import PlacedHand
 
 
 class PalmSearchOptions(NamedTuple):
-    """How poses of the palm are searched."""
+    """`PalmSearchOptions` say how poses of the palm are searched."""
 
     cell: float = 0.005  # of the image as the search has it, at the hand [m]
     max_cells: int = 160  # to a side
@@ -42,7 +42,7 @@ SAMPLED_POINTS = (300, 30)
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A depth image as the kernels take it, with the cells around where the hand may be."""
+    """A `Picture` is a depth image as the kernels take it, with the cells around where the hand may be."""
 
     camera: Camera
     depth: Depth
@@ -73,7 +73,7 @@ def picture_of(camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigma: 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Where a hand is thought to be, and how far that is off."""
+    """A `Belief` says where a hand is thought to be, and how far that is off."""
 
     hand: PlacedHand
     T: Array
@@ -113,7 +113,7 @@ def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
 
 
 def _scanned(hand: PlacedHand, rows: Indices, air: Array) -> Array:
-    """(2, k, 3) points of its skin about its middle with normals, and points in the air without."""
+    """Returns (2, k, 3) points of its skin about its middle with normals, and points in the air without."""
     points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
     return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
 
@@ -145,7 +145,7 @@ def _tried(
 
 @lru_cache(maxsize=16)
 def _turns(reach: float, step: float = PALM_SEARCH.rotation) -> Array:
-    """(r, 3, 3) turns so far apart, up to `reach`; none but 0 where that is less than half a step."""
+    """Returns (r, 3, 3) turns so far apart, up to `reach`; none but 0 where that is less than half a step."""
     count = max(int(np.ceil(reach / step - 0.5)), 0)
     steps = step * np.arange(-count, count + 1)
     turns = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -154,7 +154,7 @@ def _turns(reach: float, step: float = PALM_SEARCH.rotation) -> Array:
 
 
 def _shifts(reach: float, step: float = PALM_SEARCH.shift) -> Array:
-    """(s, 3) shifts, so close together across the way to the camera, in layers along it."""
+    """Returns (s, 3) shifts, so close together across the way to the camera, in layers along it."""
     count, layers = (max(int(np.ceil(reach / each - 0.5)), 0) for each in (step, PALM_SEARCH.layer))
     across, along = step * np.arange(-count, count + 1), PALM_SEARCH.layer * np.arange(-layers, layers + 1)
     shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -164,7 +164,7 @@ def _shifts(reach: float, step: float = PALM_SEARCH.shift) -> Array:
 
 
 def distinct(hand: PlacedHand, candidates: NDArray[np.void], spacing: float, most: int) -> NDArray[np.void]:
-    """The best first, each at least so far [m] from all better ones, by its points' root mean square."""
+    """Returns the best first, each at least so far [m] from all better ones, by its points' root mean square."""
     candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
     places = se3.apply(poses_of(candidates), hand.skin[0, : PALM_SEARCH.compared]).reshape(
         len(candidates), 3 * PALM_SEARCH.compared

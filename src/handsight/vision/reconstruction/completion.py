@@ -18,7 +18,7 @@ from handsight.vision.reconstruction.volume import SurfacePoints, Volume, thinne
 
 
 class CompletionOptions(NamedTuple):
-    """How what no view shows of an object is completed by its symmetry."""
+    """`CompletionOptions` say how what no view shows of an object is completed by its symmetry."""
 
     judged_points: int = 400  # points that a symmetry is judged by
     turns: int = 24  # of an entire turn, by which a body of revolution is judged and filled
@@ -49,7 +49,7 @@ COMPLETION = CompletionOptions()
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedModel:
-    """An object's surface as points, and which of them were seen."""
+    """A `ReconstructedModel` is an object's surface as points, and which of them were seen."""
 
     points: Array
     """(n, 3) [m]."""
@@ -72,7 +72,7 @@ class ReconstructedModel:
 
 
 def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePoints:
-    """The largest connected part of a surface, without a table, on which z is 0."""
+    """Returns the largest connected part of a surface, without a table, on which z is 0."""
     points, normals = surface
     if table:
         above = points[:, 2] > COMPLETION.table_margin * volume.grid.cell
@@ -90,7 +90,7 @@ def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePo
 
 
 def closed(surface: SurfacePoints, volume: Volume, table: bool) -> ReconstructedModel:
-    """An object's surface with guesses where no view showed it; `table`: it stands where z is 0, z up."""
+    """Returns an object's surface with guesses where no view showed it; `table`: it stands where z is 0, z up."""
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
     for description, maps in _symmetries(surface, volume, table):
@@ -106,7 +106,7 @@ def closed(surface: SurfacePoints, volume: Volume, table: bool) -> Reconstructed
 
 
 def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tuple[str, Array]]:
-    """What may fill gaps: a name, and maps (k, 4, 4) of the object onto itself, mirrors among them."""
+    """Returns what may fill gaps: a name, and maps (k, 4, 4) of the object onto itself, mirrors among them."""
     if len(surface.points) < COMPLETION.judged_points:
         return []
     some = np.random.default_rng(0).permutation(len(surface.points))[: COMPLETION.judged_points]
@@ -126,7 +126,7 @@ def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tup
 
 
 class _Judge:
-    """What is known of the places that points would be taken to."""
+    """A `_Judge` is what is known of the places that points would be taken to."""
 
     def __init__(self, volume: Volume, points: Array) -> None:
         self._volume, self._points = volume, points
@@ -139,12 +139,12 @@ class _Judge:
         self._known = known | volume.clear()
 
     def _at(self, maps: Array) -> Array:
-        """(k, n, 3) places in the grid that maps (k, 4, 4) take the points to [cells]."""
+        """Returns (k, n, 3) places in the grid that maps (k, 4, 4) take the points to [cells]."""
         grid = self._volume.grid
         return np.asarray((se3.apply(maps, self._points) - grid.origin) / grid.cell)
 
     def cost(self, maps: Array) -> Array:
-        """(k,) of each map, 0 to 1."""
+        """Returns (k,) of each map, 0 to 1."""
         at = np.moveaxis(self._at(maps), -1, 0)
         return np.asarray(
             map_coordinates(self._cost, at, order=1, mode="constant", cval=COMPLETION.unknown_cost).mean(
@@ -153,7 +153,7 @@ class _Judge:
         )
 
     def allows(self, maps: Array) -> bool:
-        """Whether what maps (k, 4, 4) say fits to what is known, and enough is known."""
+        """Returns whether what maps (k, 4, 4) say fits to what is known, and enough is known."""
         at = np.moveaxis(self._at(maps), -1, 0)
         known_share = map_coordinates(self._known.astype(np.float32), at, order=1) > 0.9
         wrong = (
@@ -186,7 +186,7 @@ class _Judge:
         return [mirror for mirror in good if self.allows(mirror[None])]
 
     def _refined(self, plane: Array, table: bool) -> Array:
-        """The mirror (4, 4) near a plane (4,) that fits best."""
+        """Returns the mirror (4, 4) near a plane (4,) that fits best."""
         free = [0, 1, 3] if table else [0, 1, 2, 3]
 
         def moved(x: Array) -> Array:
@@ -201,7 +201,7 @@ class _Judge:
 
 
 def _mirror(plane: Array) -> Array:
-    """(4, 4) the reflection at the plane (4,): normal of any length, and the distance along it [m]."""
+    """Returns (4, 4) the reflection at the plane (4,): normal of any length, and the distance along it [m]."""
     n = plane[:3] / np.linalg.norm(plane[:3])
     T = np.eye(4)
     T[:3, :3] -= 2 * np.outer(n, n)
@@ -227,7 +227,7 @@ def _revolution(surface: SurfacePoints) -> Array:
 
 
 def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) -> SurfacePoints:
-    """Where maps (k, 4, 4) take a surface to that nothing is known of, one point a cell."""
+    """Returns where maps (k, 4, 4) take a surface to that nothing is known of, one point a cell."""
     points = se3.apply(maps, surface.points).reshape(-1, 3)
     normals = np.concatenate([surface.normals @ T[:3, :3].T for T in maps])
     known_share = volume.among(volume.known(1) | volume.clear(), points)
@@ -263,7 +263,8 @@ def _closest_point(surface: SurfacePoints, cell: float) -> SurfacePoints:
 
 
 def _filled_in(ring: Array, cell: float) -> Array:
-    """(m, 2) places a cell apart [m] that a ring of points (n, 2) goes around; if it is open, all between them."""
+    """Returns (m, 2) places a cell apart [m] that a ring of points (n, 2) goes around; if it is open, all between
+    them."""
     low = ring.min(axis=0) - (COMPLETION.closed_gap + 1) * cell
     at = np.rint((ring - low) / cell).astype(int)
     image = np.zeros(tuple(at.max(axis=0) + COMPLETION.closed_gap + 2), dtype=bool)

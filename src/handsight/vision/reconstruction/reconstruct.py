@@ -20,7 +20,7 @@ from handsight.vision.reconstruction.volume import Volume
 
 
 class ReconstructionOptions(NamedTuple):
-    """How views are aligned and fused."""
+    """`ReconstructionOptions` say how views are aligned and fused."""
 
     cell: float = 0.002  # of the volume [m]: finer is below what depth cameras resolve
     max_cells: int = 160  # along the longest side of a large one
@@ -42,7 +42,7 @@ STAGES = ((False, 1.0, 0.5, 6), (True, 1.0, 0.6, 8))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A depth image of the object."""
+    """A `View` is a depth image of the object."""
 
     depth: Depth
     """(h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's."""
@@ -51,7 +51,7 @@ class View:
 
 
 class Reconstruction:
-    """A surface that grows view by view."""
+    """A `Reconstruction` is a surface that grows view by view."""
 
     def __init__(self, camera: Camera, bounds_object: Array) -> None:
         """`bounds_object` (2, 3): the least and the largest coordinates of what is looked at [m]."""
@@ -86,7 +86,7 @@ class Reconstruction:
         return found
 
     def laid_on(self, view: View) -> View | None:
-        """The view at the pose where its points lie on the surface so far; None where they do not."""
+        """Returns the view at the pose where its points lie on the surface so far; None where they do not."""
         surface = self._surface = self._surface or _Surface(self._coarse, self.volume)
         points, T = (
             observed_points(self._scene(view), RECONSTRUCTION.spacing, RECONSTRUCTION.max_points),
@@ -103,14 +103,14 @@ class Reconstruction:
         return View(view.depth, T) if fits else None
 
     def _scene(self, view: View) -> Scene:
-        """The view's pixels that are in the bounds, as one part."""
+        """Returns the view's pixels that are in the bounds, as one part."""
         inside = within(self.camera, view, self.bounds_object)
         labels = np.where(inside, 0, OUT).astype(np.int32)
         return Scene(self.camera, view.depth, labels, np.array([float(inside.sum())]))
 
 
 def within(camera: Camera, view: View, bounds_object: Array) -> Mask:
-    """(h, w) which pixels of a view show what lies in bounds (2, 3) [m]."""
+    """Returns (h, w) which pixels of a view show what lies in bounds (2, 3) [m]."""
     points_camera = camera.points(view.depth).reshape(-1, 3).astype(np.float64)
     points = se3.apply(se3.inverse(view.T_camera_object), points_camera).reshape(*view.depth.shape, 3)
     low, high = bounds_object
@@ -119,7 +119,7 @@ def within(camera: Camera, view: View, bounds_object: Array) -> Mask:
 
 
 class _Surface:
-    """A growing surface as what views are laid on."""
+    """A `_Surface` is a growing surface as what views are laid on."""
 
     def __init__(self, coarse: Volume, fine: Volume) -> None:
         self._volumes = {False: coarse, True: fine}
@@ -133,11 +133,12 @@ class _Surface:
         self._model["radius"], self._model["center"] = np.linalg.norm(high - low) / 2, (low + high) / 2
 
     def tells(self, fine: bool, points_object: Array) -> Mask:
-        """(n,) whether any view told what is at points (n, 3): else what is new would be drawn onto what is known."""
+        """Returns (n,) whether any view told what is at points (n, 3): else what is new would be drawn onto what is
+        known."""
         return self._volumes[fine].among(self._known[fine], points_object)
 
     def distances(self, points_object: Array) -> Array:
-        """(n,) [m] from the surface."""
+        """Returns (n,) [m] from the surface."""
         return self._fine.evaluate(points_object).distance
 
     def refined(self, points: NDArray[np.void], T: Array, stage: Array) -> Array:
@@ -149,7 +150,7 @@ class _Surface:
 
 
 def _has_moved(T_camera_object: Array, to: Array) -> bool:
-    """Whether the camera has, seen from the object."""
+    """Returns whether the camera has, seen from the object."""
     shift, turn = np.split(se3.difference(se3.inverse(to), se3.inverse(T_camera_object)), 2)
     return bool(
         np.linalg.norm(shift) > RECONSTRUCTION.min_shift or np.linalg.norm(turn) > RECONSTRUCTION.min_rotation

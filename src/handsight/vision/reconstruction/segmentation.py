@@ -17,7 +17,7 @@ from handsight.vision.object.region import scene_of, table_plane
 
 
 class SegmentationOptions(NamedTuple):
-    """What of an image is the object."""
+    """`SegmentationOptions` are what of an image is the object."""
 
     min_table: float = 0.15  # what is wider and flat is a table [m]
     min_pixels: int = 200  # of an object in its first view
@@ -69,7 +69,7 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
 
 
 class InHandView:
-    """What a hand holds, in depth images of both."""
+    """An `InHandView` is what a hand holds, in depth images of both."""
 
     def __init__(self, hand: Hand, sigma_joint: float) -> None:
         """`sigma_joint`: of each joint, constant [rad, for slides m]. Raises InvalidInput for a hand without shapes."""
@@ -87,11 +87,11 @@ class InHandView:
         self._points = np.ascontiguousarray(points)
 
     def tells(self, joint_positions: Mapping[str, float] | None) -> bool:
-        """Whether these are all joints that say where the hand is."""
+        """Returns whether these are all joints that say where the hand is."""
         return (joint_positions or {}).keys() >= {*self._shape.joints, *self._hand.joint_names}
 
     def middle(self, joint_positions: Mapping[str, float]) -> Array:
-        """(3,) of the fingertips in the palm [m]."""
+        """Returns (3,) of the fingertips in the palm [m]."""
         return np.asarray(self._hand.Ts_palm_tip(joint_positions)[:, :3, 3].mean(axis=0))
 
     def without_hand(
@@ -101,7 +101,7 @@ class InHandView:
         joint_positions: Mapping[str, float],
         T_camera_palm: Array,
     ) -> Depth:
-        """A depth image (h, w) [m] with 0 for all that is as near to the hand as its joints may be off.
+        """Returns a depth image (h, w) [m] with 0 for all that is as near to the hand as its joints may be off.
 
         The object's, too, where it is touched: a piece of a finger in a model is worse than a hole.
         """

@@ -55,22 +55,24 @@ class Volume:
         self.views += 1
 
     def known(self, least: int = LEAST_VIEWS) -> Mask:
-        """(nx, ny, nz) whether the distance is known: so many views had the surface near, no more looked through."""
+        """Returns (nx, ny, nz) whether the distance is known: so many views had the surface near, no more looked
+        through."""
         views = self.voxels["views"]
         return np.asarray((views >= least) & (self.voxels["passed"] <= views))
 
     def distances(self, least: int = LEAST_VIEWS) -> Array:
-        """(nx, ny, nz) [m]; NaN where it is not known."""
+        """Returns (nx, ny, nz) [m]; NaN where it is not known."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = self.voxels["sum"] / self.voxels["weight"]
         return np.where(self.known(least), mean, np.nan).astype(np.float64)
 
     def field(self) -> GridField:
-        """The distances that any view tells, as a smooth field; elsewhere that of what is clear of a surface."""
+        """Returns the distances that any view tells, as a smooth field; elsewhere that of what is clear of a
+        surface."""
         return self.grid.field(np.nan_to_num(self.distances(1), nan=self.bound).reshape(-1))
 
     def surface(self) -> SurfacePoints:
-        """The surface: where distances change their sign between neighbours."""
+        """Returns the surface: where distances change their sign between neighbours."""
         f = self.distances()
         slopes = np.stack([_slope(f, axis) for axis in range(3)], axis=-1)
         found = [_crossings(f, slopes, axis) for axis in range(3)]
@@ -79,14 +81,14 @@ class Volume:
         return SurfacePoints(self.grid.origin + self.grid.cell * at, facing)
 
     def among(self, nodes: Mask, points_object: Array) -> Mask:
-        """(n,) whether the nodes nearest to points (n, 3) [m] are among some (nx, ny, nz)."""
+        """Returns (n,) whether the nodes nearest to points (n, 3) [m] are among some (nx, ny, nz)."""
         place = self.places(points_object)
         inside = np.asarray(((place >= 0) & (place < self.grid.shape)).all(axis=1))
         inside[inside] = nodes[tuple(place[inside].T)]
         return inside
 
     def places(self, points_object: Array) -> Indices:
-        """(n, 3) the nodes nearest to points (n, 3) [m], some of them perhaps outside."""
+        """Returns (n, 3) the nodes nearest to points (n, 3) [m], some of them perhaps outside."""
         return np.asarray(np.rint((points_object - self.grid.origin) / self.grid.cell).astype(np.int64))
 
     def observed(self) -> Mask:
@@ -94,13 +96,13 @@ class Volume:
         return np.asarray((self.voxels["views"] > 0) | (self.voxels["passed"] > 0))
 
     def clear(self) -> Mask:
-        """(nx, ny, nz) whether more views looked through than had a surface near by."""
+        """Returns (nx, ny, nz) whether more views looked through than had a surface near by."""
         views, passed = self.voxels["views"], self.voxels["passed"]
         return np.asarray((passed > views) & (passed >= min(LEAST_VIEWS, self.views)))
 
 
 def _slope(f: Array, axis: int) -> Array:
-    """(nx, ny, nz) the mean change of f to its neighbours along an axis that are known; 0 where none is.
+    """Returns (nx, ny, nz) the mean change of f to its neighbours along an axis that are known; 0 where none is.
 
     Seen aslant a surface is a few nodes thick: often there is a neighbour on one side only.
     """
@@ -112,7 +114,7 @@ def _slope(f: Array, axis: int) -> Array:
 
 
 def _crossings(f: Array, slopes: Array, axis: int) -> tuple[Array, Array]:
-    """Places (n, 3) [cells] and unit normals (n, 3) where f (nx, ny, nz) changes its sign along an axis."""
+    """Returns places (n, 3) [cells] and unit normals (n, 3) where f (nx, ny, nz) changes its sign along an axis."""
     n = f.shape[axis]
     a, b = f.take(range(n - 1), axis), f.take(range(1, n), axis)
     with np.errstate(invalid="ignore"):
@@ -129,7 +131,7 @@ def _crossings(f: Array, slopes: Array, axis: int) -> tuple[Array, Array]:
 
 
 def thinned(points: Array, normals: Array) -> SurfacePoints:
-    """The means of points (n, 3) [cells] of a cell that face the same way."""
+    """Returns the means of points (n, 3) [cells] of a cell that face the same way."""
     facing = np.abs(normals).argmax(axis=1)
     side = 2 * facing + (normals[np.arange(len(normals)), facing] > 0)
     cells = np.column_stack([np.rint(points).astype(np.int64), side])
@@ -140,5 +142,5 @@ def thinned(points: Array, normals: Array) -> SurfacePoints:
 
 
 def means(values: Array, which: Indices, count: Indices) -> Array:
-    """(m, k) the means of the rows of values (n, k) that are the same of `which` (n,); `count` (m,) of each."""
+    """Returns (m, k) the means of the rows of values (n, k) that are the same of `which` (n,); `count` (m,) of each."""
     return np.stack([np.bincount(which, column) / count for column in values.T], axis=1)
