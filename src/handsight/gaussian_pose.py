@@ -16,7 +16,8 @@ from handsight.representation import short_repr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianPose:
-    """The pose of a frame b in a frame a, with its covariance; a variable's name says which frames they are."""
+    """A `GaussianPose` is the pose of a frame b in a frame a, with its covariance; a variable's name says which
+    frames they are."""
 
     T_a_b: Array
     """(4, 4)."""

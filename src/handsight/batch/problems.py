@@ -36,7 +36,7 @@ MODELS_KEPT = 32
 
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """Unknown keys are errors everywhere."""
+    """A `_Strict` form is one in which unknown keys are errors everywhere."""
 
 
 class CylinderSize(_Strict):
@@ -113,7 +113,7 @@ class Problem(msgspec.Struct, frozen=True):
 
 
 class Reader:
-    """Problems from lines of JSON; keeps the object models it has built."""
+    """A `Reader` makes problems from lines of JSON; keeps the object models it has built."""
 
     def __init__(self, folder: Path) -> None:
         """`folder`: what mesh paths are relative to."""

@@ -74,7 +74,7 @@ def _cores() -> int:
 
 
 class Run:
-    """Lines on their way through workers; iterate over it, once, for their answers in order.
+    """A `Run` is lines on their way through workers; iterate over it, once, for their answers in order.
 
     A thread reads. All else is done in the thread that iterates, as lines come and chunks end.
     """

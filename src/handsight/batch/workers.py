@@ -92,7 +92,8 @@ def _from_file(named: Future[str], answers: Future[Answers]) -> None:
 
 
 class Processes(contextlib.AbstractContextManager["Processes"]):
-    """Worker processes of this machine; use it in `with`. When one dies all are replaced, and their chunks fail."""
+    """`Processes` are worker processes of this machine; use it in `with`. When one dies all are replaced, and their
+    chunks fail."""
 
     chunk_seconds = 0.1
     """How long one of them should be busy with a chunk."""
@@ -136,7 +137,8 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                 return answers
 
     def answers(self, future: Future[Answers]) -> Answers | None:
-        """The answers once they are there, None where a worker died; raises WorkerFailure for what else went wrong."""
+        """Returns the answers once they are there, None where a worker died; raises WorkerFailure for what else went
+        wrong."""
         try:
             return future.result()
         except BrokenProcessPool:
@@ -190,7 +192,7 @@ def _spawning() -> Iterator[None]:
 
 
 def _begin(lifeline: Connection) -> None:
-    """What a worker does first."""
+    """Does what a worker does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Whatever a library prints must not come between the answers.
     os.dup2(2, 1)
@@ -237,7 +239,8 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         return answers
 
     def answers(self, future: Future[Answers]) -> Answers | None:
-        """The answers once they are there, None where workers died; raises WorkerFailure where the cluster was lost."""
+        """Returns the answers once they are there, None where workers died; raises WorkerFailure where the cluster
+        was lost."""
         from distributed.scheduler import KilledWorker
 
         try:

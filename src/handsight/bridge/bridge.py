@@ -49,7 +49,7 @@ def carried(topic: str) -> str:
 
 
 class Bridge:
-    """Hears what a tracker listens to, and publishes what it answers."""
+    """A `Bridge` receives what a tracker listens to, and publishes what it answers."""
 
     def __init__(self, live: LiveTracker, network: Network, say: Callable[[str], None]) -> None:
         """`say`: is told what cannot be published, once for each topic. Raises InvalidInput."""
@@ -133,7 +133,7 @@ class Bridge:
         return Topic(self._network.participant, carried(topic), message_type(kind))
 
     def _reader(self, topic: str, kind: str) -> Any:
-        """Best effort is what every publisher can give."""
+        """Returns a reader of a topic. Best effort is what every publisher can give."""
         waiting = BRIDGE.max_waiting_all if self._live.equal else BRIDGE.max_waiting
         passing = Qos(
             Policy.Reliability.BestEffort,

@@ -24,7 +24,7 @@ def dds_name(kind: str) -> str:
 
 
 def ros_name(dds: str) -> str:
-    """`package/msg/Name` of a type on DDS; of one that is not ROS 2's, its own name."""
+    """Returns `package/msg/Name` of a type on DDS; of one that is not ROS 2's, its own name."""
     parts = dds.split("::")
     if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
         return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"

@@ -22,7 +22,7 @@ MAX_DOMAIN = 232
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
-    """ROS_DOMAIN_ID, 0 where it is not set; raises InvalidInput."""
+    """Returns ROS_DOMAIN_ID, 0 where it is not set; raises InvalidInput."""
     declared = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not (declared.isascii() and declared.isdigit() and int(declared[:9]) <= MAX_DOMAIN):
         raise InvalidInput(
@@ -32,7 +32,8 @@ def domain_id(environment: Mapping[str, str]) -> int:
 
 
 def configuration(environment: Mapping[str, str]) -> str:
-    """Cyclone DDS' configuration: its cure for Fast DDS 3, this machine alone if ROS 2 says so, what the user says."""
+    """Returns Cyclone DDS' configuration: its cure for Fast DDS 3, this machine alone if ROS 2 says so, what the user
+    says."""
     alone = (
         environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
         or environment.get("ROS_LOCALHOST_ONLY") == "1"

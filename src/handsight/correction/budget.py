@@ -10,7 +10,7 @@ from handsight import checks
 
 @dataclass(slots=True)
 class Budget:
-    """The time at which a search has to end, and whether it has had to."""
+    """A `Budget` is the time at which a search has to end, and whether it has had to."""
 
     ends: float = np.inf
     """By `time.perf_counter` [s]."""
@@ -19,7 +19,7 @@ class Budget:
 
     @classmethod
     def of(cls, seconds: float | None) -> "Budget":
-        """From now on; None: as long as it takes. Raises InvalidInput."""
+        """Returns a budget from now on; None: as long as it takes. Raises InvalidInput."""
         if seconds is None:
             return cls()
         return cls(time.perf_counter() + checks.positive(seconds, "budget"))

@@ -48,7 +48,8 @@ class PosePrior:
 
     @classmethod
     def trusted(cls, T_palm_object: Array, covariance: Array) -> "PosePrior":
-        """Of arrays that are known to be a pose and a covariance: checking takes longer than correcting."""
+        """Returns a prior of arrays that are known to be a pose and a covariance: checking takes longer than
+        correcting."""
         prior = object.__new__(cls)
         object.__setattr__(prior, "T_palm_object", T_palm_object)
         object.__setattr__(prior, "covariance", covariance)
@@ -129,7 +130,8 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoseEstimate:
-    """The object's pose in the palm, and how much of it to believe: a view of what a kernel has answered."""
+    """A `PoseEstimate` is the object's pose in the palm, and how much of it to believe: a view of what a kernel has
+    answered."""
 
     answer: np.void
     """ANSWER, of the best mode, or of its mean."""
@@ -147,7 +149,7 @@ class PoseEstimate:
 
     @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> "PoseEstimate":
-        """Of a pose that is known without touch: one mode, no residuals."""
+        """Returns the estimate of a pose that is known without touch: one mode, no residuals."""
         answer = np.zeros(1, dtype=ANSWER)[0]
         answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
         answer["T_palm_object"], answer["covariance"], answer["complete"] = T_palm_object, covariance, 1
@@ -239,7 +241,7 @@ class PoseEstimate:
         return tuple(_hypothesis(mode) for mode in self.modes)
 
     def __repr__(self) -> str:
-        """Where, and how it ended, in a line."""
+        """Says where, and how it ended, in a line."""
         place = " ".join(f"{1000 * x:.1f}" for x in self.T_palm_object[:3, 3])
         ended = "converged" if self.converged else "not converged"
         fits = "consistent" if self.consistent else "inconsistent"

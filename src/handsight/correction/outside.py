@@ -110,7 +110,7 @@ class Outside:
         parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
 
         def filled(name: str, usual: float) -> Array:
-            """Of all points, where one number stands for all or none."""
+            """Returns the values of all points, where one number stands for all or none."""
             given = ((getattr(each, name), points) for each, points in parts)
             return np.concatenate(
                 [np.full(len(p), usual) if v is None else np.broadcast_to(v, len(p)) for v, p in given]
@@ -155,7 +155,7 @@ def _points(value: ArrayLike) -> Array:
 
 
 def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
-    """() or (n,) between limits; raises InvalidInput."""
+    """Returns () or (n,) between limits; raises InvalidInput."""
     numbers = checks.finite(value, name, (n,) if checks.ndim(value) else ())
     if numbers.size and not limits[0] <= numbers.min() <= numbers.max() <= limits[1]:
         low, high = limits
@@ -205,7 +205,7 @@ def _fill(points: NDArray[np.void], given: Any) -> None:
 
 
 def _usual_sigma(model: ObjectModel, contacts: Contacts) -> float:
-    """Of a point that says none of its own [m]."""
+    """Returns sigma of a point that says none of its own [m]."""
     covariance = contacts.covariance
     variances = sorted((covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]).tolist())
     # np.median takes longer than all the rest.

@@ -77,7 +77,7 @@ class PaperMethod:
 
 @dataclass(frozen=True, slots=True)
 class PaperResult:
-    """The correction, and how the search for it ended."""
+    """A `PaperResult` is the correction, and how the search for it ended."""
 
     T_new_old: Array
     """(4, 4), palm frame: `T_palm_object_new = T_new_old @ T_palm_object_old`."""
@@ -109,7 +109,7 @@ class Matching:
 
 
 def regions(points: Array, cloud: Array, epsilon: float, min_points: int) -> list[NDArray[np.intp]]:
-    """Eq. 2: for each contact the indices of cloud points within `epsilon`, nearest first.
+    """Returns (eq. 2) for each contact the indices of cloud points within `epsilon`, nearest first.
 
     The paper sets the neighbourhood "dynamically so that a minimum number of points" is selected: a contact
     with fewer takes its `min_points` nearest, which is `epsilon` grown just so far; others keep theirs.
@@ -123,7 +123,7 @@ def regions(points: Array, cloud: Array, epsilon: float, min_points: int) -> lis
 
 
 def residuals(x: Array, matching: Matching) -> Array:
-    """G(x) of eq. 3, (n,); a stack of x (k, 7) gives (k, n). The minimum is over the sum of both terms."""
+    """Returns G(x) of eq. 3, (n,); a stack of x (k, 7) gives (k, n). The minimum is over the sum of both terms."""
     M = rotation(x[..., :4])
     moved = matching.points @ np.swapaxes(M, -1, -2) + x[..., None, 4:]
     gap = moved[..., None, :] - matching.surface_points
@@ -147,19 +147,19 @@ def rotation(q: Array) -> Array:
 
 
 def forward_difference_jacobian(G: Cost, x: Array, step: float) -> tuple[Array, Array]:
-    """Eq. 4: `G(x)` (n,) and its forward differences (n, 7) over `step · ‖x‖`, in one call of G."""
+    """Returns (eq. 4) `G(x)` (n,) and its forward differences (n, 7) over `step · ‖x‖`, in one call of G."""
     h = step * float(np.linalg.norm(x))
     values = G(np.vstack([x, x + h * np.eye(len(x))]))
     return values[0], (values[1:] - values[0]).T / h
 
 
 def gradient_step(x: Array, value: Array, jacobian: Array, learning_rate: float) -> Array:
-    """Eq. 5: x after one step against the gradient of ½‖G‖²."""
+    """Returns (eq. 5) x after one step against the gradient of ½‖G‖²."""
     return np.asarray(x - learning_rate * (jacobian.T @ value), dtype=np.float64)
 
 
 def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: float) -> Array:
-    """Eq. 6: x after one damped Gauss-Newton step; a parameter without influence stays where it is."""
+    """Returns (eq. 6) x after one damped Gauss-Newton step; a parameter without influence stays where it is."""
     hessian = jacobian.T @ jacobian
     damped = hessian + damping * np.diag(np.diag(hessian))
     if not np.isfinite(damped).all():
@@ -169,7 +169,7 @@ def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: f
 
 
 def normalised(x: Array) -> Array:
-    """`x` with a unit quaternion; without this the scale |q|² is one more, wrong, way to shrink the cost."""
+    """Returns `x` with a unit quaternion; without this the scale |q|² is one more, wrong, way to shrink the cost."""
     return np.concatenate([x[:4] / np.linalg.norm(x[:4]), x[4:]])
 
 
@@ -200,7 +200,7 @@ def minimise(G: Cost, method: PaperMethod) -> tuple[Array, Array, int, bool]:
 
 
 def taken(x: Array, value: Array, jacobian: Array, method: PaperMethod) -> Array:
-    """x after the step of the chosen optimizer."""
+    """Returns x after the step of the chosen optimizer."""
     if method.optimizer == "gd":
         return gradient_step(x, value, jacobian, method.learning_rate)
     return levenberg_marquardt_step(x, value, jacobian, method.damping)
@@ -213,7 +213,7 @@ def correct(
     cloud_normals_palm: Array,
     method: PaperMethod,
 ) -> PaperResult:
-    """Algorithm 1: the transform that brings the object, seen at `cloud_palm`, to the contacts.
+    """Returns (algorithm 1) the transform that brings the object, seen at `cloud_palm`, to the contacts.
 
     `points_palm` (n, 3) [m] and `normals_palm` (n, 3, the object's outward normals; None only where
     `method.normals` is False) are the contacts; `cloud_palm` (m, 3) [m] and `cloud_normals_palm` (m, 3) the

@@ -76,7 +76,7 @@ class Problem:
         return contacts
 
     def freedom(self, used: Mask) -> int:
-        """Degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
+        """Returns the degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
         rows = int((used * (1 + 2 * self.contacts.has_normal)).sum()) + (0 if self.weight is None else 3)
         return max(rows - 6, 1) if self.blind else rows
 

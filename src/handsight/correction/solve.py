@@ -59,7 +59,7 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
 def solve_batch(
     model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]]
 ) -> list[PoseEstimate | None]:
-    """As `solve_single_start`, of many problems at once."""
+    """Solves as `solve_single_start`, of many problems at once."""
     if not model.record.symmetry_known:
         return [None] * len(problems)
     counts = np.array([len(contacts) for contacts, _ in problems])
@@ -213,7 +213,7 @@ def _weigh(problem: Problem, minima: Records, used: Mask) -> None:
 def distinct(
     model: ObjectModel, descents: Records, order: Indices, most: int, limits: tuple[float, float]
 ) -> Indices:
-    """Indices, in the given order, of descents that are no repeat of an earlier one; at most `most`."""
+    """Returns indices, in the given order, of descents that are no repeat of an earlier one; at most `most`."""
     if not model.record.symmetry_known:
         chosen = modes.distinct(model, poses_of(descents), order, most, limits)
         return np.array(chosen, dtype=np.int64)

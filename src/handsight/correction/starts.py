@@ -148,7 +148,7 @@ def _frame(z: Array, hint: Array) -> Array:
 
 
 def _sigmas(points: Array, descents: Records) -> Array:
-    """Of distance [m] and normal [rad]: half a step of the spin, seen from the object's origin."""
+    """Returns sigmas of distance [m] and normal [rad]: half a step of the spin, seen from the object's origin."""
     step = 2 * np.pi / STARTS.blind_spins
     origins = descents["pose"]["position"][::16]  # their mean distance from the contacts, of some of them
     reach = np.linalg.norm(points - origins[:, None], axis=-1).mean() * step / 2

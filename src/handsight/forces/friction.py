@@ -45,7 +45,7 @@ class Friction:
     """A `Friction` is what is known of it; the parts are bound anew, never changed in place."""
 
     def __init__(self) -> None:
-        """Nothing at first."""
+        """Starts with nothing learnt at first."""
         self.coefficient: float | None = None
         """μ; None as long as too little was felt."""
         self._anchors: Mapping[str, Vector] = {}

@@ -36,7 +36,7 @@ SILENT = np.full(6, np.nan)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadSum:
-    """All fingertips' loads together, mean of a short while; in the palm's axes, about its origin."""
+    """A `LoadSum` is all fingertips' loads together, mean of a short while; in the palm's axes, about its origin."""
 
     stamp: float
     """In the middle of it [s]."""

@@ -19,7 +19,8 @@ FEWEST = 2
 
 
 def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
-    """T_now_then (4, 4): what was at p in the palm then is at T p now; and the creep (6,) since, for each m/(N s).
+    """Returns T_now_then (4, 4): what was at p in the palm then is at T p now; and the creep (6,) since, for each
+    m/(N s).
 
     The latter as a small motion (v, ω): p creeps by v + ω × p. None where too few tips touch at both.
     """
@@ -36,7 +37,7 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
 
 
 def small_motion(points: Array, displacements: Array) -> tuple[Array, Array]:
-    """v, ω (3,) such that v + ω × p is nearest to what points p (n, 3) have moved by (n, 3)."""
+    """Returns v, ω (3,) such that v + ω × p is nearest to what points p (n, 3) have moved by (n, 3)."""
     middle = points.mean(axis=0)
     arms, shift = points - middle, displacements.mean(axis=0)
     A = se3.skew(arms)

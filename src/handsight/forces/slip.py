@@ -59,10 +59,11 @@ class Slip:
 
 
 class SlipDetector:
-    """The loads over time; `update` is the only thing that changes it, and binds anew what it changes."""
+    """A `SlipDetector` watches loads over time; `update` is the only thing that changes it, and binds anew what it
+    changes."""
 
     def __init__(self, rig: Rig, friction: Friction | None = None) -> None:
-        """Nothing is loaded at first; `friction`: what is known of it, else nothing."""
+        """Starts with nothing loaded at first; `friction`: what is known of it, else nothing."""
         self.now = Slip()
         """After the last update."""
         self.friction = friction or Friction()
@@ -113,7 +114,7 @@ class SlipDetector:
         return found
 
     def _judged(self, ratios: Mapping[str, float], friction: float | None) -> Slip:
-        """With hysteresis, in the ratio and in time."""
+        """Judges with hysteresis, in the ratio and in time."""
         was, now, least = self.now, self.stamp, min(ratios.values(), default=0.0)
         if least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio):
             self._at_limit = now

@@ -59,7 +59,8 @@ class Kept:
 
 
 class Weigher:
-    """The weight of one object in one hand, over time; what changes is bound anew, never changed in place."""
+    """A `Weigher` estimates the weight of one object in one hand, over time; what changes is bound anew, never
+    changed in place."""
 
     def __init__(self, rig: Rig, mass: float | None = None, sigma_mass: float = 0.0) -> None:
         """`mass` of the object [kg], where it is known, and its sigma."""
@@ -87,7 +88,8 @@ class Weigher:
         return None if self.reason else self.weighing
 
     def forget(self, reason: str) -> None:
-        """The object has been let go, put down, or has slipped: what was weighed says nothing more of where it is."""
+        """Forgets what is no longer true: the object has been let go, put down, or has slipped: what was weighed says
+        nothing more of where it is."""
         if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
             self._doubted = False
@@ -229,5 +231,5 @@ def _moved(carried: Carried, T: Array, creep: Array, creep_sigma: float) -> Carr
 
 
 def _angle(gravity: Array, direction: Array) -> float:
-    """Between a vector and a unit vector [rad]."""
+    """Returns the angle between a vector and a unit vector [rad]."""
     return float(np.arctan2(np.linalg.norm(se3.skew(gravity) @ direction), gravity @ direction))

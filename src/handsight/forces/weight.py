@@ -177,7 +177,8 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
 
 
 def _chance(columns: Array, left: Array, H: Array, covariance: Array) -> float:
-    """That, for nothing, (n, k) more `columns` would explain as much of what is `left` (n,) (Rao's score)."""
+    """Returns the chance that, for nothing, (n, k) more `columns` would explain as much of what is `left` (n,) (Rao's
+    score)."""
     score, normal_matrix = columns.T @ left, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
     observable = values > WEIGHT_FIT.unobservable * values[-1]

@@ -59,12 +59,12 @@ class Template:
 
 
 def pose_numbers(T: Array) -> tuple[float, ...]:
-    """x, y, z [m], and the quaternion's x, y, z, w, of a pose (4, 4)."""
+    """Returns x, y, z [m], and the quaternion's x, y, z, w, of a pose (4, 4)."""
     return (*T[:3, 3].tolist(), *se3.quaternion_from_rotation(T[:3, :3]).tolist())
 
 
 class Writer:
-    """Messages to bytes in one encoding, `cdr` or `ros1`."""
+    """A `Writer` turns messages to bytes in one encoding, `cdr` or `ros1`."""
 
     def __init__(self, encoding: str, palm: str) -> None:
         """`palm`: its frame id. Raises MissingExtra."""
@@ -78,14 +78,15 @@ class Writer:
         return Answer(topic, kind, bytes(self._serialize(Message(**fields), kind)))
 
     def pose(self, stamp: float, estimate: PoseEstimate, numbers: Sequence[float]) -> Answer:
-        """PoseWithCovarianceStamped in the palm; directions that nothing tells of have a variance of 1 or more.
+        """Returns a PoseWithCovarianceStamped in the palm; directions that nothing tells of have a variance of 1 or
+        more.
 
         `numbers`: the estimate's, of `pose_numbers`.
         """
         return self._pose.answer(stamp, (*numbers, *estimate.bounded_covariance.ravel().tolist()))
 
     def transform(self, stamp: float, numbers: Sequence[float]) -> Answer:
-        """From the palm to the object, whose pose has these `pose_numbers`, on /tf."""
+        """Returns the transform from the palm to the object, whose pose has these `pose_numbers`, on /tf."""
         return self._transform.answer(stamp, numbers)
 
     def _pose_template(self) -> "Template":
@@ -103,7 +104,7 @@ class Writer:
         return Template(self.answer("/tf", TF, transforms=[each]), 8, 7)
 
     def diagnostics(self, stamp: float, statuses: Iterable[Status]) -> Answer:
-        """DiagnosticArray."""
+        """Returns a DiagnosticArray."""
         body = [
             Message(
                 level=each.level,

@@ -59,7 +59,7 @@ class Health:
         return True
 
     def statuses(self, tracker: Tracker, stream: ObservationStream) -> list[Status]:
-        """Of the pose, and of what is heard."""
+        """Returns statuses of the pose, and of what is heard."""
         return [self._of_pose(tracker), self._of_input(tracker, stream)]
 
     def _of_pose(self, tracker: Tracker) -> Status:

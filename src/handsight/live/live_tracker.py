@@ -188,7 +188,7 @@ class LiveTracker:
         return done
 
     def _follow(self, model: ObjectModel, start: PosePrior | None) -> None:
-        """A new tracker, which knows of the joints what the last one has learnt."""
+        """Starts a new tracker, which knows of the joints what the last one has learnt."""
         self.tracker = Tracker(
             self.rig, model, start=start, settings=self.settings, joint_offsets=self.tracker.joint_offsets
         )
@@ -209,7 +209,7 @@ class LiveTracker:
             self.health.noted(f"{message.topic}: {error}")
 
     def _see_camera(self) -> None:
-        """The camera's intrinsics from the first CameraInfo, where the rig has none and looks at depth images."""
+        """Takes the camera's intrinsics from the first CameraInfo, where the rig has none and looks at depth images."""
         camera, info, topics = self.rig.camera, self._stream.intrinsics, self.rig.topics
         if camera is None or info is None or camera.intrinsics is not None or topics.depth is None:
             return

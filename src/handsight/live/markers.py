@@ -98,7 +98,7 @@ class Markers:
         return self._marker("open", LINE_STRIP, stamp, number=k, size=(0.003, 0, 0), color=color, points=arc)
 
     def _marker(self, name: str, kind: int, stamp: float, **given: Any) -> Message:
-        """`given`: size, color, and what differs: number, points (n, 3), at (4, 4)."""
+        """Returns a marker. `given`: size, color, and what differs: number, points (n, 3), at (4, 4)."""
         size, color = given["size"], given["color"]
         points, at = given.get("points", NONE), given.get("at", ORIGIN)
         nothing = Message(header=self._writer.header(0.0), format="", data=np.zeros(0, np.uint8))

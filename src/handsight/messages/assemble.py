@@ -48,7 +48,7 @@ class ObservationAssembler:
         self._begin()
 
     def _begin(self) -> None:
-        """Nothing was heard but what holds for ever."""
+        """Starts as if nothing was heard but what holds for ever."""
         self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
         self._sensors: dict[str, WrenchSensor] = {}
         self._contacts: dict[str, Measurement] = {}
@@ -221,7 +221,7 @@ class WrenchSensor:
 
 
 class TransformTree:
-    """The newest transform to each frame of /tf."""
+    """A `TransformTree` is the newest transform to each frame of /tf."""
 
     def __init__(self) -> None:
         self._to_child: dict[str, tuple[str, Array, float]] = {}
@@ -242,7 +242,8 @@ class TransformTree:
         return {parent for parent, _, _ in self._to_child.values()} | self._to_child.keys()
 
     def lookup(self, target: str, source: str, stamp: float) -> Array | None:
-        """`T_target_source` (4, 4) at that time; None where the frames are not connected, or by old transforms."""
+        """Returns `T_target_source` (4, 4) at that time; None where the frames are not connected, or by old
+        transforms."""
         above_source, above_target = self._ancestors(source, stamp), self._ancestors(target, stamp)
         common = next((frame for frame in above_source if frame in above_target), None)
         if common is None:
@@ -253,7 +254,7 @@ class TransformTree:
         return T if max(abs(x), abs(y), abs(z)) <= MAX_DISTANCE else None  # many of them may lead anywhere
 
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
-        """`T_ancestor_frame` for the frame itself and its ancestors, nearest first."""
+        """Yields `T_ancestor_frame` for the frame itself and its ancestors, nearest first."""
         T, found = IDENTITY, {frame: IDENTITY}
         while frame in self._to_child and len(found) < ASSEMBLY.max_depth:
             parent, T_parent_frame, measured = self._to_child[frame]

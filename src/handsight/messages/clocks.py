@@ -34,7 +34,8 @@ FAR_AHEAD = "stamp far ahead of those before and after"
 
 
 class Clocks:
-    """By topic, what brings its stamps to the clock of the joint states; the differences are in the reports."""
+    """`Clocks` know, by topic, what brings its stamps to the clock of the joint states; the differences are in the
+    reports."""
 
     def __init__(self) -> None:
         self._known = set[str]()
@@ -72,7 +73,8 @@ class Clocks:
         return self.finish() if full or over else ()
 
     def restart(self) -> None:
-        """The joint states' clock was set back: what begins from now on is compared with those from now on."""
+        """Starts anew: the joint states' clock was set back: what begins from now on is compared with those from now
+        on."""
         self._joint_offsets.clear()
 
     def finish(self) -> list[Measurement]:
@@ -102,7 +104,7 @@ class Clocks:
         return measurement
 
     def _learn(self, first: list[Measurement]) -> None:
-        """Difference and shift of a topic from the first of it."""
+        """Learns difference and shift of a topic from the first of it."""
         topic = first[0].topic
         topic.unstamped = all(each.stamp == 0 for each in first)
         offset = 0.0 if topic.unstamped else median(each.log_time - each.stamp for each in first)
@@ -119,7 +121,8 @@ class Clocks:
 
 
 class ReorderBuffer:
-    """Measurements on one clock, in order of stamp, through a window that the joint states move on.
+    """A `ReorderBuffer` puts measurements on one clock, in order of stamp, through a window that the joint states
+    move on.
 
     Where the joint states go back for good, all that waits is let go, and the order begins anew.
     """
@@ -194,13 +197,13 @@ class ReorderBuffer:
         return found
 
     def _forget(self) -> None:
-        """What was released is of an earlier time."""
+        """Forgets what is over: what was released is of an earlier time."""
         self._released = -float("inf")
         self._last_stamps.clear()
         self._clocks.restart()
 
     def _edge(self) -> float:
-        """Stamps up to this are in order."""
+        """Returns the edge: stamps up to this are in order."""
         return self._newest - CLOCKS.reorder_window - (self._clocks.most - self._clocks.least)
 
     def _confirmed(self, joints: Measurement) -> tuple[Measurement, ...]:

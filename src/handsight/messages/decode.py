@@ -101,7 +101,7 @@ def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float,
 
 
 def _transforms(raw: RawMessage, topic: TopicReport, fast: FastReaders) -> list[Measurement]:
-    """Each transform by itself: one that cannot be used does not spoil the others."""
+    """Reads each transform by itself: one that cannot be used does not spoil the others."""
     reader, found = fast.get(raw.encoding), list[Measurement]()
     for each in (reader and reader.transforms(raw.data, DECODE.max_transforms)) or _transforms_of(
         _deserialized(raw)

@@ -61,7 +61,7 @@ class FastReader:
             return None
 
     def transforms(self, data: bytes, most: int) -> list[StampedTransform] | None:
-        """Of a TFMessage; None: rosbags must read it, for there are more than `most`."""
+        """Returns the transforms of a TFMessage; None: rosbags must read it, for there are more than `most`."""
         try:
             at = 4 if self._cdr else 0
             (count,) = _COUNT.unpack_from(data, at)
@@ -125,7 +125,7 @@ class FastReader:
 
 
 class FastReaders(dict[str, FastReader]):
-    """By encoding; they remember from message to message."""
+    """`FastReaders` are readers by encoding; they remember from message to message."""
 
     def __init__(self) -> None:
         super().__init__(cdr=FastReader("cdr"), ros1=FastReader("ros1"))

@@ -59,7 +59,8 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
 
 
 def _metres(values: NDArray[np.generic]) -> Depth:
-    """Millimetres if the values are whole numbers, else metres; raises MessageRejected where they are not."""
+    """Returns a depth image from millimetres if the values are whole numbers, else metres; raises MessageRejected
+    where they are not."""
     return _accepted(pixels.metres, values)
 
 

@@ -14,7 +14,8 @@ WAITED_FOR = ("wrench", "contact", "tf")
 
 
 class PromptBuffer(ReorderBuffer):
-    """Measurements in order of stamp as far as 2 ms allow; what comes later counts if it is its topic's newest.
+    """A `PromptBuffer` puts measurements in order of stamp as far as 2 ms allow; what comes later counts if it is its
+    topic's newest.
 
     A joint state waits until each wrench and transform that is due has reached its stamp. Due is what has come within
     the last 0.1 s and, by the time between its last two, should have come again.

@@ -17,7 +17,8 @@ MAX_NAMES = 10_000
 
 
 class ObservationStream:
-    """Observations from a robot's messages, which are put in as they come; see the package for what may be relied on.
+    """An `ObservationStream` makes observations from a robot's messages, which are put in as they come; see the
+    package for what may be relied on.
 
     ```
     stream = ObservationStream(rig)

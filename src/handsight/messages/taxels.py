@@ -34,7 +34,8 @@ def _image(message: RosMessage) -> Array:
 
 
 def _array(message: RosMessage, shape: tuple[int, int]) -> Array:
-    """As its layout says, or, where that says no more than how many there are, in the rows of the grid."""
+    """Returns readings as its layout says, or, where that says no more than how many there are, in the rows of the
+    grid."""
     offset, sizes = int(message.layout.data_offset), [int(each.size) for each in message.layout.dim]
     data = np.asarray(message.data, dtype=np.float64)[offset:]
     sizes = [size for size in sizes if size != 1] if len(sizes) > 2 else sizes
@@ -46,7 +47,7 @@ def _array(message: RosMessage, shape: tuple[int, int]) -> Array:
 
 
 def fields(values: Array, array: TaxelArray | None, name: str) -> dict[str, object]:
-    """Of a Float32MultiArray of an array's readings (rows, columns); raises InvalidInput."""
+    """Returns the fields of a Float32MultiArray of an array's readings (rows, columns); raises InvalidInput."""
     if array is None:
         raise InvalidInput(f"skin[{name!r}]: expected a tactile array of the rig, got none of that name")
     clean = array.reading(values, f"skin[{name!r}]")

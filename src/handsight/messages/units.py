@@ -11,7 +11,7 @@ from handsight.rig import Rig
 
 
 class UnitLimits(NamedTuple):
-    """Sizes beyond which a unit is doubted."""
+    """`UnitLimits` are sizes beyond which a unit is doubted."""
 
     max_range: float = 10.0  # no hand sees its object farther away [m]
     max_force: float = 300.0  # no fingertip bears a larger force [N]

@@ -73,7 +73,7 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
 def remembered_bits(
     name: str, shape: tuple[int, int], compute: Callable[[], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """As `remembered`, of a mask of that shape."""
+    """Returns what `remembered`, of a mask of that shape."""
 
     def load(data: memoryview) -> NDArray[np.bool_]:
         packed = np.frombuffer(data, dtype=np.uint8)
@@ -88,10 +88,10 @@ def remembered_bits(
 def remembered_numbers(
     name: str, fits: Callable[[NDArray[np.int32]], bool], compute: Callable[[], NDArray[np.int32]]
 ) -> NDArray[np.int32]:
-    """As `remembered`, of whole numbers in a row; what does not fit is not what was kept."""
+    """Returns what `remembered`, of whole numbers in a row; what does not fit is not what was kept."""
 
     def load(data: memoryview) -> NDArray[np.int32]:
-        """Of the file's content; raises ValueError for other numbers."""
+        """Returns the value of the file's content; raises ValueError for other numbers."""
         numbers = np.frombuffer(data, dtype=np.int32)
         if not fits(numbers):
             raise ValueError("not such numbers")
@@ -147,7 +147,7 @@ def _loaded(data: memoryview) -> Geometry:
 
 
 def _arrays(geometry: Geometry) -> Iterator[tuple[NDArray[np.generic], type, tuple[int | None, ...]]]:
-    """Each array with its type and its shape, None for any length: a kernel reads as far as these say."""
+    """Yields each array with its type and its shape, None for any length: a kernel reads as far as these say."""
     yield geometry.points_object, np.float64, (GEOMETRY.samples, 3)
     yield geometry.normals_object, np.float64, (GEOMETRY.samples, 3)
     yield geometry.bounds_object, np.float64, (2, 3)
@@ -202,7 +202,7 @@ def _numbers_fit(geometry: Geometry) -> bool:
 
 
 def _forget_oldest(folder: Path, kind: str) -> None:
-    """Other processes may do the same at the same time."""
+    """Removes what is oldest. Other processes may do the same at the same time."""
     with contextlib.suppress(OSError):
         for old in sorted(folder.glob(kind), key=lambda kept: kept.stat().st_mtime)[:-KEPT]:
             old.unlink()

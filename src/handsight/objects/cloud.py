@@ -124,7 +124,7 @@ def _largest_hole(grid: Grid, gap: Array, inside: Mask) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Planes:
-    """The smooth average of the planes through the points of a cloud."""
+    """`_Planes` are the smooth average of the planes through the points of a cloud."""
 
     cloud: Cloud
     tree: cKDTree

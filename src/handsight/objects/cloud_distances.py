@@ -38,7 +38,7 @@ Heights = Callable[[Array, Indices], Array]
 
 @dataclass(frozen=True, eq=False)
 class ClosedDistances:
-    """Distances to a cloud that has an inside: negative where the cloud winds around."""
+    """`ClosedDistances` are distances to a cloud that has an inside: negative where the cloud winds around."""
 
     cloud: Cloud
     tree: cKDTree
@@ -60,7 +60,8 @@ class ClosedDistances:
 
 @dataclass(frozen=True, eq=False)
 class OpenDistances:
-    """Distances to a cloud without an inside: negative behind it, and nowhere zero beyond its last points.
+    """`OpenDistances` are distances to a cloud without an inside: negative behind it, and nowhere zero beyond its
+    last points.
 
     Above its points a place is as far as it is high; beside them, past a rim or an edge, as the nearest of them. Where
     front gives way to back with no surface between them, the sign jumps (`handsight.objects.fields.GridField`).
@@ -108,6 +109,6 @@ class OpenDistances:
 
 
 def _faded(x: Array, low: float, high: float) -> Array:
-    """0 below `low`, 1 above `high`, smooth between."""
+    """Returns 0 below `low`, 1 above `high`, smooth between."""
     share = np.clip((x - low) / (high - low), 0.0, 1.0)
     return np.asarray(share * share * (3 - 2 * share))

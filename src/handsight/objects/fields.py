@@ -17,7 +17,7 @@ from handsight.errors import InvalidInput
 
 
 class FieldOptions(NamedTuple):
-    """Cells of the distance fields."""
+    """`FieldOptions` are the cells of the distance fields."""
 
     coarse_per_diameter: int = 18  # coarse cells along the diameter
     coarse_per_width: int = 4  # coarse cells along the shortest extent, if these are more
@@ -108,7 +108,7 @@ class GridField(Field):
 
 @dataclass(frozen=True, eq=False)
 class ExactField(Field):
-    """The exact distance field of a box, of a cylinder whose axis is z, or of a ball."""
+    """An `ExactField` is the exact distance field of a box, of a cylinder whose axis is z, or of a ball."""
 
     shape: Literal["box", "cylinder", "sphere"]
     sizes: Array

@@ -49,7 +49,7 @@ class ObjectModel(Geometry):
             raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
 
     def __repr__(self) -> str:
-        """Name, size and kind in a line."""
+        """Says name, size and kind in a line."""
         size = " × ".join(f"{1000 * side:.3g}" for side in np.ptp(self.bounds_object, axis=0))
         return (
             f"<ObjectModel {self.name or 'without a name'}: {size} mm, {'closed' if self.closed else 'open'}>"

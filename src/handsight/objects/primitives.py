@@ -18,7 +18,7 @@ _SIDES_EQUAL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Rounded(Triangles):
-    """The curved surface that a mesh of facets stands for, where its distance field is exact."""
+    """A `Rounded` is the curved surface that a mesh of facets stands for, where its distance field is exact."""
 
     field: ExactField
     exact_area: float

@@ -12,7 +12,7 @@ from handsight.errors import InvalidObject
 
 
 class SurfaceOptions(NamedTuple):
-    """Sizes of a surface."""
+    """`SurfaceOptions` are sizes of a surface."""
 
     min_size: float = 1e-6  # smaller ones are refused [m]
     max_size: float = 1e6  # larger ones are refused [m]
@@ -36,7 +36,7 @@ class ObjectWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """The surface of a triangle mesh."""
+    """`Triangles` are the surface of a triangle mesh."""
 
     vertices: Array
     """(k, 3) [m]."""
@@ -74,7 +74,7 @@ class Triangles:
         return self.draw_on_faces(n, rng)[:2]
 
     def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
-        """As `draw`, and the triangle (n,) of each."""
+        """Returns what `draw` does, and the triangle (n,) of each."""
         face = drawn_by_area(self.areas, n, rng)
         u, v = rng.random((2, n))
         flip = u + v > 1
@@ -87,7 +87,7 @@ class Triangles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """Oriented surface points."""
+    """A `Cloud` is oriented surface points."""
 
     vertices: Array
     """(n, 3) [m]."""

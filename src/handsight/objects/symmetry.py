@@ -34,7 +34,7 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Symmetries:
-    """The rotations T_object_object under which an object's surface is the same."""
+    """`Symmetries` are the rotations T_object_object under which an object's surface is the same."""
 
     axes: tuple[tuple[Array, Array], ...]
     """Continuous rotation axes: a point (3,) [m] and a unit direction (3,). None, one, or for
@@ -108,7 +108,7 @@ def about(point: Array, rotation_vectors: Array) -> Array:
 
 
 def _spun(T: Array, T_reference: Array, line: tuple[Array, Array], radius: float) -> Array:
-    """`T` turned about its own axis to be nearest to the reference."""
+    """Returns `T` turned about its own axis to be nearest to the reference."""
     point, axis = line
     R, R_reference = T[..., :3, :3], T_reference[..., :3, :3]
     q = se3.quaternion_from_rotation(np.swapaxes(R_reference, -1, -2) @ R)
@@ -129,7 +129,7 @@ def _spun(T: Array, T_reference: Array, line: tuple[Array, Array], radius: float
 
 
 def _turned(T: Array, T_reference: Array, center: Array, radius: float) -> Array:
-    """`T` turned about the centre of a ball to be nearest to the reference."""
+    """Returns `T` turned about the centre of a ball to be nearest to the reference."""
     R_reference = np.broadcast_to(T_reference[..., :3, :3], T[..., :3, :3].shape)
     middle = T[..., :3, 3] + T[..., :3, :3] @ center
     target = middle - T_reference[..., :3, 3]
@@ -174,7 +174,7 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
 
 
 def _left_over(angle: Array, share: Array) -> Array:
-    """θ in [0, π]; by the sine, which does not lose half the digits near 0."""
+    """Returns θ in [0, π]; by the sine, which does not lose half the digits near 0."""
     half = angle / 2
     sine = np.sqrt(np.maximum(1 - share**2, 0.0) + (share * np.sin(half)) ** 2)
     return np.asarray(2 * np.arctan2(sine, np.abs(share * np.cos(half))))

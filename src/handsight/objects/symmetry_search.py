@@ -102,7 +102,7 @@ class _Judge:
         return sure
 
     def refined(self, T: Array) -> Array | None:
-        """`T` moved to lay the samples best on the surface; None where they are far from it."""
+        """Returns `T` moved to lay the samples best on the surface; None where they are far from it."""
         for step in range(SEARCH.steps):
             moved = se3.apply(T, self.points)
             distance, gradient, _ = self.field.evaluate(moved)
@@ -152,7 +152,8 @@ class _Judge:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """About a continuous axis: a ball's, or with the half turn that swaps its ends, or without."""
+        """Returns symmetries about a continuous axis: a ball's, or with the half turn that swaps its ends, or
+        without."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
         if self.continuous(side) is not None:

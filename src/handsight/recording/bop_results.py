@@ -63,7 +63,7 @@ def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
 
 
 def _result(row: list[str]) -> BopResult:
-    """Of one row; raises ValueError or InvalidInput."""
+    """Returns the result of one row; raises ValueError or InvalidInput."""
     if len(row) != len(COLUMNS):
         raise ValueError(f"expected {len(COLUMNS)} columns, {','.join(COLUMNS)}, got {len(row)}")
     scene, image, thing = (_integer(cell, name) for cell, name in zip(row, COLUMNS[:3], strict=False))

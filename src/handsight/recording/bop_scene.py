@@ -115,5 +115,5 @@ def _frame(file: Path, number: tuple[int, int], of: ImageCamera, beside: Beside)
 
 @lru_cache(maxsize=8)
 def _camera(K: tuple[float, ...], size: tuple[int, int]) -> Camera:
-    """Of one data set's images; its rays are worked out once."""
+    """Returns the camera of one data set's images; its rays are worked out once."""
     return Camera(np.array(K).reshape(3, 3), size)

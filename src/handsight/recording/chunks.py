@@ -140,7 +140,7 @@ class ChunkedSource(Source):
         """Returns the messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.stored`, as far as `max_waiting_bytes` reaches."""
+        """Yields as `Source.stored`, as far as `max_waiting_bytes` reaches."""
         self._budget = Budget(len(self.data))
         runs, buffered, order = list[Run](), 0, count()
         for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
@@ -178,7 +178,7 @@ class ChunkedSource(Source):
 
 
 class Run(NamedTuple):
-    """Messages of a chunk that wait for what other chunks have before them."""
+    """A `Run` is messages of a chunk that wait for what other chunks have before them."""
 
     head: float
     """Log time of the first [s]."""
@@ -216,7 +216,7 @@ class Budget:
         return None if self.records > 0 else TOO_MANY
 
     def limited(self, records: Iterable[Each]) -> Iterator[Each]:
-        """As many of them as may still be read."""
+        """Yields as many of them as may still be read."""
         left = self.records
         try:
             for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
@@ -227,13 +227,14 @@ class Budget:
 
 
 def seconds(nanoseconds: int) -> float:
-    """As the stamps of messages are made: equal times are equal numbers."""
+    """Returns seconds as the stamps of messages are made: equal times are equal numbers."""
     sec, rest = divmod(nanoseconds, 10**9)
     return sec + rest * 1e-9
 
 
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
-    """At most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing); raises MissingExtra."""
+    """Returns at most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing); raises
+    MissingExtra."""
     if size > CHUNKS.max_unpacked:
         return b"", f"says it unpacks to {size} bytes, at most {CHUNKS.max_unpacked} are read"
     if compression in ("", "none"):

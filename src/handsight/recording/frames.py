@@ -44,7 +44,7 @@ class Unread(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """Pictures one after the other, read as they are asked for."""
+    """`Frames` are pictures one after the other, read as they are asked for."""
 
     total: int | None
     """How many; None: nobody knows beforehand."""

@@ -98,7 +98,7 @@ class McapSource(ChunkedSource):
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Kind, first and last byte of each record; the last may say that it ends beyond `stop`."""
+    """Yields kind, first and last byte of each record; the last may say that it ends beyond `stop`."""
     while at + RECORD.size <= stop:
         op, length = RECORD.unpack_from(data, at)
         at += RECORD.size

@@ -72,7 +72,7 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
 
 
 def _world(rig: Rig, observation: Observation) -> Array | None:
-    """T_camera_world (4, 4) by the camera's calibration; None where it does not tell."""
+    """Returns T_camera_world (4, 4) by the camera's calibration; None where it does not tell."""
     if rig.camera is None:
         return None
     T_camera_mount = se3.inverse(rig.camera.T_mount_camera)

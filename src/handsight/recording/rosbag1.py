@@ -74,7 +74,7 @@ class Rosbag1Source(ChunkedSource):
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fields, int, int]]:
-    """Header, first and last byte of each record's data; the last may say that it ends beyond `stop`."""
+    """Yields header, first and last byte of each record's data; the last may say that it ends beyond `stop`."""
     while at + LENGTH.size <= stop:
         begin = at + LENGTH.size + LENGTH.unpack_from(data, at)[0]
         if begin + LENGTH.size > stop or begin - at > MAX_HEADER:
@@ -86,7 +86,7 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fiel
 
 
 def _fields(header: bytes) -> Fields:
-    """`name=value` pairs, up to the first that is none."""
+    """Returns `name=value` pairs, up to the first that is none."""
     fields, at = {}, 0
     while at + LENGTH.size <= len(header):
         end = at + LENGTH.size + LENGTH.unpack_from(header, at)[0]

@@ -71,12 +71,13 @@ class SqliteSource(Source):
                 raise InvalidFile(f"the table {table} with columns that are computed")
 
     def _limit(self, size: int) -> None:
-        """From here on, sqlite is interrupted when it has done more than a file of that size asks for."""
+        """Limits the work: from here on, sqlite is interrupted when it has done more than a file of that size asks
+        for."""
         left = iter(range((ROSBAG2.spare_steps + ROSBAG2.steps_per_byte * size) // ROSBAG2.step))
         self._base.set_progress_handler(lambda: next(left, None) is None, ROSBAG2.step)
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """As `Source.stored`; of a cut file in the order in which they were written."""
+        """Yields as `Source.stored`; of a cut file in the order in which they were written."""
         keys = [key for key, about in self.channels.items() if about[0] in wanted and isinstance(key, int)]
         # The index by time lies all over the file: of a cut one, the rows as they were written.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")

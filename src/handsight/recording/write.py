@@ -61,7 +61,7 @@ class McapFile:
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
 
     def close(self) -> None:
-        """Bring the file to its place; a second time does nothing."""
+        """Brings the file to its place; a second time does nothing."""
         if not self._open:
             return
         self._open = False
@@ -76,7 +76,7 @@ class McapFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close; after an error too, so that what was written is kept."""
+        """Closes; after an error too, so that what was written is kept."""
         self.close()
 
 
@@ -141,7 +141,7 @@ class RecordingWriter(McapFile):
         self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
 
     def _write_contact(self, stamp: float, finger: str, contact: ContactMeasurement | None) -> None:
-        """A contact's own covariance has no place in the message."""
+        """Writes a contact; its own covariance has no place in the message."""
         topics, none = self._rig.topics.contacts, np.zeros(3)
         if finger not in topics:
             raise InvalidInput(f"contacts: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
@@ -159,7 +159,7 @@ class RecordingWriter(McapFile):
     def _write_image(
         self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[np.generic]
     ) -> None:
-        """An image that was logged at the first stamp and taken at the second."""
+        """Writes an image that was logged at the first stamp and taken at the second."""
         stamp, taken = stamps
         height, width = pixels.shape[:2]
         top = {"header": header(taken, self._rig.frames["camera"]), "height": height, "width": width}
@@ -261,7 +261,7 @@ class TrackRow:
 
 
 def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
-    """PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id.
+    """Writes PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id.
 
     Where a covariance is unbounded, open directions have a variance of a metre and a whole turn (π²/3): its largest
     eigenvalue is then at least 1. Raises InvalidFile, MissingExtra.
@@ -275,7 +275,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
-    """Lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
+    """Writes lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
     with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         for row in rows:
             if row.T_palm_object is not None:
@@ -283,7 +283,8 @@ def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
-    """Columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises InvalidFile."""
+    """Writes the columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises
+    InvalidFile."""
     with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))

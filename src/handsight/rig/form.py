@@ -129,7 +129,7 @@ class HandForm(Section):
 
 
 class TipForm(Form):
-    """The shape of a tip: the semi-axes of an ellipsoid, or the radius of a sphere."""
+    """A `TipForm` is the shape of a tip: the semi-axes of an ellipsoid, or the radius of a sphere."""
 
     ellipsoid: Vector | None = None
     sphere: float | None = None

@@ -73,7 +73,7 @@ MAX_SEED = 2**32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
-    """Particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
+    """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
 
     pose_world_object: GaussianPose
     """Their mean and covariance, with the errors of the table's height and tilt."""

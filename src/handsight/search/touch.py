@@ -44,7 +44,7 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """The outcome of one sweep: where the tip met nothing, and the contact that ended it, if any."""
+    """A `Touch` is the outcome of one sweep: where the tip met nothing, and the contact that ended it, if any."""
 
     free_world: Array
     """(m, 3) positions of the middle of the tip at which it met nothing [m]."""

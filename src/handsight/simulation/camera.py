@@ -30,7 +30,7 @@ disparity is."""
 
 
 def camera_facing(eye: ArrayLike, at: ArrayLike) -> Array:
-    """T_world_camera (4, 4) of a camera at `eye` (3,) [m], upright, that looks at a point (3,) [m].
+    """Returns T_world_camera (4, 4) of a camera at `eye` (3,) [m], upright, that looks at a point (3,) [m].
 
     Optical frame: x right, y down, z forward.
     """
@@ -45,7 +45,7 @@ BELIEVED_CAMERA = camera_facing(EYE, TARGET)
 
 
 def displacement(nuisances: Nuisances, seed: int) -> Array:
-    """T_believed_true (4, 4), in the world: what the wrong calibration does to all that the camera sees.
+    """Returns T_believed_true (4, 4), in the world: what the wrong calibration does to all that the camera sees.
 
     A turn about the scene's middle and a shift, both constant.
     """
@@ -100,7 +100,7 @@ def _lost(z: Depth, noise: DepthNoise) -> Depth | np.float32:
 
 
 def _beside(z: Depth, sigma: float, rng: np.random.Generator) -> Depth:
-    """Each pixel's depth from one that is beside it."""
+    """Returns each pixel's depth from one that is beside it."""
     if sigma == 0:
         return z
     offsets = np.rint(sigma * _quantiles(256)).astype(np.int32)  # whole pixels, a byte for each axis
@@ -151,7 +151,8 @@ def _quantiles(number: int) -> Depth:
 
 
 def _smoothed(white: Depth, length: float) -> Depth:
-    """Noise of unit variance whose correlation at distance d is exp(-d²/length²), round the image's borders too."""
+    """Returns noise of unit variance whose correlation at distance d is exp(-d²/length²), round the image's borders
+    too."""
     rows, columns = (np.exp(-0.5 * np.square(np.pi * length * fftfreq(n))) for n in white.shape)
     scale = (np.square(rows).mean() * np.square(columns).mean()) ** -0.5
     weights = np.outer(scale * rows, columns[: len(columns) // 2 + 1]).astype(np.float32)

@@ -85,7 +85,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hold:
-    """Points of a resting object that fingertips are to press on, in the world; the grip's axis is x."""
+    """A `Hold` is points of a resting object that fingertips are to press on, in the world; the grip's axis is x."""
 
     R_world_object: Array
     """(3, 3)"""
@@ -119,7 +119,8 @@ def body_of(vertices: Array) -> Body:
 
 
 def rests(body: Body) -> list[Array]:
-    """Rotations Rs_world_object (3, 3): as its file has it, then on the largest sides that carry it, then on end.
+    """Yields rotations Rs_world_object (3, 3): as its file has it, then on the largest sides that carry it, then on
+    end.
 
     A side carries what has its centre of mass above it: where that is projected, no other face ends the body.
     """
@@ -203,7 +204,7 @@ def _directions(body: Body) -> list[float]:
 
 
 def _across(body: Body, R: Array, order: int) -> Iterator[Hold]:
-    """Holds whose axis is x, of one pose of the object."""
+    """Yields holds whose axis is x, of one pose of the object."""
     size = np.ptp(body.vertices, axis=0)
     for roll, place, (offset, zigzag) in product(ROLLS, PLACES, OFFSETS):
         row, approach = (

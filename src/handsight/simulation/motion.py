@@ -178,7 +178,7 @@ def least_jerk(s: Array) -> Array:
 
 
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
-    """Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s], at rest at the end of each leg.
+    """Returns Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s], at rest at the end of each leg.
 
     `T_world_palm` (4, 4): at first; `pivot` (3,): the point in the world that turns leave in place [m].
     """

@@ -43,7 +43,7 @@ POSTURE = PostureOptions()
 
 
 class Posture:
-    """The hand about one hold; `grasp` is what comes out of it."""
+    """A `Posture` is the hand about one hold; `grasp` is what comes out of it."""
 
     def __init__(self, scene: Scene, hold: Hold) -> None:
         """At a guess: a hand of middle width, turned and moved so that its grip is the hold's."""
@@ -96,7 +96,7 @@ class Posture:
         ), ""
 
     def _place(self, x: Array) -> None:
-        """The hand as x says: the palm's shift [m] and turn [rad] from the guess, then the joints."""
+        """Places the hand as x says: the palm's shift [m] and turn [rad] from the guess, then the joints."""
         angles = self._data.qpos
         angles[:] = 0.0
         angles[self._places] = x[6:]
@@ -109,7 +109,8 @@ class Posture:
         self._mujoco.mj_kinematics(self._model, self._data)
 
     def _tip(self, finger: str) -> tuple[Array, Array, float]:
-        """Point of a tip that would meet the object's side, where on the tip that is, and the tip's height [m]."""
+        """Returns the point of a tip that would meet the object's side, where on the tip that is, and the tip's
+        height [m]."""
         geom, semi_axes = self._data.geom(f"{finger}_tip"), tip_shape(finger)[0]
         R = geom.xmat.reshape(3, 3)
         towards = -R.T @ self.hold.normals[finger]
@@ -142,7 +143,7 @@ class Posture:
         return from_object - self._radii, at[:, 2] - self._radii
 
     def _links(self) -> tuple[Indices, Array, Array]:
-        """Balls that stand for what should touch nothing: geoms, centres in them (n, 3) and radii (n,) [m]."""
+        """Returns balls that stand for what should touch nothing: geoms, centres in them (n, 3) and radii (n,) [m]."""
         kinds = self._mujoco.mjtGeom
         rows: list[tuple[int, Any, float]] = []
         for i in range(self._model.ngeom):
@@ -160,7 +161,7 @@ class Posture:
         return np.array(geoms), np.array(spots, dtype=np.float64), np.array(radii)
 
     def _pressed(self, x: Array) -> Array:
-        """Targets of the servos that press with balanced forces in the posture x [rad]."""
+        """Returns targets of the servos that press with balanced forces in the posture x [rad]."""
         self._place(x)
         self._mujoco.mj_comPos(self._model, self._data)
         points, normals = (np.array([*of.values()]) for of in (self.hold.points, self.hold.normals))

@@ -71,7 +71,7 @@ def ignore(_: Sample) -> None:
 
 
 class Probe(World):
-    """The hand above the table, one finger stretched; the object stands free at the scene's origin."""
+    """A `Probe` is the hand above the table, one finger stretched; the object stands free at the scene's origin."""
 
     def __init__(self, scenario: Scenario, R_scene_object: Array, T_world_table: Array) -> None:
         """`R_scene_object` (3, 3): how the object stands. `T_world_table` (4, 4): where the robot has that origin.
@@ -146,7 +146,7 @@ class Probe(World):
         return float(heights[np.abs(heights - np.median(heights)) < PROBE.table_unevenness].mean())
 
     def _lowest_point(self, observation: Observation) -> float:
-        """Height in the world of what is lowest of the stretched finger's tip [m]."""
+        """Returns the height in the world of what is lowest of the stretched finger's tip [m]."""
         T = self._tip(observation)
         return float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
 
@@ -211,7 +211,7 @@ class Probe(World):
                 yield replace(sample, observation=replace(sample.observation, vision=None))
 
     def _travel(self, T_goal: Array, on_sample: Callable[[Sample], None]) -> None:
-        """Up, over the table and down to a palm pose (4, 4)."""
+        """Moves up, over the table and down to a palm pose (4, 4)."""
         safe = self.top + PROBE.travel_height - (T_goal @ self._T_palm_finger)[2, 3]
         up = self._T_world_palm.copy()
         up[2, 3] = max(up[2, 3], T_goal[2, 3] + safe)
@@ -221,7 +221,7 @@ class Probe(World):
             self._straight(self._T_world_palm, goal, on_sample)
 
     def _straight(self, T_begin: Array, T_end: Array, on_sample: Callable[[Sample], None]) -> None:
-        """From one palm pose to another, at rest at both ends."""
+        """Moves from one palm pose to another, at rest at both ends."""
         way = se3.difference(T_end, T_begin)
         seconds = np.linalg.norm(way[:3]) / PROBE.travel_speed + np.linalg.norm(way[3:]) / PROBE.turn_speed
         s = np.linspace(0, 1, max(round(seconds * SCENARIO.steps_per_second), 1) + 1)[1:, None]
@@ -229,7 +229,7 @@ class Probe(World):
             on_sample(sample)
 
     def _turned(self, direction_world: Array) -> Array:
-        """R_world_palm (3, 3) that has the finger down, its tip and the palm's front ahead."""
+        """Returns R_world_palm (3, 3) that has the finger down, its tip and the palm's front ahead."""
         finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
         down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
         return _frame(down, direction_world) @ _frame(finger, front).T
@@ -243,12 +243,12 @@ class Probe(World):
         return _shifted(self._palm(R_world_palm, sweep.start_world), ways[:, None] * sweep.direction_world)
 
     def _tip(self, observation: Observation) -> Array:
-        """T_world_tip (4, 4) of the stretched finger's tip, as the robot has it."""
+        """Returns T_world_tip (4, 4) of the stretched finger's tip, as the robot has it."""
         T_world_palm, joints = _placed(observation)
         return np.asarray(T_world_palm @ self._finger_in_palm(joints))
 
     def _finger_in_palm(self, joints: Mapping[str, float]) -> Array:
-        """T_palm_tip (4, 4) of the stretched finger's tip, the origin in its middle, by what the joints say."""
+        """Returns T_palm_tip (4, 4) of the stretched finger's tip, the origin in its middle, by what the joints say."""
         return np.asarray(self._tips.rig.hand.Ts_palm_tip(joints)[self._place] @ self._finger.T_frame_surface)
 
 

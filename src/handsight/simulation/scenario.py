@@ -39,7 +39,7 @@ MESHES = (".stl", ".obj", ".ply", ".off")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nuisances:
-    """All that a real robot's readings are wrong by; zero switches one off, `none` all of them.
+    """`Nuisances` are all that a real robot's readings are wrong by; zero switches one off, `none` all of them.
 
     Each sigma is one standard deviation per axis. What is called constant is drawn once from the scenario's seed, and
     a setting changes the size of its own error only, never the draws of another.
@@ -128,7 +128,7 @@ class Nuisances:
 
     @classmethod
     def none(cls) -> "Nuisances":
-        """Everything as it is."""
+        """Returns everything as it is."""
         off = {item.name: 0.0 for item in dataclasses.fields(cls)}
         return cls(**{**off, "object_scale": 1.0, "object_mass": SCENARIO.object_mass, "friction": 1.0})
 

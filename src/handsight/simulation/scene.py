@@ -32,7 +32,7 @@ FINGERS = ("ff", "mf", "rf", "lf", "th")
 
 
 class SceneOptions(NamedTuple):
-    """Sizes in the simulated scene."""
+    """`SceneOptions` are sizes in the simulated scene."""
 
     sensor_z: float = 0.002  # of a sensor's frame along its distal link [m]
     tip_mass: float = 0.004  # of a tip [kg]
@@ -85,14 +85,14 @@ class Scene:
 
 
 def tip_shape(finger: str) -> tuple[Array, float]:
-    """Semi-axes (3,) of a fingertip and its centre's z from the sensor's frame [m]."""
+    """Returns the semi-axes (3,) of a fingertip and its centre's z from the sensor's frame [m]."""
     if finger == "th":
         return np.array([0.0105, 0.0105, 0.016]), 0.0175 - SCENE.sensor_z
     return np.array([0.009, 0.009, 0.0145]), 0.0165 - SCENE.sensor_z
 
 
 def mujoco_module() -> ModuleType:
-    """mujoco; raises MissingExtra."""
+    """Returns mujoco; raises MissingExtra."""
     try:
         return import_module("mujoco")
     except ImportError:
@@ -159,7 +159,7 @@ def _set_options(mujoco: ModuleType, spec: "MjSpec") -> None:
 
 
 def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
-    """An ellipsoid on a sensor for each distal link's collision shape: all force on the link goes through it."""
+    """Makes an ellipsoid on a sensor for each distal link's collision shape: all force on the link goes through it."""
     worn = {f"robot0:C_{finger}distal" for finger in FINGERS}
     for pair in list(spec.pairs):
         if pair.geomname1 in worn or pair.geomname2 in worn:
@@ -186,7 +186,7 @@ def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
 
 
 def _let_mount_move(mujoco: ModuleType, spec: "MjSpec") -> None:
-    """The hand floats, welded to a mocap body that stands for the arm."""
+    """Lets the hand float, welded to a mocap body that stands for the arm."""
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its euler angles win over what is set
     mount.pos, mount.quat = [0, 0, 0], [1, 0, 0, 0]

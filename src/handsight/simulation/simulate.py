@@ -26,7 +26,8 @@ GRIPPING = ("ff", "mf", "th")
 
 
 class Sensors:
-    """Joints, wrenches, camera: errors that are constant are drawn at the start, noise at every sample."""
+    """`Sensors` are joints, wrenches and camera: errors that are constant are drawn at the start, noise at every
+    sample."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         """Draws by the scenario's seed, a stream for each sensor, so that none depends on another's settings."""
@@ -108,7 +109,8 @@ class Sensors:
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
 
     def _bent(self) -> Array:
-        """By how much the joints (24,) would have to turn to bring the tips where loads have bent them [rad]."""
+        """Returns by how much the joints (24,) would have to turn to bring the tips where loads have bent them
+        [rad]."""
         bent = np.zeros(len(self.world.scene.joints))
         if self.nuisances.tip_compliance == 0:
             return bent

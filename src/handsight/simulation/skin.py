@@ -60,12 +60,12 @@ class Solid:
 
     @classmethod
     def box(cls, size: Array) -> "Solid":
-        """About the origin."""
+        """Returns a box about the origin."""
         return cls(np.vstack([np.eye(3), -np.eye(3)]), np.tile(np.asarray(size) / 2, 2))
 
     @classmethod
     def cylinder(cls, radius: float, height: float) -> "Solid":
-        """About the origin and z."""
+        """Returns a cylinder about the origin and z."""
         turn = 2 * np.pi * np.arange(SKIN.circle_sides) / SKIN.circle_sides
         round_ = np.stack([np.cos(turn), np.sin(turn), np.zeros(SKIN.circle_sides)], axis=1)
         ends = np.array([[0.0, 0, 1], [0, 0, -1]])
@@ -73,7 +73,7 @@ class Solid:
 
     @classmethod
     def hull(cls, vertices: Array, faces: Array) -> "Solid":
-        """Of a convex mesh."""
+        """Returns the solid of a convex mesh."""
         corners = vertices[faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -136,7 +136,8 @@ def taxel_forces(
 
 
 class PalmSkin:
-    """The array on the simulated palm; errors that are constant are drawn at the start, noise at every reading."""
+    """A `PalmSkin` is the array on the simulated palm; errors that are constant are drawn at the start, noise at
+    every reading."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Draws by the scenario's seed."""
@@ -158,7 +159,7 @@ class PalmSkin:
 
 
 def solid_of(name: str) -> Solid:
-    """Of a scenario's object, in its frame."""
+    """Returns the solid of a scenario's object, in its frame."""
     if name == "can":
         return Solid.cylinder(*CAN_SIZE)
     return Solid.box(np.array(BOX_SIZE)) if name == "box" else Solid.hull(*convex_hull(name))

@@ -82,7 +82,7 @@ class World:
         return "move" if self._moves and self.time >= MOTION.moves else "hold"
 
     def step(self) -> None:
-        """Two milliseconds."""
+        """Simulates two milliseconds."""
         if self.phase == "close":
             self._close_fingers()
             self._hold_object(self._begin)
@@ -97,14 +97,14 @@ class World:
         self.steps += 1
 
     def refresh(self) -> None:
-        """Poses and sensors of this very instant: a step leaves those of its beginning behind."""
+        """Computes poses and sensors of this very instant: a step leaves those of its beginning behind."""
         if self.phase == "close":
             self._hold_object(self._begin)
         self._move_arm()  # else the arm is pulled to where it was to be a step ago
         self._mujoco.mj_forward(self.scene.model, self.data)
 
     def pose(self, name: str) -> Array:
-        """T_world_body (4, 4) of a body; a tip's is its sensor's frame."""
+        """Returns T_world_body (4, 4) of a body; a tip's is its sensor's frame."""
         body = self.data.body(name)
         return se3.compose(body.xmat.reshape(3, 3), body.xpos)
 
@@ -167,7 +167,7 @@ class World:
         )
 
     def _tip_contact(self, i: int, contact: "MjContact", side: int, T_palm_world: Array) -> TipContact:
-        """Contact i as its first or second geom, a tip, has it."""
+        """Returns contact i as its first or second geom, a tip, has it."""
         sign = 1.0 if side == 1 else -1.0  # MuJoCo's normal and force are from the first geom to the second
         axes = np.asarray(contact.frame).reshape(3, 3)
         wrench = np.zeros(6)
@@ -193,7 +193,7 @@ class World:
         return np.stack([found[3:] + np.cross(found[:3], point - self.data.xipos[body]), found[:3]])
 
     def _pull_object(self) -> None:
-        """What pulls it, on it for the next step; what slips out of the hand is let go."""
+        """Applies what pulls the object for the next step; what slips out of the hand is let go."""
         touching = [contact for contact in self.tip_contacts() if contact.other == "object"]
         if self._pull is None:
             normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
@@ -205,7 +205,7 @@ class World:
         self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
 
     def _open(self) -> None:
-        """The open hand at its place, at rest, the object at its own."""
+        """Puts the open hand at its place, at rest, the object at its own."""
         for joint, angle in self._grasp.opening.items():
             self.data.joint(joint).qpos[:] = angle
             self._servo(joint).ctrl[:] = angle

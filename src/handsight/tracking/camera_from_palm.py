@@ -23,7 +23,7 @@ IN_A_ROW = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandView:
-    """The palm in the camera's mount at one instant."""
+    """A `HandView` is the palm in the camera's mount at one instant."""
 
     T_mount_palm: Array
     """(4, 4) where the robot knows it."""
@@ -70,8 +70,8 @@ class CameraFromPalm:
     """The last ones, each agreeing with the one before."""
 
     def updated(self, view: HandView) -> "CameraFromPalm":
-        """After another view: it is believed once it has agreed with those just before, unless it is of a side that is
-        known; and alone, if what was believed before contradicts it."""
+        """Returns the value after another view: it is believed once it has agreed with those just before, unless it
+        is of a side that is known; and alone, if what was believed before contradicts it."""
         recent = (
             (*self.recent[1 - IN_A_ROW :], view) if self.recent and view.agrees(self.recent[-1]) else (view,)
         )

@@ -46,7 +46,7 @@ class FingertipContacts:
     [N], torque about the normal [N m]; NaN where a tip does not say it."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
-        """Fingers whose contacts an answer takes for wrong."""
+        """Returns the fingers whose contacts an answer takes for wrong."""
         return tuple(self.fingers[i] for i in estimate.outliers if i < len(self.fingers))
 
 

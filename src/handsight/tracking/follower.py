@@ -289,7 +289,7 @@ class _Step:
     def _correct(
         self, touched: Contacts, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool
     ) -> None:
-        """The pose from the smoother's as prior and all contacts, touched or remembered, anew."""
+        """Returns the pose from the smoother's as prior and all contacts, touched or remembered, anew."""
         fingers, now, last = self.fingertips.fingers, self.stamp, self.correction
         contacts, remembered = self.memory.added(fingers, touched, now)
         joints, skin = observation.joint_positions, self.skin
@@ -332,7 +332,7 @@ class _Step:
     def _recovered(
         self, estimate: PoseEstimate, smoother: PoseBiasSmoother, correct: Correct
     ) -> tuple[PoseEstimate, PoseBiasSmoother]:
-        """Another estimate, where contacts fit one: by a wider prior; lost, by what vision alone says last."""
+        """Returns another estimate, where contacts fit one: by a wider prior; lost, by what vision alone says last."""
         now = smoother.now
         wider = smoother.restarted(now.inflated((FOLLOWER.inflation - 1) * now.covariance.diagonal()[:6]))
         # Touch may have said where something else is, such as the edge of the table.

@@ -28,7 +28,7 @@ class GraspState:
     """A `GraspState` says whether one object is grasped, over time."""
 
     def __init__(self) -> None:
-        """Nothing is grasped at first."""
+        """Starts with nothing grasped at first."""
         self.grasped = False
         self._fingers: frozenset[str] = frozenset()
         self._touched_at = -float("inf")
@@ -60,7 +60,8 @@ class GraspState:
 
 
 class ContactMemory:
-    """The last contact of each finger that touches no more: the object is still there, for a while."""
+    """A `ContactMemory` is the last contact of each finger that touches no more: the object is still there, for a
+    while."""
 
     def __init__(self, seconds: float, process_noise: Array) -> None:
         """How long a contact is kept, 0: not at all; `process_noise` (6,): variance of the object's motion a second."""

@@ -59,7 +59,7 @@ class LinkMargins:
         }
 
     def noted(self, depths: Mapping[str, float], stamp: float) -> "LinkMargins":
-        """With depths [m] of links that are inside, those that were noted just before left out."""
+        """Returns the value with depths [m] of links that are inside, those that were noted just before left out."""
         new = {
             link: (*earlier[1 - HAND_OUTSIDE.max_notes :], (stamp, depth))
             for link, depth in depths.items()
@@ -70,7 +70,7 @@ class LinkMargins:
 
 
 class HandOutside:
-    """The links of a rig's hand but its fingertips, which have a shape of their own."""
+    """`HandOutside` is the links of a rig's hand but its fingertips, which have a shape of their own."""
 
     def __init__(self, rig: Rig, model: ObjectModel, count: int) -> None:
         """`count` points of them; none where the hand's file has no shapes, or the object no inside."""
@@ -115,7 +115,8 @@ class HandOutside:
         return yielding, self._conflicts(yielding, outside)
 
     def _conflicts(self, estimate: PoseEstimate, outside: Outside) -> dict[str, float]:
-        """By link that is deeper inside than its joints, skin and margin explain: how deep [m], margin included."""
+        """Returns by link that is deeper inside than its joints, skin and margin explain: how deep [m], margin
+        included."""
         T, (least, most) = estimate.T_palm_object, self._model.bounds_object
         places = (np.asarray(outside.points_palm) - T[:3, 3]) @ T[:3, :3]
         if (

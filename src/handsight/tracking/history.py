@@ -13,7 +13,7 @@ MAX_INSTANTS = 2000
 
 
 class Instant(NamedTuple):
-    """Joints and palm at one instant, each if it was measured."""
+    """An `Instant` is joints and palm at one instant, each if it was measured."""
 
     stamp: float
     joint_positions: Mapping[str, float] | None
@@ -22,7 +22,7 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """The instants of the last second, in order of their stamps."""
+    """A `History` is the instants of the last second, in order of their stamps."""
 
     instants: tuple[Instant, ...] = ()
 

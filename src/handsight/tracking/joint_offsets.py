@@ -26,7 +26,7 @@ ever."""
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """By how much joints read too much, jointly Gaussian."""
+    """`JointOffsets` say by how much joints read too much, jointly Gaussian."""
 
     joints: tuple[str, ...]
     """The j joints that move a tip in the palm."""
@@ -41,7 +41,7 @@ class JointOffsets:
 
     @classmethod
     def of(cls, rig: Rig) -> "JointOffsets":
-        """As the rig says: none, give or take `sigma_joint_offset`."""
+        """Returns the offsets as the rig says: none, give or take `sigma_joint_offset`."""
         joints, sigma = rig.hand.moving, rig.sigma_joint_offset
         covariance = sigma**2 * np.eye(len(joints))
         return cls(joints, np.zeros(len(joints)), covariance, sigma, rig.sigma_joint)

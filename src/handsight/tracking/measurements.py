@@ -86,7 +86,7 @@ class VisionUpdate:
         return updated if updated is not None and updated.is_near else self.afresh()
 
     def palm_detected(self, view: HandView, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
-        """The smoother after the hand was seen; the same one where that says nothing new."""
+        """Returns the smoother after the hand was seen; the same one where that says nothing new."""
         before, self.camera_from_palm = self.camera_from_palm, self.camera_from_palm.updated(view)
         new = self.camera_from_palm.believed[len(before.believed) :]
         if self.camera_from_palm.believed == before.believed or smoother is None:
@@ -114,7 +114,8 @@ class VisionUpdate:
         return None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._in_mount(measured)[0]
 
     def smoother_from(self, T_palm_object: Array, covariance: Array, pivot: Array) -> PoseBiasSmoother:
-        """Begun at a pose with its covariance (6, 6), and vision's bias as uncertain as the camera says."""
+        """Returns a smoother started at a pose with its covariance (6, 6), and vision's bias as uncertain as the
+        camera says."""
         c = self.camera
         # A camera without a constant error has next to none: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)

@@ -18,7 +18,7 @@ MAX_PROPAGATION = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """The answer of a correction, and what it was made from."""
+    """A `Correction` is the answer of a correction, and what it was made from."""
 
     estimate: PoseEstimate
     contacts: Contacts

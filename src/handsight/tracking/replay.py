@@ -20,7 +20,7 @@ from handsight.tracking.tracker import State, Tracker
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """The answer to one observation."""
+    """A `Step` is the answer to one observation."""
 
     stamp: float
     """[s]"""

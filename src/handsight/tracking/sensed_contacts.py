@@ -78,7 +78,8 @@ def _put(
     J: Array,
     row: np.void,
 ) -> None:
-    """One contact: place, normal, and their covariance with the joints' errors `J` (6, j), which become its own."""
+    """Writes one contact: place, normal, and their covariance with the joints' errors `J` (6, j), which become its
+    own."""
     R = T_palm_frame[:3, :3]
     point, normal = R @ contact.point + T_palm_frame[:3, 3], R @ contact.normal
     center = T_palm_tip[:3, :3] @ finger.T_frame_surface[:3, 3] + T_palm_tip[:3, 3]

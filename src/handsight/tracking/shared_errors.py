@@ -30,7 +30,8 @@ def together(
     weight: tuple[Weighing, WeightEvidence],
     offsets: JointOffsets,
 ) -> PoseEstimate:
-    """The estimate after its contacts and its weight have shared their joints' errors; as it was where they cannot.
+    """Returns the estimate after its contacts and its weight have shared their joints' errors; as it was where they
+    cannot.
 
     `touch`: the contacts, and how each changes along `offsets.root` (n, 6, j).
     """

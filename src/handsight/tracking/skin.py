@@ -45,7 +45,7 @@ class SkinContacts:
         return any(touch.pressed.any() for touch, _ in self.touches.values())
 
     def contacts(self) -> Contacts | None:
-        """Of pressed taxels; None where none is."""
+        """Returns contacts of pressed taxels; None where none is."""
         found: Contacts | None = None
         for touch, (T_palm_frame, _) in self.touches.values():
             more = touch.contacts(T_palm_frame)
@@ -77,7 +77,7 @@ NOTHING = SkinContacts()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Untouched:
-    """Readings of an array while nothing was touched."""
+    """`Untouched` are the readings of an array while nothing was touched."""
 
     count: int
     total: Array
@@ -149,7 +149,8 @@ class SkinSensors:
     def _place(
         self, name: str, joint_positions: Mapping[str, float] | None
     ) -> tuple[Array, Array | None] | None:
-        """T_palm_frame (4, 4) of an array's link, and how its joints' errors move it (6, j); None: not known."""
+        """Returns T_palm_frame (4, 4) of an array's link, and how its joints' errors move it (6, j); None: not
+        known."""
         chains = self._chains[name]
         if not chains.joints:
             return chains.homes[0], None

@@ -52,7 +52,7 @@ class SlipUpdate:
     def update(
         self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
     ) -> PoseBiasSmoother:
-        """The smoother after loads were felt, the same one where the object holds.
+        """Returns the smoother after loads were felt, the same one where the object holds.
 
         A slip goes on in one direction, so its sigma, not its variance, grows with time.
         """

@@ -34,7 +34,7 @@ SAME_PALM = np.array([0.01, np.deg2rad(2.0)])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAndBias:
-    """The object's pose and vision's constant bias, jointly Gaussian."""
+    """A `PoseAndBias` is the object's pose and vision's constant bias, jointly Gaussian."""
 
     Ts: Array
     """(2, 4, 4): `T_palm_object` and `T_measured_true`."""
@@ -59,7 +59,7 @@ class PoseAndBias:
         return np.concatenate([self.Ts[1, :3, 3], se3.rotation_log(self.Ts[1, :3, :3])])
 
     def moved(self, step: Array) -> "PoseAndBias":
-        """After a step (12,); the covariance stays."""
+        """Returns the value after a step (12,); the covariance stays."""
         return PoseAndBias(se3.moved(self.Ts, step.reshape(2, 6)), self.covariance)
 
     def difference(self, reference: "PoseAndBias") -> Array:
@@ -67,7 +67,7 @@ class PoseAndBias:
         return se3.difference(self.Ts, reference.Ts).reshape(12)
 
     def updated(self, H: Array, innovation: Array, noise: Array) -> "PoseAndBias":
-        """After a linear measurement of m numbers (Kalman's update).
+        """Returns the value after a linear measurement of m numbers (Kalman's update).
 
         `H` (m, 12); `innovation` (m,): measured less expected; `noise` (m, m): its covariance.
         """
@@ -79,7 +79,8 @@ class PoseAndBias:
         return replace(self.moved(gain @ innovation), covariance=(after + after.T) / 2)
 
     def given_pose(self, T_palm_object: Array, information: Array) -> "PoseAndBias":
-        """Given a correction's answer: a pose (4, 4), and the information (6, 6) of contacts and this prior together.
+        """Returns the value given a correction's answer: a pose (4, 4), and the information (6, 6) of contacts and
+        this prior together.
 
         Contacts inform the pose alone; what they say of the bias follows from the correlation of the two.
         """
@@ -93,20 +94,20 @@ class PoseAndBias:
         return replace(moved, covariance=(covariance + covariance.T) / 2)
 
     def inflated(self, variance: Array) -> "PoseAndBias":
-        """With `variance` (6,) added to the pose's, as far as it says something."""
+        """Returns the value with `variance` (6,) added to the pose's, as far as it says something."""
         covariance = self.covariance.copy()
         variances = np.einsum("ii->i", covariance)[:6]  # where they are, to be written to
         variances += np.minimum(variance, np.maximum(MAX_PROPAGATION - variances, 0.0))
         return PoseAndBias(self.Ts, covariance)
 
     def spread(self, covariance: Array) -> "PoseAndBias":
-        """With a covariance (6, 6) added to the pose's."""
+        """Returns the value with a covariance (6, 6) added to the pose's."""
         more = self.covariance.copy()
         more[:6, :6] += covariance
         return PoseAndBias(self.Ts, more)
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
-        """In a palm that went elsewhere while the object stayed."""
+        """Returns the same in a palm that went elsewhere while the object stayed."""
         R = np.eye(12)
         R[:3, :3] = R[3:6, 3:6] = T_new_old[:3, :3]
         Ts = np.stack([T_new_old @ self.T_palm_object, self.T_measured_true])
@@ -115,7 +116,7 @@ class PoseAndBias:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseBiasSmoother:
-    """The posterior of pose and bias, given a prior and all measurements of vision since."""
+    """A `PoseBiasSmoother` is the posterior of pose and bias, given a prior and all measurements of vision since."""
 
     prior: PoseAndBias
     pivot: Array
@@ -133,7 +134,7 @@ class PoseBiasSmoother:
     def from_prior(
         cls, T_palm_object: Array, pose_covariance: Array, bias_covariance: Array, pivot: Array
     ) -> "PoseBiasSmoother":
-        """Of a pose and a bias of mean zero, independent: a covariance (6, 6) each."""
+        """Returns the smoother of a pose and a bias of mean zero, independent: a covariance (6, 6) each."""
         covariance = np.zeros((12, 12))
         covariance[:6, :6], covariance[6:, 6:] = pose_covariance, bias_covariance
         prior = PoseAndBias(np.stack([T_palm_object, np.eye(4)]), covariance)
@@ -156,18 +157,19 @@ class PoseBiasSmoother:
         return bool(abs(x) <= MAX_DISTANCE and abs(y) <= MAX_DISTANCE and abs(z) <= MAX_DISTANCE)
 
     def inflated(self, variance: Array) -> "PoseBiasSmoother":
-        """After a step of the random walk of the pose, of `variance` (6,)."""
+        """Returns the smoother after a step of the random walk of the pose, of `variance` (6,)."""
         noise = np.minimum(self.process_noise + variance, MAX_PROPAGATION)
         return PoseBiasSmoother(
             self.prior, self.pivot, self.solved, self.solved_noise, noise, self.measurements
         )
 
     def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
-        """From another prior, which holds all that is to be kept of the measurements so far."""
+        """Returns a smoother from another prior, which holds all that is to be kept of the measurements so far."""
         return PoseBiasSmoother(prior, self.pivot, solved=prior)
 
     def transformed(self, T_new_old: Array) -> "PoseBiasSmoother":
-        """In a palm that went elsewhere while the object stayed: as if all measurements had been from there.
+        """Returns the same in a palm that went elsewhere while the object stayed: as if all measurements had been
+        from there.
 
         The random walk is taken for as wide along all axes of the palm.
         """
@@ -177,7 +179,8 @@ class PoseBiasSmoother:
         return replace(self, prior=prior, solved=solved, measurements=measurements)
 
     def updated(self, T_mount_object: Array, covariance: Array, T_mount_palm: Array) -> "PoseBiasSmoother":
-        """After vision measured a pose; `covariance` (6, 6) of its own noise, along the mount's axes."""
+        """Returns the value after vision measured a pose; `covariance` (6, 6) of its own noise, along the mount's
+        axes."""
         measurements = np.empty(len(self.measurements) + 1, dtype=MEASUREMENT)
         # NumPy copies structured rows ten times slower than plain ones.
         measurements.view(np.float64)[: -MEASUREMENT.itemsize // 8] = self.measurements.view(np.float64)
@@ -187,8 +190,8 @@ class PoseBiasSmoother:
         return self._solved(measurements[:count])
 
     def informed(self, T_measured_true: Array, covariance: Array) -> "PoseBiasSmoother":
-        """After the bias itself was measured: (4, 4) as `PoseAndBias` has it; `covariance` (6, 6) along the mount's
-        axes."""
+        """Returns the smoother after the bias itself was measured: (4, 4) as `PoseAndBias` has it; `covariance` (6,
+        6) along the mount's axes."""
         H = np.eye(12)[6:]
         innovation = se3.difference(T_measured_true, self.prior.T_measured_true)
         prior = self.prior.updated(H, innovation, covariance)

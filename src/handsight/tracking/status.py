@@ -25,11 +25,11 @@ class TrackStatus:
     """The first answer counts as a fit [s]."""
 
     def measured(self, stamp: float) -> "TrackStatus":
-        """After something was touched or seen."""
+        """Returns the status after something was touched or seen."""
         return replace(self, measured_at=stamp)
 
     def answered(self, stamp: float, *, consistent: bool) -> "TrackStatus":
-        """After an answer that its contacts fit, or not."""
+        """Returns the status after an answer that its contacts fit, or not."""
         return replace(self, fits_at=stamp) if consistent or self.fits_at == -math.inf else self
 
     def unfitted(self, stamp: float) -> bool:

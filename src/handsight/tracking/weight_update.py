@@ -47,7 +47,7 @@ class ObjectWeight:
 
 
 class WeightUpdate:
-    """The weight of the object as a sensor of its pose, and what has become of it."""
+    """A `WeightUpdate` is the weight of the object as a sensor of its pose, and what has become of it."""
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """Where the model has a centre of mass its weight tells the pose; else it is weighed all the same."""
@@ -109,7 +109,7 @@ class WeightUpdate:
     def shared(
         self, estimate: PoseEstimate, touch: FingertipContacts | None, prior: PosePrior, offsets: JointOffsets
     ) -> PoseEstimate:
-        """A correction by `touch` after its contacts and its weight have shared their joints' errors.
+        """Returns a correction by `touch` after its contacts and its weight have shared their joints' errors.
 
         As it was where the weight had no say; `touch` is None where other contacts had one.
         """

@@ -36,7 +36,7 @@ class Panel(NamedTuple):
 
 
 def require_matplotlib() -> ModuleType:
-    """pyplot on a backend that needs no screen; raises MissingExtra where matplotlib is absent."""
+    """Returns pyplot on a backend that needs no screen; raises MissingExtra where matplotlib is absent."""
     try:
         import matplotlib
     except ImportError:
@@ -113,7 +113,7 @@ def draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color:
 def _open_direction(
     axes: "Axes3D", direction: Array, center: Array, model: ObjectModel, *, label: str | None
 ) -> None:
-    """A double arrow for a slide, an arc about its axis for a turn, whichever the direction mostly is."""
+    """Draws a double arrow for a slide, an arc about its axis for a turn, whichever the direction mostly is."""
     style = {"color": OPEN, "linewidth": 2.2, "label": label}
     line, turn = opened(direction, center, model)
     axes.plot(*line.T, **style)

@@ -17,7 +17,7 @@ MOST = 300
 
 
 class Curves(NamedTuple):
-    """Uncertainty, error and state over time."""
+    """`Curves` are uncertainty, error and state over time."""
 
     times: Array
     """(n,) ascending, since a recording's beginning or until now [s]."""
@@ -32,7 +32,8 @@ class Curves(NamedTuple):
 
 
 def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Curves:
-    """Of moments in order of stamp, of many as many as can be told apart, the first and the last among them."""
+    """Returns the curves of moments in order of stamp, of many as many as can be told apart, the first and the last
+    among them."""
     places = np.linspace(0, len(moments) - 1, min(len(moments), MOST)).astype(int)
     shown = [moments[k] for k in places]
     times = np.array([moment.stamp - moments[0].stamp for moment in shown])
@@ -45,7 +46,7 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
 
 
 def slips_of(slips: Iterable[tuple[float, Slip]]) -> list[tuple[float, float]]:
-    """From when to when the object slipped [s], by what was said at which stamps."""
+    """Returns from when to when the object slipped [s], by what was said at which stamps."""
     found: dict[float, float] = {}
     for stamp, slip in slips:
         if slip.slipping:

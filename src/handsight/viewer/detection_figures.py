@@ -97,7 +97,7 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
 
 
 def _scores(row: Located) -> str:
-    """Of several objects a line of the likeliest ones' probabilities; empty of one."""
+    """Returns, of several objects a line of the likeliest ones' probabilities; empty of one."""
     if row.recognition is None:
         return ""
     likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
@@ -106,7 +106,7 @@ def _scores(row: Located) -> str:
 
 
 def _background(frame: Frame) -> Array:
-    """Colour, else depth in grey, near ones light; the hand tinted. Red, green, blue (h, w, 3) from 0 to 1."""
+    """Returns colour, else depth in grey, near ones light; the hand tinted. Red, green, blue (h, w, 3) from 0 to 1."""
     if frame.color is not None:
         image = frame.color / 255.0
     else:
@@ -121,7 +121,7 @@ def _background(frame: Frame) -> Array:
 
 
 def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> None:
-    """The silhouette's edge, and those edges within it that are seen."""
+    """Draws the silhouette's edge, and those edges within it that are seen."""
     drawn = silhouette(row.frame.camera, row.model, T)
     there = np.isfinite(drawn)
     if not there.any():
@@ -166,7 +166,7 @@ def _crop(axes: "Axes", drawn: Depth) -> None:
 
 
 def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
-    """How far measured depth is behind the drawn object's, around the object."""
+    """Draws how far measured depth is behind the drawn object's, around the object."""
     there = np.isfinite(drawn)
     axes.set_title("measured depth less the best pose's", fontsize=10)
     known = there & np.isfinite(frame.depth) & (frame.depth > 0)

@@ -66,10 +66,10 @@ class NullViewer:
         return False
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
-        """Nothing."""
+        """Does nothing."""
 
     def close(self) -> None:
-        """Nothing."""
+        """Does nothing."""
 
     def __enter__(self) -> Self:
         return self
@@ -152,7 +152,7 @@ class Viewer(NullViewer):
         return found
 
     def _send(self, message: object) -> None:
-        """To the page; where it is gone nothing is."""
+        """Sends to the page; where it is gone nothing is."""
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send(message)
 

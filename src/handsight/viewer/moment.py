@@ -62,13 +62,13 @@ class Moment:
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
-        """Of a tracker, after the last observation that it has taken."""
+        """Returns the moment of a tracker, after the last observation that it has taken."""
         vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
         return cls._from_tracker(tracker, tracker.processed, vision)
 
     @classmethod
     def of(cls, step: Step, observation: Observation) -> "Moment":
-        """Of a step of a replay, and the observation of that stamp."""
+        """Returns the moment of a step of a replay, and the observation of that stamp."""
         return cls._from_tracker(step, observation, step.T_palm_object_vision)
 
     @classmethod
@@ -92,7 +92,8 @@ class Moment:
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":
-        """This moment with a picture, where there is a new one, and with what is still shown of the last moment."""
+        """Returns this moment with a picture, where there is a new one, and with what is still shown of the last
+        moment."""
         if last is None:
             return replace(self, picture=picture)
         old = last.vision
@@ -109,7 +110,7 @@ class Moment:
         return () if self.estimate is None else self.fingertips.rejected_by(self.estimate)
 
     def links(self, rig: Rig) -> dict[str, Array]:
-        """T_palm_link (4, 4) of the links that are known of."""
+        """Returns T_palm_link (4, 4) of the links that are known of."""
         try:
             return rig.hand.link_poses(self.joint_positions or {})
         except InvalidInput:  # the tracker has refused it, and says so

@@ -119,7 +119,7 @@ class Page:
             self.server.stop()
 
     def _draw_picture(self, moment: Moment) -> None:
-        """The image with the outlines of vision's pose and of the corrected one."""
+        """Draws the image with the outlines of vision's pose and of the corrected one."""
         shown, estimate = moment.picture, moment.estimate
         if shown is None:
             return

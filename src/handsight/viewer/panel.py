@@ -29,7 +29,7 @@ STATUS, CONTROLS, STRIP, CURVES, IMAGE, SHOWN = range(0, 60, 10)
 
 
 class Panel:
-    """The control panel of a page."""
+    """A `Panel` is the control panel of a page."""
 
     def __init__(
         self, gui: "GuiApi", title: str, layers: dict[str, bool], redraw: Callable[[], None]
@@ -160,5 +160,5 @@ def _strip(curves: Curves, now: float) -> str:
 
 
 def share(time: float, begin: float, end: float) -> str:
-    """Of a time between two others, as CSS has it."""
+    """Returns the place of a time between two others, as CSS has it."""
     return f"{100 * min(max((time - begin) / max(end - begin, 1e-9), 0.0), 1.0):.2f}%"

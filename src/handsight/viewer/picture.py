@@ -156,7 +156,7 @@ def _window(camera: Camera | None, T_camera_palm: Array | None, image: Color) ->
 
 
 def _within(camera: Camera, shown: tuple[slice, slice], image: Color) -> Camera:
-    """Of some of its rows and columns."""
+    """Returns the camera of some of its rows and columns."""
     rows, columns = shown
     matrix = camera.matrix.copy()
     matrix[:2, 2] -= columns.start, rows.start

@@ -32,7 +32,7 @@ SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
 
 
 class Timeline:
-    """Moments in order of stamp; another thread may read while one appends."""
+    """A `Timeline` is moments in order of stamp; another thread may read while one appends."""
 
     def __init__(self) -> None:
         self.moments = list[Moment]()
@@ -90,7 +90,7 @@ class Player:
         self._thread.start()
 
     def finish(self) -> None:
-        """The timeline grows no more."""
+        """Ends: the timeline grows no more."""
         self._growing = False
         self._wake.set()
 
@@ -161,7 +161,7 @@ class Player:
             self.playing = False
 
     def _show(self) -> None:
-        """The moment of now, and what is beside it."""
+        """Shows the moment of now, and what is beside it."""
         now, moment = self.time, self._timeline.at(self.time)
         if moment is not self._drawn:
             self._drawn = moment

@@ -57,7 +57,7 @@ REJECTED: Color = (30, 30, 30)
 
 
 class Scene:
-    """Hand, object and contacts. Each `draw` sends what has changed."""
+    """A `Scene` shows hand, object and contacts. Each `draw` sends what has changed."""
 
     def __init__(self, scene: "SceneApi", rig: Rig, model: ObjectModel) -> None:
         """`scene`: viser's, of the server."""
@@ -180,7 +180,7 @@ class Scene:
         _see(self.depth, there)
 
     def _put(self, handle: "SceneNodeHandle", layer: str, T_palm_node: Array | None) -> None:
-        """A node at a pose in the palm; gone where that is None or its layer is not wanted."""
+        """Puts a node at a pose in the palm; gone where that is None or its layer is not wanted."""
         there = T_palm_node is not None and self.layers[layer]
         if there and T_palm_node is not None:
             handle.position, handle.wxyz = T_palm_node[:3, 3], quaternions_wxyz(T_palm_node)

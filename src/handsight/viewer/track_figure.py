@@ -78,7 +78,7 @@ def _coordinate(axes: "Axes", times: Array, tracked: Array, vision: Array, true:
 
 
 def _slips(axes: "Sequence[Axes]", steps: Sequence[Step]) -> None:
-    """A mark over every plot while the object slips."""
+    """Draws a mark over every plot while the object slips."""
     for k, (first, last) in enumerate(slips_of((step.stamp, step.slip) for step in steps)):
         for axis in axes:
             axis.axvspan(first - steps[0].stamp, last - steps[0].stamp, color=SLIP, alpha=0.25, lw=0)
@@ -87,7 +87,7 @@ def _slips(axes: "Sequence[Axes]", steps: Sequence[Step]) -> None:
 
 
 def _states(axes: "Axes", steps: Sequence[Step]) -> None:
-    """A strip in the state's colour."""
+    """Draws a strip in the state's colour."""
     from matplotlib.colors import ListedColormap
 
     # Each state lasts to the next stamp.

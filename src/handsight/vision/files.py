@@ -85,7 +85,7 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
 
 
 def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
-    """Red, green, blue (h, w, 3) of a PNG or JPEG; `camera`: that it must be of the size of.
+    """Returns red, green, blue (h, w, 3) of a PNG or JPEG; `camera`: that it must be of the size of.
 
     Raises InvalidFile, MissingExtra.
     """

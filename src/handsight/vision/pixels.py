@@ -62,7 +62,7 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 def color(data: bytes) -> Color:
-    """Red, green, blue (h, w, 3) of the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
+    """Returns red, green, blue (h, w, 3) of the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
     return _opened(data, lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
 
 

@@ -112,7 +112,8 @@ def contact_cost(evidence: Any, pose: Pose) -> float:
 
 @inner
 def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> Covariance:
-    """Of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], and what model and field add.
+    """Returns the covariance of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], and what model
+    and field add.
 
     A point that slides by its noise over a curved surface meets another normal, so curvature carries point noise into
     the normal: this is what tells a normal near an edge from one on a face. Where the covariance is of the residuals
@@ -183,7 +184,7 @@ def _between(u: float, most: float) -> float:
 
 @inner
 def factored(S: Covariance) -> Factor:
-    """L D Lᵀ of a covariance of (distance, normal)."""
+    """Returns L D Lᵀ of a covariance of (distance, normal)."""
     s, b, N = S
     low = scale(b, 1 / s)
     d1 = N[0][0] - b[0] * low[0]
@@ -197,14 +198,14 @@ def factored(S: Covariance) -> Factor:
 
 @inner
 def log_determinant(factor: Factor, has_normal: bool) -> float:
-    """Of what is in use of the covariance: without a normal, the distance alone."""
+    """Returns the log determinant of what is in use of the covariance: without a normal, the distance alone."""
     d0, _, d, _ = factor
     return np.log((d0 * d[0]) * (d[1] * d[2])) if has_normal else np.log(d0)
 
 
 @inner
 def invert_covariance(factor: Factor, has_normal: bool, out: Any) -> None:
-    """`out` (4, 4): the inverse; of the distance alone where there is no normal."""
+    """Fills `out` (4, 4) with the inverse; of the distance alone where there is no normal."""
     d0, low, d, (l21, l31, l32) = factor
     if not has_normal:
         out[:] = 0.0

@@ -33,7 +33,7 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
 
 @inner
 def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
-    """As `lowest_point`, of a grid.
+    """Returns what `lowest_point` does, of a grid.
 
     From the lowest sample on to the closest point of what lies a step below, as long as that is lower: on a convex body
     these are steps of the proximal point algorithm, which ends at a polyhedron's lowest corner after finitely many.

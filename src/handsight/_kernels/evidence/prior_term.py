@@ -80,7 +80,7 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
 
 @inner
 def _information(covariance: Any, radius: float, out: Any, u: Any) -> None:
-    """`out` (6, 6): the inverse of a covariance (6, 6), no deviation below 1e-5 of the radius."""
+    """Fills `out` (6, 6) with the inverse of a covariance (6, 6), no deviation below 1e-5 of the radius."""
     scaled, vectors, values = u.matrix, u.vectors, u.values
     for i in range(6):
         for j in range(6):
@@ -98,7 +98,7 @@ def _information(covariance: Any, radius: float, out: Any, u: Any) -> None:
 
 @inner
 def _store_blocks(A: Mat33, B: Mat33, D: Mat33, out: Any) -> None:
-    """`out` (6, 6) = [A, B; Bᵀ, D]."""
+    """Fills `out` (6, 6) = [A, B; Bᵀ, D]."""
     for i in range(3):
         for j in range(3):
             out[i, j], out[3 + i, 3 + j] = A[i][j], D[i][j]
@@ -145,7 +145,7 @@ def swing(axis_from: Vec3, axis_to: Vec3) -> tuple[Vec3, Mat33]:
 
 @inner
 def _log_derivative(turn: Vec3) -> Mat33:
-    """Of the rotation vector by a further turn: 1 - [w]x/2 + b [w]x²."""
+    """Returns the derivative of the rotation vector by a further turn: 1 - [w]x/2 + b [w]x²."""
     square = dot(turn, turn)
     half = 0.5 * np.sqrt(square)
     b = 1 / 12 + half * half / 180

@@ -23,7 +23,7 @@ ALL = CONTACTS | WALLS | LOADS | PRIOR
 
 
 class Evidence(NamedTuple):
-    """All that is known of a pose."""
+    """`Evidence` is all that is known of a pose."""
 
     model: Any
     """MODEL."""

@@ -59,7 +59,7 @@ def covariance_of(information: Any, error: Any, arm: Vec3, radius: float, weight
 
 @inner
 def _composed(values: Any, vectors: Any, out: Any) -> None:
-    """`out` (6, 6): the symmetric matrix of eigenvalues (6) and eigenvectors in columns."""
+    """Fills `out` (6, 6) with the symmetric matrix of eigenvalues (6) and eigenvectors in columns."""
     for i in range(6):
         for j in range(6):
             out[i, j] = 0.0
@@ -69,7 +69,7 @@ def _composed(values: Any, vectors: Any, out: Any) -> None:
 
 @inner
 def _inverse(symmetric: Any, floor: float, u: Any) -> None:
-    """In place, and `floor` on its diagonal."""
+    """Inverts a matrix in place, with `floor` on its diagonal."""
     factor(symmetric, 6, 0.0, u.factor)
     for j in range(6):
         for i in range(6):
@@ -81,7 +81,7 @@ def _inverse(symmetric: Any, floor: float, u: Any) -> None:
 
 @inner
 def moved_origin(covariance: Any, arm: Vec3, out: Any) -> None:
-    """`out` = JPJᵀ for J = [1, [arm]x; 0, 1], symmetric."""
+    """Fills `out` = JPJᵀ for J = [1, [arm]x; 0, 1], symmetric."""
     for j in range(6):
         turned = cross(arm, (covariance[3, j], covariance[4, j], covariance[5, j]))
         for i in range(3):
@@ -97,7 +97,7 @@ def moved_origin(covariance: Any, arm: Vec3, out: Any) -> None:
 
 @inner
 def _along_object(covariance: Any, R: Mat33, center: Vec3, radius: float, u: Any) -> None:
-    """`u.matrix`: of the object's centre, a turn by what it moves, along the object's axes."""
+    """Fills `u.matrix` with the covariance of the object's centre, a turn by what it moves, along the object's axes."""
     moved_origin(covariance, scale(mul(R, center), -1.0), u.wider)
     for a in range(0, 6, 3):
         for j in range(6):

@@ -162,7 +162,8 @@ def _pulls(surface: Any, points: Any, pose: Pose, about: Vec3, bound: float, pul
 
 @inner
 def _spread(pulls: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
-    """The covariance of the sum of all points' pulls; what neighbours share by a few. error: as of `inform_all`."""
+    """Returns the covariance of the sum of all points' pulls; what neighbours share by a few. error: as of
+    `inform_all`."""
     u, rows = pulls
     few = min(count, len(rows))
     pairs = count * (count - 1) / max(few * (few - 1), 1)

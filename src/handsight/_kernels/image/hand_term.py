@@ -51,7 +51,7 @@ HAND_SCORE = HandScoreOptions()
 
 @inner
 def _observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
-    """Row, column and depth of a point's pixel; depth below 0: out of the image."""
+    """Returns row, column and depth of a point's pixel; depth below 0: out of the image."""
     u, v = project(camera, P)
     if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
         return 0, 0, -1.0
@@ -62,7 +62,7 @@ def _observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
 
 @inner
 def _cosine(cells: Any, corner: Any, P: Vec3, n: Vec3) -> float:
-    """Of a normal with that of the cell that a point is in; above 1 where none is known."""
+    """Returns the cosine of a normal with that of the cell that a point is in; above 1 where none is known."""
     row = int((P[1] / P[2] - corner[1]) / corner[2] + 0.5)
     column = int((P[0] / P[2] - corner[0]) / corner[2] + 0.5)
     if not (0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]):

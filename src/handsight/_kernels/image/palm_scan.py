@@ -56,7 +56,7 @@ def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> Non
 
 @inner
 def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
-    """By how much most agree, and the bin in which they do, from the middle one."""
+    """Returns by how much most agree, and the bin in which they do, from the middle one."""
     half, best, where = PALM_SCAN.range_bins // 2, -np.inf, 0
     for b in range(half - PALM_SCAN.tried_bins, half + PALM_SCAN.tried_bins + 1):
         good, near, before = 0.0, 0.0, 0.0

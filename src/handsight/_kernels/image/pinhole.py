@@ -28,7 +28,7 @@ def lens(camera: Any, x: float, y: float) -> tuple[float, float]:
 
 @inner
 def project(camera: Any, point: Vec3) -> tuple[float, float]:
-    """Column and row of a point in the camera; NaN behind it, or where the lens is not known."""
+    """Returns column and row of a point in the camera; NaN behind it, or where the lens is not known."""
     if not point[2] > 0:
         return np.nan, np.nan
     x, y = point[0] / point[2], point[1] / point[2]

@@ -18,7 +18,7 @@ NEAR = 0.01
 
 @inner
 def _corner(camera: Any, point: Vec3) -> Vec3:
-    """Column, row and one over the depth."""
+    """Returns column, row and one over the depth."""
     u, v = project(camera, point)
     return u, v, 1 / point[2]
 

@@ -37,7 +37,7 @@ def _depth_between(depth: Any, u: float, v: float) -> float:
 
 @inner
 def _see(voxel: Any, depth: Any, pixel: tuple[float, float], node: Vec3, bound: float) -> None:
-    """What a depth image says of a node in the camera that falls on a place (column, row) of it."""
+    """Adds what a depth image says of a node in the camera that falls on a place (column, row) of it."""
     u, v = pixel
     nearest = depth[int(v + 0.5), int(u + 0.5)]
     gap = nearest - node[2]

@@ -106,7 +106,8 @@ def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: A
 
 @inner
 def _best_spins(votes: Any, most: Any, spins: Any) -> None:
-    """Of each model point (m,) the most votes of a spin, and that spin; half steps vote by half for the step beside."""
+    """Writes of each model point (m,) the most votes of a spin, and that spin; half steps vote by half for the step
+    beside."""
     for i in range(len(votes)):
         most[i] = -1.0
         for s in range(SPINS):

@@ -33,7 +33,7 @@ def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
 
 @inner
 def solve(factored: Any, n: int, right: Any, out: Any) -> None:
-    """`out` (n): the solution for the right side (n)."""
+    """Fills `out` (n) with the solution for the right side (n)."""
     for i in range(n):
         value = right[i]
         for k in range(i):
@@ -48,7 +48,8 @@ def solve(factored: Any, n: int, right: Any, out: Any) -> None:
 
 @inner
 def eigen(matrix: Any, values: Any, vectors: Any) -> None:
-    """Eigenvalues (6), not in order, and eigenvectors as columns of a symmetric (6, 6), which is used up (Jacobi)."""
+    """Writes eigenvalues (6), not in order, and eigenvectors as columns of a symmetric (6, 6), which is used up
+    (Jacobi)."""
     for i in range(6):
         for j in range(6):
             vectors[i, j] = 1.0 if i == j else 0.0
@@ -69,7 +70,7 @@ def eigen(matrix: Any, values: Any, vectors: Any) -> None:
 
 @inner
 def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
-    """One rotation that clears entry (p, q)."""
+    """Applies one rotation that clears entry (p, q)."""
     entry = matrix[p, q]
     theta = (matrix[q, q] - matrix[p, p]) / (2 * entry)
     t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
@@ -91,7 +92,7 @@ def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
 
 @inner
 def in_metres(information: Any, radius: float, out: Any) -> None:
-    """`out` (6, 6): an information by (δp, δθ) as one by (δp, radius δθ) [1/m²]."""
+    """Fills `out` (6, 6) with an information by (δp, δθ) as one by (δp, radius δθ) [1/m²]."""
     for i in range(6):
         for j in range(6):
             out[i, j] = information[i, j] * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))

@@ -33,7 +33,7 @@ _ORDERS = (
 
 @intrinsic
 def spline(_: Any, values: Any, first: Any, step_x: Any, step_y: Any, past: Any) -> Any:
-    """Ten numbers: value, gradient (x, y, z) and Hessian (xx, xy, xz, yy, yz, zz) by grid coordinates.
+    """Returns ten numbers: value, gradient (x, y, z) and Hessian (xx, xy, xz, yy, yz, zz) by grid coordinates.
 
     `values`: nodes, float32, z fastest. `first`: place of the first of the 4 x 4 x 4 nodes. `step_x`, `step_y`:
     between neighbours along x and y. `past`: how far past the second node along x, y and z, 0 to 1. 16 rows of 4 nodes
@@ -189,7 +189,7 @@ def _load(builder: Any, pointer: Any, place: Any, kind: Any) -> Any:
 
 
 def _add(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """a b + c; c may be nothing yet."""
+    """Returns a b + c; c may be nothing yet."""
     product = builder.fmul(a, b, flags=_FAST)
     return product if c is None else builder.fadd(product, c, flags=_FAST)
 

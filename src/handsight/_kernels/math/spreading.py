@@ -12,7 +12,7 @@ WIDE = 6
 
 @inner
 def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
-    """The squared distance of each of the columns (6, n) to the k-th row of p."""
+    """Writes the squared distance of each of the columns (6, n) to the k-th row of p."""
     x, y, z, u, v, w = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
     for j in range(columns.shape[1]):
         a, b, c = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z

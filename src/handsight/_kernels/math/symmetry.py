@@ -31,7 +31,7 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def pose_of(record: Any) -> Pose:
-    """Of a POSE record."""
+    """Returns the pose of a POSE record."""
     return matrix(record.rotation), vector(record.position)
 
 
@@ -44,7 +44,7 @@ def store_pose(pose: Pose, record: Any) -> None:
 
 @inner
 def transform_of(T: Any) -> Pose:
-    """Of a transform (4, 4)."""
+    """Returns the pose of a transform (4, 4)."""
     return matrix(T), (T[0, 3], T[1, 3], T[2, 3])
 
 
@@ -71,7 +71,7 @@ def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
 
 @inner
 def _spun(axis: Vec3, R: Mat33, reference: Mat33) -> Mat33:
-    """R turned about the object's own axis, which goes through the origin, to be nearest to the reference."""
+    """Returns R turned about the object's own axis, which goes through the origin, to be nearest to the reference."""
     Q = matmul(transpose(reference), R)
     # The trace of Q exp(φ a) is c cos φ - s sin φ and what does not depend on φ.
     s = dot(axis, (Q[2][1] - Q[1][2], Q[0][2] - Q[2][0], Q[1][0] - Q[0][1]))

@@ -59,7 +59,7 @@ def _grid(nodes: Any, field: Any, place: Vec3) -> Values:
 
 @inner
 def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
-    """As `_grid`; nodes with no surface between them and the nearest one get its sign.
+    """Returns what `_grid` does; nodes with no surface between them and the nearest one get its sign.
 
     On its own, for within `_grid` it costs every grid a fifth.
     """
@@ -105,14 +105,15 @@ def _in_metres(field: Any, ten: Ten, beyond: Vec3) -> Values:
 
 @inner
 def _clamped(u: float, most: float) -> float:
-    """Between 1 and `most`; a NaN reads no memory beyond the grid either, and `_beyond` passes it on."""
+    """Returns a number between 1 and `most`; a NaN reads no memory beyond the grid either, and `_beyond` passes it
+    on."""
     low = u if u > 1.0 else 1.0
     return low if low < most else most
 
 
 @inner
 def _where_zero(way: Vec3, v: Vec3) -> Vec3:
-    """`v` along the axes on which the way is zero."""
+    """Returns `v` along the axes on which the way is zero."""
     return (
         v[0] if way[0] == 0 else 0.0,
         v[1] if way[1] == 0 else 0.0,
@@ -198,7 +199,7 @@ def _cylinder(field: Any, place: Vec3) -> Values:
 
 @entry
 def evaluate(nodes: Any, field: Any, points: Any, values: Any) -> None:
-    """`values` (n, 13): distance, gradient and Hessian at points (n, 3)."""
+    """Fills `values` (n, 13) with distance, gradient and Hessian at points (n, 3)."""
     for k in range(len(points)):
         d, g, H = field_at(nodes, field[0], vector(points[k]))
         row = values[k]

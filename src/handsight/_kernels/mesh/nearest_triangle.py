@@ -65,7 +65,8 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
 
 @inner
 def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
-    """As `_weights`, of the edges alone, by what each squared distance has above that to the first corner."""
+    """Returns what `_weights` does, of the edges alone, by what each squared distance has above that to the first
+    corner."""
     s = min(wu / uu, 1.0) if wu > 0 else 0.0
     t = min(wv / vv, 1.0) if wv > 0 else 0.0
     along, size = wv - wu + uu - uv, uu - 2 * uv + vv
@@ -101,7 +102,7 @@ def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
 
 @entry
 def closest(points: Any, within: float, tree: Any, out: Any) -> None:
-    """`out` (n, 8): see RESULT; of points (n, 3) that are nowhere within [m], the distance is infinite.
+    """Fills `out` (n, 8), see RESULT; of points (n, 3) that are nowhere within [m], the distance is infinite.
 
     `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 3, 3); in the leaves' frames `triangles` (m, 3, 3) and
     the box `around` each (m, 6).
@@ -143,7 +144,7 @@ def closest(points: Any, within: float, tree: Any, out: Any) -> None:
 
 
 def closest_points(points: Any, within: float, tree: Any) -> Any:
-    """As `closest` (n, 8), on several threads."""
+    """Returns what `closest` writes (n, 8), on several threads."""
     out = np.zeros((len(points), RESULT))
     in_parts(lambda some, there: closest(some, within, tree, there), (points, out), _LEAST)
     return out

@@ -34,7 +34,7 @@ PATCH = np.dtype(
 
 @inner
 def gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
-    """Of F at a point of the patch's frame, along the object's axes."""
+    """Returns the gradient of F at a point of the patch's frame, along the object's axes."""
     n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
     by_u = patch.bends[0] * u + patch.bends[1] * v
     by_v = patch.bends[1] * u + patch.bends[2] * v
@@ -43,14 +43,14 @@ def gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
 
 @inner
 def level_set(patch: Any, u: float, v: float, z: float) -> float:
-    """F at a point of the patch's frame."""
+    """Returns F at a point of the patch's frame."""
     q = patch.bends[0] * u * u + 2 * patch.bends[1] * u * v + patch.bends[2] * v * v
     return z + 0.5 * (patch.bend * z * z + q)
 
 
 @entry
 def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any, out: Any) -> None:
-    """`out` (n, 4): of nodes (n, 3) the signed distance [m] to the average of patches, and the way outwards.
+    """Fills `out` (n, 4), of nodes (n, 3) the signed distance [m] to the average of patches, and the way outwards.
 
     Averaged are those `around` (m, k) the `nearest` (n,); 2 F / (1 + √(1 + 2 H F)) is the distance to a plane, cylinder
     and ball. Of the nearest first: the far side of a thin wall and the other face of an edge have no say.

@@ -168,7 +168,7 @@ def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
 
 @inner
 def _move(patch: Any, solution: Any, powers: Any) -> None:
-    """The frame to the surface that was fitted, z + H z²/2 = X solution, and the bends there."""
+    """Moves the frame to the surface that was fitted, z + H z²/2 = X solution, and the bends there."""
     n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
     height = solution[0]
     z = 2 * height / (1 + np.sqrt(max(1 + 2 * patch.bend * height, 0.25)))
@@ -192,7 +192,7 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
 
 @inner
 def _tensor(patch: Any, out: Any) -> None:
-    """The bends as a symmetric tensor along the object's axes: its diagonal, then xy, xz, yz."""
+    """Writes the bends as a symmetric tensor along the object's axes: its diagonal, then xy, xz, yz."""
     a, b = vector(patch.along[0]), vector(patch.along[1])
     for k in range(6):
         i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
@@ -219,7 +219,7 @@ def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
 
 @inner
 def _copy(patch: Any, other: Any) -> None:
-    """Everything but the count of windows."""
+    """Copies everything but the count of windows."""
     for i in range(3):
         other.point[i], other.normal[i], other.bends[i] = patch.point[i], patch.normal[i], patch.bends[i]
         other.along[0, i], other.along[1, i] = patch.along[0, i], patch.along[1, i]
@@ -231,7 +231,7 @@ def _copy(patch: Any, other: Any) -> None:
 
 @inner
 def _note(patch: Any, tensor: Any, row: Any) -> None:
-    """What later windows are compared with."""
+    """Notes what later windows are compared with."""
     C = patch.covariance
     for k in range(3):
         row[k], row[3 + k] = patch.point[k], patch.normal[k]

@@ -15,7 +15,7 @@ _LEAST = 200
 
 @inner
 def _solid_angle(a: Vec3, b: Vec3, c: Vec3) -> float:
-    """Of a triangle seen from the origin, signed (Oosterom, Strackee 1983)."""
+    """Returns the solid angle of a triangle seen from the origin, signed (Oosterom, Strackee 1983)."""
     la, lb, lc = norm(a), norm(b), norm(c)
     volume = dot(a, cross(b, c))
     return 2 * np.arctan2(volume, la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
@@ -23,7 +23,7 @@ def _solid_angle(a: Vec3, b: Vec3, c: Vec3) -> float:
 
 @inner
 def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
-    """Solid angles of the elements from first to last."""
+    """Returns the sum of solid angles of the elements from first to last."""
     centers, vectors, reach, corners = elements
     total = 0.0
     for t in range(first, last):
@@ -39,7 +39,7 @@ def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
 
 @entry
 def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
-    """`out` (n): winding numbers at the points (n, 3).
+    """Fills `out` (n) with winding numbers at the points (n, 3).
 
     `patches`: `starts` (p + 1), `middles` (p, 3), `vectors` (p, 3), `radii` (p); `elements`: `centers` (m, 3),
     `vectors` (m, 3), `reach` (m), `corners` (m, 3, 3) or of points (0, 3, 3).
@@ -58,7 +58,7 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
 
 
 def winding_at(points: Any, patches: Any, elements: Any) -> Any:
-    """As `winding` (n,), on several threads."""
+    """Returns what `winding` writes (n,), on several threads."""
     out = np.zeros(len(points))
     in_parts(lambda some, there: winding(some, patches, elements, there), (points, out), _LEAST)
     return out

@@ -60,7 +60,7 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
 def information(
     evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
 ) -> tuple[float, float]:
-    """χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
+    """Returns χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
 
     Both are without what the model's bumps lend; the terms' equations, and in `equations` the weight's and the prior's,
     are whole. The weight is touch.

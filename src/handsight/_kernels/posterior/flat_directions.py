@@ -124,7 +124,8 @@ def at_coordinates(mode: Pose, radius: float, six: Any) -> Pose:
 
 @inner
 def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
-    """As `at_coordinates`; outside points, looked at from the mode, are passed over where they are too far."""
+    """Returns what `at_coordinates` does; outside points, looked at from the mode, are passed over where they are too
+    far."""
     pose = at_coordinates(mode, evidence.model.radius, six)
     if len(evidence.outside):
         mark_far(evidence.outside, largest_move(evidence.model, pose, mode))
@@ -193,7 +194,7 @@ def build_lattice(flat: Any) -> float:
 
 @inner
 def coordinates_at(flat: Any, point: Any, out: Any) -> None:
-    """`out` (6): the coordinates of a place."""
+    """Fills `out` (6) with the coordinates of a place."""
     for i in range(6):
         value = 0.0
         for n in range(flat.count):

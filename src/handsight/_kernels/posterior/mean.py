@@ -121,7 +121,8 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: An
 
 @inner
 def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
-    """The answer's pose, covariance and information; those of a direction that is not known, blind, stay the mode's."""
+    """Writes the answer's pose, covariance and information; those of a direction that is not known, blind, stay the
+    mode's."""
     u, radius = local(UNCERTAINTY), model.radius
     for i in range(6):
         u.row[i] = sums.first[i] / sums.total
@@ -151,7 +152,7 @@ def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
 
 @inner
 def _coordinates(model: Any, pose: Pose, mode: Pose, out: Any) -> None:
-    """(s, radius θ) of a pose, or its nearest equivalent, from a mode."""
+    """Returns (s, radius θ) of a pose, or its nearest equivalent, from a mode."""
     R, p = nearest(model, pose, mode)
     E = matmul(R, transpose(mode[0]))
     six = tmul(E, sub(p, mode[1])) + scale(rotation_log(E), model.radius)

@@ -51,14 +51,14 @@ def _measured(Ts: Any, pivot: Vec3, T_mount_palm: Any) -> Pose:
 
 @inner
 def _store_difference(pose: Pose, reference: Pose, out: Any) -> None:
-    """`out` (6): the perturbation (δp, δθ) from the reference to a pose."""
+    """Fills `out` (6) with the perturbation (δp, δθ) from the reference to a pose."""
     store(sub(pose[1], reference[1]), out)
     store(rotation_log(matmul(pose[0], transpose(reference[0]))), out[3:])
 
 
 @inner
 def _move(T: Any, step: Any) -> None:
-    """A pose (4, 4) after the perturbation (δp, δθ) (6)."""
+    """Moves a pose (4, 4) after the perturbation (δp, δθ) (6)."""
     R, p = transform_of(T)
     turn = rotation_exp(vector(step[3:]))
     store_transform((matmul(turn, R), add(p, vector(step))), T)
@@ -66,7 +66,7 @@ def _move(T: Any, step: Any) -> None:
 
 @inner
 def linearize(Ts: Any, pivot: Vec3, one: Any, rows: Any) -> None:
-    """`rows` (6, 13) of a MEASUREMENT.
+    """Fills `rows` (6, 13) of a MEASUREMENT.
 
     With the palm in the mount R, the bias E, e: a shift of the object moves what is measured by E R, a turn turns it by
     as much; the bias shifts and turns it by itself, about the pivot, from which it is ℓ off: [I, -[ℓ]x; 0, I].
@@ -90,7 +90,7 @@ def linearize(Ts: Any, pivot: Vec3, one: Any, rows: Any) -> None:
 
 @inner
 def _whiten(factored: Any, rows: Any) -> None:
-    """`rows` (6, m) become L⁻¹ rows, of a covariance L Lᵀ that is `factored`."""
+    """Turns `rows` (6, m) into L⁻¹ rows, of a covariance L Lᵀ that is `factored`."""
     for i in range(6):
         for k in range(i):
             for j in range(rows.shape[1]):
@@ -123,7 +123,7 @@ def _take_in(rows: Any, mean: Any, covariance: Any) -> float:
 
 @entry
 def expect(Ts: Any, pivot: Any, T_mount_palm: Any, T: Any) -> None:
-    """`T` (4, 4): the pose that vision should measure, in the mount."""
+    """Fills `T` (4, 4) with the pose that vision should measure, in the mount."""
     store_transform(_measured(Ts, vector(pivot), T_mount_palm), T)
 
 
@@ -182,7 +182,7 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
 
 @inner
 def _copy(one: Any, out: Any) -> None:
-    """A measurement; field by field, for numba assigns no record whole."""
+    """Copies a measurement, field by field, for numba assigns no record whole."""
     for i in range(4):
         for j in range(4):
             out.T_mount_palm[i, j] = one.T_mount_palm[i, j]
@@ -195,7 +195,8 @@ def _copy(one: Any, out: Any) -> None:
 
 @inner
 def _age(one: Any, process_noise: Any, covariance: Any) -> None:
-    """`covariance` (6, 6) of a measurement, were it from when the object had walked by `process_noise` (6)."""
+    """Writes the `covariance` (6, 6) of a measurement, were it from when the object had walked by `process_noise`
+    (6)."""
     R = matrix(one.T_mount_palm)
     for i in range(6):
         for j in range(6):

@@ -16,7 +16,7 @@ NEGLIGIBLE = 1e-9
 
 @entry
 def inflate(information: Any, variance: Any) -> None:
-    """An information (6, 6), which may be singular, after process noise (6): (I⁻¹ + Q)⁻¹, an axis at a time.
+    """Inflates an information (6, 6), which may be singular, after process noise (6): (I⁻¹ + Q)⁻¹, an axis at a time.
 
     Of q along e that is I - q I e eᵀ I / (1 + q eᵀ I e) (Sherman and Morrison).
     """

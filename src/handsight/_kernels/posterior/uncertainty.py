@@ -181,7 +181,7 @@ def _keep_known(values: Any, vectors: Any, least: float) -> tuple[int, bool]:
 
 @inner
 def _sandwich(vectors: Any, known: int, middle: Any, turn: float, out: Any) -> None:
-    """`vectors @ middle @ vectorsᵀ`, turns scaled by `turn`."""
+    """Computes `vectors @ middle @ vectorsᵀ`, turns scaled by `turn`."""
     for i in range(6):
         for j in range(i + 1):
             value = 0.0
@@ -195,7 +195,7 @@ def _sandwich(vectors: Any, known: int, middle: Any, turn: float, out: Any) -> N
 
 @inner
 def _arc_covariance(C: Any, out: Any) -> None:
-    """`out` (3, 3): covariance of `δθ × s` for (s, δθ) Gaussian with covariance C (Isserlis)."""
+    """Fills `out` (3, 3) with the covariance of `δθ × s` for (s, δθ) Gaussian with covariance C (Isserlis)."""
     for k in range(3):
         i, j = 3 + (k + 1) % 3, 3 + (k + 2) % 3
         for n in range(3):
@@ -239,7 +239,7 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
 
 @inner
 def _orthonormalize(rows: Any, n: int) -> None:
-    """Row n, at right angles to those before it and of unit length."""
+    """Makes row n, at right angles to those before it and of unit length."""
     row = rows[n]
     for earlier in range(n):
         along = 0.0
@@ -256,7 +256,7 @@ def _orthonormalize(rows: Any, n: int) -> None:
 
 @inner
 def _at_center(matrix: Any, lever: Vec3, out: Any) -> None:
-    """`out` = FᵀMF for F = [1, [lever]x; 0, 1]."""
+    """Fills `out` = FᵀMF for F = [1, [lever]x; 0, 1]."""
     for i in range(6):
         row = (matrix[i, 0], matrix[i, 1], matrix[i, 2])
         turned = cross(row, lever)

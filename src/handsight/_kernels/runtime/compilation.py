@@ -59,7 +59,7 @@ def inner(function: F) -> F:
 
 
 def exact(function: F) -> F:
-    """As `inner`, every operation rounded as it stands: for code that counts on it."""
+    """Compiles as `inner` does, every operation rounded as it stands: for code that counts on it."""
     return numba.njit(error_model="numpy", fastmath=False)(function)
 
 
@@ -87,7 +87,7 @@ def folder() -> Path:
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
-    """Numba's question where to keep a function, answered."""
+    """A `_Locator` is numba's question where to keep a function, answered."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._line = function.__code__.co_firstlineno
@@ -114,7 +114,8 @@ class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Files:
-    """The files of one kernel, each the machine code for one signature and machine, named and sealed by what it is for.
+    """`_Files` are the files of one kernel, each the machine code for one signature and machine, named and sealed by
+    what it is for.
 
     Numba's own are numbered, with an index beside them. Processes that save at the same time mix them up, and of what
     is damaged LLVM does not raise: it ends the process.
@@ -137,7 +138,7 @@ class _Files:
 
 
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
-    """Numba's cache, where a folder that cannot be read or written costs a warning."""
+    """A `_Cache` is numba's cache, where a folder that cannot be read or written costs a warning."""
 
     _impl_class = _Impl
 
@@ -178,7 +179,7 @@ def _warn(error: OSError) -> None:
 
 
 def _forget_oldest() -> None:
-    """Other processes may do the same at the same time."""
+    """Removes what is oldest. Other processes may do the same at the same time."""
     with contextlib.suppress(OSError):
         ages = sorted((path.stat().st_mtime, path) for path in folder().parent.glob("kernels-*"))
         for _, path in ages[:-KEPT]:

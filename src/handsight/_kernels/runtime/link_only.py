@@ -12,7 +12,7 @@ from numba.core.compiler_machinery import register_pass
 
 
 class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code to be linked: neither optimised as a whole nor given to the machine."""
+    """A `_Library` is code to be linked: neither optimised as a whole nor given to the machine."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -23,7 +23,7 @@ class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
-    """Numba's last pass, into such a library."""
+    """`_Lowering` is numba's last pass, into such a library."""
 
     _name = "lowering_to_link"
 
@@ -32,7 +32,8 @@ class _Lowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
         return lowering.Lower
 
     def run_pass(self, state: Any) -> bool:
-        """As numba's, but for the library and for what stands for the function's machine code, which must be unique."""
+        """Runs as numba's, but for the library and for what stands for the function's machine code, which must be
+        unique."""
         context, function = state.targetctx, state.func_id
         state.library = _Library(context.codegen(), function.func_qualname)
         state.flags.no_compile = True
@@ -48,7 +49,7 @@ class _Lowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
 
 
 class Linked(compiler.CompilerBase):  # type: ignore[misc]
-    """Numba's passes with that one at their end."""
+    """`Linked` is numba's passes with that one at their end."""
 
     def define_pipelines(self) -> list[Any]:
         passes = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)

@@ -27,7 +27,8 @@ def warm(report: Report) -> None:
 
 
 def warm_tracker() -> None:
-    """What a tracker calls, so that its first answer is not late: loading takes half a second, compiling a minute."""
+    """Compiles what a tracker calls, so that its first answer is not late: loading takes half a second, compiling a
+    minute."""
     for run in (_corrections, _starts, sensing.warm, _hands, _time):
         run()
 

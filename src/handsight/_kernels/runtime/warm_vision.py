@@ -68,7 +68,7 @@ def warm(model: Any, nodes: Any) -> None:
 
 
 def _warm_hand(camera: Any, rays: Any, depth: Any) -> None:
-    """Each kernel of the seen hand, with one of three points."""
+    """Calls each kernel of the seen hand, with one of three points."""
     cells, corner = np.empty((8, 8, 4), dtype=np.float32), np.array([-0.5, -0.5, 0.125])
     palm_scan.cells_of(camera, rays, depth, corner, cells)
     hand, candidates = np.ones((2, 3, 3)), np.zeros(2, dtype=CANDIDATE)

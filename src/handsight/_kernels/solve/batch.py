@@ -97,13 +97,13 @@ def _store_answer(pose: Pose, answer: Any) -> None:
 
 @entry
 def width(model: Any, constraints: Any) -> float:
-    """As `prior_width`, of an object and a prior alone."""
+    """Returns what `prior_width` does, of an object and a prior alone."""
     return prior_width(model[0], constraints[0].prior)
 
 
 @entry
 def equivalent(model: Any, T: Any, T_reference: Any, out: Any) -> None:
-    """`out` (4, 4): the equivalent of a pose (4, 4) nearest to the reference (4, 4)."""
+    """Fills `out` (4, 4) with the equivalent of a pose (4, 4) nearest to the reference (4, 4)."""
     store_transform(nearest(model[0], transform_of(T), transform_of(T_reference)), out)
 
 
@@ -138,7 +138,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
 
 @entry
 def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any) -> None:
-    """As `correct_all`, the poses alone: nothing of what an answer says beside it."""
+    """Works as `correct_all`, the poses alone: nothing of what an answer says beside it."""
     prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
     for k in range(len(problems)):
         problem, answer = problems[k], problems[k].answer
@@ -212,7 +212,7 @@ def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: A
 
 @entry
 def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals: Any) -> None:
-    """Distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
+    """Writes distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
     for i in range(len(contacts)):
         residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, contacts[i], pose_of(descent[0].pose))
 

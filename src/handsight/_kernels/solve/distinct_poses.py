@@ -12,7 +12,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 @inner
 def _cosine(symmetries: Any, R: Any) -> float:
-    """Of the least angle that a rotation is by, spun about the continuous axes."""
+    """Returns the cosine of the least angle that a rotation is by, spun about the continuous axes."""
     axes = symmetries[1]
     if len(axes) > 1:
         return 1.0

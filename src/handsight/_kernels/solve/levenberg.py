@@ -47,7 +47,7 @@ def retract(pose: Pose, step: tuple[Vec3, Vec3], center: Vec3, radius: float) ->
 
 @inner
 def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
-    """Of a step: its largest component [m], and its square in standard deviations."""
+    """Returns of a step its largest component [m], and its square in standard deviations."""
     six = step[0] + step[1]
     longest, square = 0.0, 0.0
     for i in range(6):

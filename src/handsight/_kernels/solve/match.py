@@ -16,7 +16,7 @@ from handsight._kernels.solve.options import MATCH
 
 @inner
 def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
-    """Point and normal, in the object's frame, of the sample nearest to a contact in (point, w normal)."""
+    """Returns point and normal, in the object's frame, of the sample nearest to a contact in (point, w normal)."""
     R, p = pose
     x = scale(tmul(R, sub(vector(contact.point), p)), -2.0)
     n = scale(tmul(R, vector(contact.normal)), -2 * model.normal_weight2)

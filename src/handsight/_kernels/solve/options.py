@@ -6,7 +6,7 @@ import numpy as np
 
 
 class MatchOptions(NamedTuple):
-    """Phase 1: Gauss-Newton on nearest surface samples."""
+    """`MatchOptions` say how phase 1 works: Gauss-Newton on nearest surface samples."""
 
     max_steps: int = 8
     tolerance: float = 0.02
@@ -14,7 +14,8 @@ class MatchOptions(NamedTuple):
 
 
 class DescentOptions(NamedTuple):
-    """Phase 2: Levenberg-Marquardt, first on the coarse and then on the fine distance field."""
+    """`DescentOptions` say how phase 2 works: Levenberg-Marquardt, first on the coarse and then on the fine distance
+    field."""
 
     max_turn: float = 0.7
     """Longest turn of one step [rad]: beyond it the linearisation says nothing."""

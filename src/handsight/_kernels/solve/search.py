@@ -44,7 +44,8 @@ WORST = 1e300
 
 @inner
 def _root(prior: Any, R: Mat33, u: Any) -> None:
-    """`u.factor`, `u.row`: the Cholesky factor of a prior's correlation along the object's axes; its deviations."""
+    """Fills `u.factor` and `u.row` with the Cholesky factor of a prior's correlation along the object's axes; its
+    deviations."""
     for a in range(0, 6, 3):
         for b in range(0, 6, 3):
             turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))

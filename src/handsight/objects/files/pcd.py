@@ -120,7 +120,7 @@ def _binary(header: _Header) -> list[NDArray[np.generic]]:
 
 
 def _compressed(header: _Header) -> list[NDArray[np.generic]]:
-    """Field after field rather than point after point, behind both sizes."""
+    """Reads field after field rather than point after point, behind both sizes."""
     if len(header.body) < 8:
         raise BadText("expected two sizes before the compressed points")
     packed, size = (int(v) for v in np.frombuffer(header.body, dtype="<u4", count=2))

@@ -91,7 +91,7 @@ def ply_sigmas(data: bytes) -> Array | None:
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Order of bytes (empty: words), elements, and where the header ends."""
+    """Returns the order of bytes (empty: words), elements, and where the header ends."""
     order, elements = None, list[_Element]()
     at = len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0
     for k in range(_MOST_LINES):

@@ -157,7 +157,7 @@ def obj_shape(data: bytes) -> tuple[Array, Indices]:
 
 
 def _before_slash(words: list[str]) -> list[str]:
-    """Of corners as `vertex/texture/normal`, the first."""
+    """Returns, of corners as `vertex/texture/normal`, the first."""
     return [word.partition("/")[0] for word in words]
 
 

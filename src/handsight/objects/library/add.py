@@ -93,7 +93,7 @@ def revise(folder: Folder, number: int, facts: Facts) -> None:
 
 
 def _numbers(models: Path) -> list[int]:
-    """Of the models' files there, listed or not."""
+    """Returns the numbers of the models' files there, listed or not."""
     stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
     return [int(stem) for stem in stems if stem.isascii() and stem.isdecimal() and len(stem) < 10]
 

@@ -55,7 +55,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Record(Facts, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The same with what its model's file must be."""
+    """A `Record` is the same with what its model's file must be."""
 
     sha256: str
     bytes: int
@@ -68,7 +68,7 @@ class Record(Facts, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
 
 
 class Document(msgspec.Struct, forbid_unknown_fields=True):
-    """The file; keys of another version are that version's."""
+    """A `Document` is the file; keys of another version are that version's."""
 
     version: int
     objects: dict[str, Record]

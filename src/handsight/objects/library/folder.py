@@ -20,7 +20,7 @@ class Folder:
         return self.place if (self.place / INFO).exists() else self.place / "models"
 
     def documents(self) -> Documents:
-        """Both; raises NoLibrary where there is none, InvalidFile."""
+        """Returns both; raises NoLibrary where there is none, InvalidFile."""
         models = self.models
         if not (models / INFO).exists():
             message = f"expected a library, with models/{INFO}, got none; `handsight objects add` makes one"

@@ -23,7 +23,7 @@ class NoLibrary(InvalidFile):
 
 
 class Documents(NamedTuple):
-    """Both, as they lie there."""
+    """`Documents` are both, as they lie there."""
 
     info: bytes
     facts: bytes | None

@@ -30,7 +30,8 @@ OTHER_UNIT = 3.0
 
 
 def default_place() -> str:
-    """`$HANDSIGHT_LIBRARY`, else `$XDG_DATA_HOME/handsight/library`, else `~/.local/share/handsight/library`."""
+    """Returns `$HANDSIGHT_LIBRARY`, else `$XDG_DATA_HOME/handsight/library`, else
+    `~/.local/share/handsight/library`."""
     if named := os.environ.get("HANDSIGHT_LIBRARY"):
         return named
     base = os.environ.get("XDG_DATA_HOME", "")
@@ -40,7 +41,8 @@ def default_place() -> str:
 
 
 class Library:
-    """Objects by name, in a folder or at a URL; nothing is read before it is asked for, and then as it is there."""
+    """A `Library` is objects by name, in a folder or at a URL; nothing is read before it is asked for, and then as it
+    is there."""
 
     def __init__(self, place: str | os.PathLike[str] | None = None) -> None:
         """`place`: a folder or a URL; None: `default_place`. Raises InvalidInput for what is neither."""

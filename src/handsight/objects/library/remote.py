@@ -47,7 +47,7 @@ class Remote:
     url: str
 
     def documents(self) -> Documents:
-        """Both, as they were when they were fetched last; raises InvalidFile where there is no library."""
+        """Returns both, as they were when they were fetched last; raises InvalidFile where there is no library."""
         copy = self._copy()
         return Documents(copy.info, copy.facts)
 

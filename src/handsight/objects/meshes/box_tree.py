@@ -19,7 +19,7 @@ MOST_PATCHES = 4000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxTree:
-    """Things in an order in which neighbours follow each other, cut into leaves."""
+    """A `BoxTree` is things in an order in which neighbours follow each other, cut into leaves."""
 
     order: Indices
     """(n,) index of each thing."""
@@ -42,7 +42,7 @@ class BoxTree:
 
 
 def box_tree(centers: Array, most: int = LEAF) -> BoxTree:
-    """Things at `centers` (n, 3) halved again and again until no leaf has more than `most`."""
+    """Returns things at `centers` (n, 3) halved again and again until no leaf has more than `most`."""
     n = len(centers)
     order = np.arange(n)
     starts = np.array([0, n])
@@ -62,7 +62,7 @@ def box_tree(centers: Array, most: int = LEAF) -> BoxTree:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosestPoints:
-    """The points of a mesh closest to n points."""
+    """`ClosestPoints` are the points of a mesh closest to n points."""
 
     distance: Array
     """(n,) [m], not signed."""
@@ -75,7 +75,7 @@ class ClosestPoints:
 
 
 class ClosestPointSearch:
-    """Finds the closest points of a mesh, exactly, by a tree of boxes around its triangles."""
+    """A `ClosestPointSearch` finds the closest points of a mesh, exactly, by a tree of boxes around its triangles."""
 
     def __init__(self, mesh: Triangles, tree: BoxTree | None = None) -> None:
         """Of a mesh with at least one triangle; `tree` over it, where it is known already."""
@@ -152,7 +152,7 @@ class Winding:
         return cls(mesh.corners.mean(axis=1), mesh.doubled_normals / 2, mesh.corners, tree)
 
     def at(self, points: Array) -> Array:
-        """Winding numbers (n,) at the points (n, 3) [m]."""
+        """Returns winding numbers (n,) at the points (n, 3) [m]."""
         from handsight._kernels.mesh.winding import winding_at  # numba's import is long
 
         return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))

@@ -131,7 +131,7 @@ def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ByWinding:
-    """Inside is where the surface winds around a point more than half a time.
+    """`ByWinding` tells sides so: inside is where the surface winds around a point more than half a time.
 
     Two neighbouring nodes whose distances add up to more than the step between them have no surface between
     them, so they share a sign: one winding number for each connected set is enough. Near holes, where
@@ -177,7 +177,8 @@ class ByWinding:
 
 
 class ByNormal:
-    """Behind an open surface is where its normal at the nearest point looks away; nothing is behind a rim."""
+    """`ByNormal` tells sides so: behind an open surface is where its normal at the nearest point looks away; nothing
+    is behind a rim."""
 
     def __init__(self, mesh: Triangles, rim: Mask) -> None:
         """`rim` (e,): which of the mesh's edges are its rim."""

@@ -55,7 +55,7 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
 
 
 def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[Array, Indices]:
-    """Only vertices that triangles use; those must be finite."""
+    """Returns only vertices that triangles use; those must be finite."""
     used, which = np.unique(triangles, return_inverse=True)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():

@@ -44,7 +44,7 @@ def enough_neighbours(sigma: float, spacing: float, least: int = NORMALS.neighbo
 
 
 def estimated_normals(points: Array, tree: cKDTree) -> Array:
-    """Unit outward normals (n, 3) of surface points (n, 3) [m]: of the plane through each one's neighbours."""
+    """Returns unit outward normals (n, 3) of surface points (n, 3) [m]: of the plane through each one's neighbours."""
     return outwards(
         points, _through(points[tree.query(points, k=min(NORMALS.neighbours, len(points)))[1]]), tree
     )

@@ -117,7 +117,7 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
 
 
 def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None) -> Patches:
-    """Patches about the first of the points, one for each of the normals (m, 3); in so many windows."""
+    """Returns patches about the first of the points, one for each of the normals (m, 3); in so many windows."""
     patches = started(points.places[: len(normals)], normals)
     shared = min(noise.together, PATCH_FIT.max_widened)
     least = max(

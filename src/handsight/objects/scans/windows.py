@@ -31,7 +31,7 @@ WINDOWS = WindowOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Noisy points of a surface in a random order, with their normals or none yet."""
+    """`Points` are noisy points of a surface in a random order, with their normals or none yet."""
 
     places: Array
     """(n, 3) [m]."""
@@ -67,7 +67,7 @@ def started(places: Array, normals: Array) -> Patches:
 
 
 def spacing_of(places: Array, least: float = 0.0) -> float:
-    """About how far points (n, 3) in a random order are apart [m] along their surface.
+    """Returns about how far points (n, 3) in a random order are apart [m] along their surface.
 
     Of as few of them as are `least` [m] apart: closer than their noise is thick they do not tell.
     """
@@ -85,7 +85,7 @@ def spacing_of(places: Array, least: float = 0.0) -> float:
 
 
 def widths(least: float, most: float, ratio: float) -> Array:
-    """Radii of windows [m], from the least to the most."""
+    """Returns radii of windows [m], from the least to the most."""
     count = int(np.log(max(most / least, 1.0)) / np.log(ratio)) + 1
     return np.asarray(least * ratio ** np.arange(max(count - WINDOWS.max_windows, 0), count))
 
@@ -103,7 +103,8 @@ def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> A
 
 
 def _in_cells(points: Points, level: NDArray[np.void], patches: Patches) -> tuple[Array, Indices]:
-    """As many of the points as a window needs, (n, 6) with their normals, in the order of cells as wide as it."""
+    """Returns as many of the points as a window needs, (n, 6) with their normals, in the order of cells as wide as
+    it."""
     window = float(level["window"][0])
     share = WINDOWS.thinned / (np.pi * (window / points.spacing) ** 2)
     count = max(int(min(share, 1.0) * len(points.places)), min(len(points.places), WINDOWS.thinned))

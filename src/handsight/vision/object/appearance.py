@@ -55,7 +55,7 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
 
 def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Of points and normals (2, m, 3) the pairs by cells, as `votes.vote` takes them; kept on disk."""
+    """Returns of points and normals (2, m, 3) the pairs by cells, as `votes.vote` takes them; kept on disk."""
     count = voters.shape[1]
 
     def table() -> NDArray[np.int32]:

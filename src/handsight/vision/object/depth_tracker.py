@@ -215,7 +215,7 @@ class DepthTracker:
         return None if self._misfit(belief, refined) else (belief, refined)
 
     def _likeliest(self, Ts: Array) -> Array:
-        """Of poses that an image supports about alike, the one turned least from where the object was."""
+        """Returns, of poses that an image supports about alike, the one turned least from where the object was."""
         if self._belief is None:
             return np.asarray(Ts[0])
         turns = se3.rotation_log(Ts[:, :3, :3] @ self._belief.T_camera_object[:3, :3].T)

@@ -48,7 +48,8 @@ class HandAppearance:
 
     @classmethod
     def of(cls, hand: Hand) -> "HandAppearance":
-        """Of the links that move with the palm or hang on it; raises InvalidInput where its file has no shapes."""
+        """Returns the appearance of the links that move with the palm or hang on it; raises InvalidInput where its
+        file has no shapes."""
         shape = hand.shape()
         if not len(shape.faces):
             raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
@@ -178,7 +179,7 @@ def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
 
 
 def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
-    """Vertices, their links and faces, with those vertices of a link made one that share a cell."""
+    """Returns vertices, their links and faces, with those vertices of a link made one that share a cell."""
     cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
     _, where = np.unique(cells, axis=0, return_inverse=True)
     where = where.reshape(-1)

@@ -12,7 +12,7 @@ from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, det
 
 
 class HandInImage:
-    """The hand of a rig, by its shapes; nothing is known of a hand whose file has none."""
+    """A `HandInImage` is the hand of a rig, by its shapes; nothing is known of a hand whose file has none."""
 
     def __init__(self, rig: Rig) -> None:
         self._shape, self._sigma_joint = rig.hand.shape(), rig.sigma_joint_offset
@@ -37,7 +37,8 @@ class HandInImage:
         T_camera_palm: Array,
         sigmas: tuple[float, float],
     ) -> PalmDetection | PalmNotFound | None:
-        """As `detect_palm`, with sigmas of the believed pose [m, rad]; None where nothing is known of the hand."""
+        """Works as `detect_palm`, with sigmas of the believed pose [m, rad]; None where nothing is known of the
+        hand."""
         hand = self.placed(joint_positions)
         if hand is None:
             return None
@@ -59,7 +60,8 @@ class HandInImage:
         T_camera_palm: Array,
         sigmas: tuple[float, float],
     ) -> PalmDetection | PalmNotFound | None:
-        """As `detected`, from where the last picture has had the palm: searched only where it does not fit there."""
+        """Works as `detected`, from where the last picture has had the palm: searched only where it does not fit
+        there."""
         hand = self.placed(joint_positions)
         found = None if hand is None else follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise)
         return found or self.detected(camera, depth, joint_positions, T_camera_palm, sigmas)

@@ -63,7 +63,7 @@ Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PalmNotFound:
-    """No pose, and why; falsy."""
+    """A `PalmNotFound` is no pose, and why; falsy."""
 
     reason: Reason
     """outside: of the picture, wherever the belief may be off to; hardly_seen: too few pixels are the hand's, most of
@@ -75,7 +75,7 @@ class PalmNotFound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PalmDetection:
-    """The palm's pose at one instant, as a picture shows it."""
+    """A `PalmDetection` is the palm's pose at one instant, as a picture shows it."""
 
     T_camera_palm: Array
     """(4, 4)"""
@@ -134,7 +134,8 @@ def follow_palm(
     *,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> PalmDetection | PalmNotFound:
-    """As `detect_palm`, near where the last picture has had the palm; nothing is searched, so that it takes a few ms.
+    """Works as `detect_palm`, near where the last picture has had the palm; nothing is searched, so that it takes a
+    few ms.
 
     T_camera_palm: off by about 10 mm and 3° per axis. Where too little of what should be seen is so: `no_fit`.
     """

@@ -55,7 +55,7 @@ class Picture:
 
 
 def picture_of(camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigma: float) -> Picture | None:
-    """None where the hand cannot be in the image."""
+    """Returns the image, None where the hand cannot be in the image."""
     middle, reach = se3.apply(T, hand.middle[None])[0], PALM_SEARCH.max_sigmas * sigma + hand.radius
     nearest = max(middle[2] - reach, 0.1)
     if not middle[2] > -reach:
@@ -82,7 +82,7 @@ class Belief:
     """Of the hand's middle and of a turn, per axis [m, rad]."""
 
     def chi2(self, middles: Array, rotations: Array) -> Array:
-        """Of middles (..., 3) [m] and rotations (..., 3, 3) of the hand in the camera."""
+        """Returns χ² of middles (..., 3) [m] and rotations (..., 3, 3) of the hand in the camera."""
         off = middles - se3.apply(self.T, self.hand.middle[None])[0]
         turned = se3.rotation_log(rotations @ self.T[:3, :3].T)
         return np.asarray(
@@ -91,7 +91,8 @@ class Belief:
 
 
 def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
-    """LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around them."""
+    """Returns LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around
+    them."""
     hand, rows = belief.hand, np.flatnonzero(there)
     air = hand.beside(picture.camera, belief.T, PALM_SEARCH.scanned)
     turns, shifts = (
@@ -126,7 +127,7 @@ def _tried(
     steps: tuple[Array, Array],
     fine: tuple[float, int],
 ) -> NDArray[np.void]:
-    """LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points as of `_scanned`."""
+    """Returns LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points as of `_scanned`."""
     hand = belief.hand
     rotations = steps[0] @ T[:3, :3]
     middles = se3.apply(T, hand.middle[None])[0] + steps[1]

@@ -166,7 +166,7 @@ class _Judge:
         )
 
     def mirrors(self, surface: SurfacePoints, table: bool) -> list[Array]:
-        """Mirrors (4, 4) that fit, the best first."""
+        """Returns mirrors (4, 4) that fit, the best first."""
         if table:
             angle = np.linspace(0, np.pi, COMPLETION.mirror_directions // 4, endpoint=False)
             sides = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
@@ -210,7 +210,7 @@ def _mirror(plane: Array) -> Array:
 
 
 def _revolution(surface: SurfacePoints) -> Array:
-    """(TURNS - 1, 4, 4) turns about the line that the surface's normals come nearest to meeting.
+    """Returns (TURNS - 1, 4, 4) turns about the line that the surface's normals come nearest to meeting.
 
     A line of direction d and moment m meets that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
     """

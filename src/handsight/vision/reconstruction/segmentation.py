@@ -37,7 +37,7 @@ IN_HAND_BOUNDS = SEGMENTATION.max_extent / 2 * np.array([[-1.0, -1, -1], [1, 1, 
 
 
 def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
-    """T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle.
+    """Returns T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle.
 
     Its frame: z up from the table, the origin on it. None where no table is seen, or nothing on it.
     """

@@ -17,7 +17,7 @@ LEAST_VIEWS = 2
 
 
 class SurfacePoints(NamedTuple):
-    """Points of a surface, about a cell apart."""
+    """`SurfacePoints` are points of a surface, about a cell apart."""
 
     points: Array
     """(n, 3) [m]."""
@@ -26,7 +26,7 @@ class SurfacePoints(NamedTuple):
 
 
 class Volume:
-    """Distances to a surface on a grid in the object's frame, as far as depth images have told them."""
+    """A `Volume` is distances to a surface on a grid in the object's frame, as far as depth images have told them."""
 
     def __init__(self, bounds_object: Array, cell: float) -> None:
         """`bounds_object` (2, 3): the least and the largest coordinates of what it holds [m]; `cell` [m]."""
