@@ -1,4 +1,7 @@
-"""What a terminal shows of a value: a few lines, and nothing of what kernels take."""
+"""What a terminal shows of handsight: values in a few lines, signatures and names that can be read."""
+
+import pydoc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,3 +55,20 @@ def test_a_pose_is_shown_by_position_and_angle_and_a_default_is_left_out():
     assert repr(hs.PoseMeasurement(T)) == (
         "PoseMeasurement(T_frame_object=<[0.01 -0.02 0.3] m, turned 90°>, frame='camera')"
     )
+
+
+@pytest.mark.parametrize(
+    "function", [hs.correct_pose, hs.contact_from_wrench, hs.Contacts, hs.PosePrior.from_sigmas]
+)
+def test_help_shows_array_like_and_nothing_of_what_numpy_means_by_it(function):
+    shown = pydoc.plain(pydoc.render_doc(function)).splitlines()
+    assert "ArrayLike" in "".join(shown[:12])
+    assert "_NestedSequence" not in "".join(shown)
+
+
+def test_names_are_listed_and_each_is_in_the_manual_s_table():
+    page = (Path(__file__).parents[1] / "docs/api.md").read_text(encoding="utf-8").split("```")[0]
+    assert dir(hs) == sorted(dir(hs))
+    for name in dir(hs):
+        assert getattr(hs, name) is not None
+        assert f"`{name}`" in page or f"`hs.{name}`" in page or name == "__version__"

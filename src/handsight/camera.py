@@ -1,5 +1,7 @@
 """A camera: the ray of each pixel, and the pixel on which a point falls."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -74,7 +76,7 @@ class Camera:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, camera: ImageSource | None) -> "Camera":
+    def of(cls, camera: ImageSource | None) -> Camera:
         """Returns the camera of a rig's images; raises InvalidInput where the rig has none, or no intrinsics of it."""
         if camera is None or camera.intrinsics is None or camera.size is None:
             came = "no camera" if camera is None else "one without"

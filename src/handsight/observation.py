@@ -3,6 +3,8 @@
 A measurement that was not taken is None, or has no entry in its mapping; no number stands for it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal

@@ -10,6 +10,8 @@ tip at rest reads its weight, along gravity. MuJoCo and some drivers give the re
 on the tip (`reading="on_tip"`): then both weight terms change sign.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -1,5 +1,7 @@
 """The contacts of one grasp in the palm frame, as pose correction takes them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -77,7 +79,7 @@ class Contacts:
     @classmethod
     def from_tips(
         cls, contacts: Sequence[Contact], *, sigma_point: ArrayLike = 1e-3, sigma_normal: ArrayLike = 0.1
-    ) -> "Contacts":
+    ) -> Contacts:
         """Returns contacts that fingertips sensed, already `moved` into the palm frame.
 
         The sigmas (one standard deviation per axis, a number or (n,)) are of errors beside the force sensor's noise:
@@ -96,7 +98,7 @@ class Contacts:
         return cls(points, normals, covariance=sensed + rest.covariance)
 
     @classmethod
-    def trusted(cls, points_palm: Array, normals_palm: Array, covariance: Array) -> "Contacts":
+    def trusted(cls, points_palm: Array, normals_palm: Array, covariance: Array) -> Contacts:
         """Returns contacts of arrays that are not checked, for loops at control rate.
 
         The arrays must be float64 and finite, the normals unit, the covariances positive semidefinite and zero along
@@ -108,7 +110,7 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.points_palm)
 
-    def moved(self, T_new_palm: ArrayLike) -> "Contacts":
+    def moved(self, T_new_palm: ArrayLike) -> Contacts:
         """Returns the same contacts in another frame; `T_new_palm` (4, 4) maps palm coordinates to the new ones."""
         T = se3.check(T_new_palm, "T_new_palm")
         R = T[:3, :3]
@@ -116,13 +118,13 @@ class Contacts:
         points, normals = se3.apply(T, self.points_palm), self.normals_palm @ R.T
         return _unchecked(points, normals, self.has_normal, covariance, self.of_residual)
 
-    def joined(self, other: "Contacts") -> "Contacts":
+    def joined(self, other: Contacts) -> Contacts:
         """Returns these contacts followed by the other ones."""
         return _unchecked(
             *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS.values())
         )
 
-    def select(self, mask_or_indices: ArrayLike) -> "Contacts":
+    def select(self, mask_or_indices: ArrayLike) -> Contacts:
         """Returns the contacts of a mask (n,) bool, or of indices, which may reorder and repeat; at least one."""
         chosen, n = np.asarray(mask_or_indices), len(self)
         if chosen.dtype == np.bool_ and chosen.shape == (n,):

@@ -3,6 +3,8 @@
 Arguments are checked here. `handsight._kernels.touch.sensing` computes; `sensing_steps` beside it derives the formulas.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
 from functools import cache, lru_cache
 

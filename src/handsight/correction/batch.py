@@ -1,5 +1,7 @@
 """Many problems of one object in one call."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,5 +1,7 @@
 """The public door of correction: one function for every method."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -4,6 +4,8 @@ Covariances and informations are 6 x 6, for the perturbation (δp [m], δθ [rad
 object's origin (`handsight.se3.moved`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -47,7 +49,7 @@ class PosePrior:
         self.covariance.setflags(write=False)
 
     @classmethod
-    def trusted(cls, T_palm_object: Array, covariance: Array) -> "PosePrior":
+    def trusted(cls, T_palm_object: Array, covariance: Array) -> PosePrior:
         """Returns a prior of arrays that are known to be a pose and a covariance: checking takes longer than
         correcting."""
         prior = object.__new__(cls)
@@ -57,9 +59,7 @@ class PosePrior:
         return prior
 
     @classmethod
-    def from_sigmas(
-        cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float
-    ) -> "PosePrior":
+    def from_sigmas(cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float) -> PosePrior:
         """Returns the prior with one standard deviation per axis of position [m] and of rotation [rad]."""
         position = checks.sigma(sigma_position, "sigma_position")
         rotation = checks.sigma(sigma_rotation, "sigma_rotation")
@@ -148,7 +148,7 @@ class PoseEstimate:
     was not given."""
 
     @classmethod
-    def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> "PoseEstimate":
+    def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> PoseEstimate:
         """Returns the estimate of a pose that is known without touch: one mode, no residuals."""
         answer = np.zeros(1, dtype=ANSWER)[0]
         answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
@@ -158,7 +158,7 @@ class PoseEstimate:
         answer["unobservable"][: len(unobservable)] = unobservable
         return cls(answer, (answer,), np.empty((0, 2)), True)
 
-    def inflated(self, variance: Array) -> "PoseEstimate":
+    def inflated(self, variance: Array) -> PoseEstimate:
         """Returns the estimate where the pose may be off by `variance` (6,) more, along the palm's axes [m², rad²]."""
         if not variance.any():
             return self
@@ -172,7 +172,7 @@ class PoseEstimate:
         covariance: Array | None,
         information: Array,
         residuals: Array | None = None,
-    ) -> "PoseEstimate":
+    ) -> PoseEstimate:
         """Returns the same estimate with another pose, covariance and information; other modes stay. `residuals` (n,
         2)."""
         answer = self.answer.copy()

@@ -1,5 +1,7 @@
 """What cannot be inside the object, checked, as kernels take it: points of the hand, and planes such as a table."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,9 +91,7 @@ class Outside:
             object.__setattr__(self, "skin", checks.finite(self.skin, "outside.skin", (6,)))
 
     @classmethod
-    def of_skin(
-        cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None
-    ) -> "Outside":
+    def of_skin(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> Outside:
         """Returns what an array's untouched taxels say; beside it, `touch.contacts` are what the pressed ones do.
 
         `T_palm_frame` (4, 4): where its link is. `by_error` (6, j): how that moves [m] and turns [rad] in the palm for
@@ -105,7 +105,7 @@ class Outside:
             variance = variance + (np.asarray(by_error) ** 2).sum(axis=1)
         return cls(points, sigmas=SIGMA_CLEARANCE, skin=np.sqrt(variance))
 
-    def joined(self, other: "Outside") -> "Outside":
+    def joined(self, other: Outside) -> Outside:
         """Returns what both say; each must have sigmas of its own."""
         parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
 
@@ -131,7 +131,7 @@ class Outside:
     @classmethod
     def trusted(
         cls, points_palm: Array, sigmas: Array, links: Indices, slacks: Array | None = None
-    ) -> "Outside":
+    ) -> Outside:
         """Returns points of links, (m,) for each what is said of them, that are clean already: not checked, and
         kept."""
         outside = object.__new__(cls)

@@ -1,5 +1,7 @@
 """The object's weight as evidence of its pose: where its centre of mass is, in the object and in the palm."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -49,7 +51,7 @@ class WeightEvidence:
             raise InvalidInput("weight.covariance: expected a positive definite one, got a singular one")
         object.__setattr__(self, "covariance", covariance)
 
-    def added_to(self, constraints: "Records") -> "Records":
+    def added_to(self, constraints: Records) -> Records:
         """Returns a copy of CONSTRAINTS (1,) with this evidence in it."""
         record = constraints.copy()
         weight = record[0]["weight"]
@@ -57,7 +59,7 @@ class WeightEvidence:
         weight["center_palm"], weight["information"] = self.center_palm, np.linalg.inv(self.covariance)
         return record
 
-    def of(self, model: ObjectModel) -> "WeightEvidence":
+    def of(self, model: ObjectModel) -> WeightEvidence:
         """Returns the same of an object whose symmetries leave the centre of mass in place; raises InvalidInput where
         they do not."""
         center = kept_center(model.symmetries, self.center_object)

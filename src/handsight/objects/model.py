@@ -1,5 +1,7 @@
 """An object's surface, in its own frame: samples, two distance fields, symmetries."""
 
+from __future__ import annotations
+
 import dataclasses
 import os
 import warnings
@@ -123,7 +125,7 @@ class ObjectModel(Geometry):
         return cls._from(geometry, file.stem, symmetries or Symmetries())
 
     @classmethod
-    def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> "ObjectModel":
+    def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> ObjectModel:
         """Returns the object so called in a library, a folder or a URL, with the symmetries that are declared there.
 
         None: the library that `$HANDSIGHT_LIBRARY` names, else the user's own. Raises InvalidInput for a name that is
@@ -153,7 +155,7 @@ class ObjectModel(Geometry):
         return (self.fine if fine else self.coarse).evaluate(points)
 
     @cached_property
-    def record(self) -> "ModelRecord":
+    def record(self) -> ModelRecord:
         """The same as kernels take it."""
         from handsight.objects.record import model_record  # numba's import is long
 

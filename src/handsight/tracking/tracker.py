@@ -1,5 +1,7 @@
 """The door of tracking: observations are checked, their clock is watched, and the state of the track is kept."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 

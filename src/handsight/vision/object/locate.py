@@ -1,5 +1,7 @@
 """Where an object is in one depth image: the region, the table and the hand, then the pose."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Which of several objects a depth image shows."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 
