@@ -250,3 +250,12 @@ def test_one_quaternion_is_that_of_a_stack():
     stacked = se3.quaternion_from_rotation(R)
     for one, expected in zip(R, stacked, strict=True):
         np.testing.assert_allclose(se3.quaternion_from_rotation(one), expected, atol=1e-15)
+
+
+def test_a_point_s_jacobian_is_how_it_moves_with_its_body():
+    rng = np.random.default_rng(3)
+    arm, small = rng.normal(size=3), 1e-6 * rng.normal(size=6)
+    moved = small[:3] + se3.rotation_exp(small[3:]) @ arm - arm
+    J = se3.point_jacobian(arm)
+    np.testing.assert_allclose(J @ small, [*moved, *small[3:]], atol=1e-11)
+    np.testing.assert_allclose(se3.point_jacobian(-arm) @ J, np.eye(6), atol=1e-12)

@@ -37,13 +37,9 @@ class GaussianPose:
         return GaussianPose(T_c_a @ self.T_a_b, se3.rotate_covariance(T_c_a[:3, :3], self.covariance))
 
     def at_point(self, point_b: Array) -> "GaussianPose":
-        """Returns the pose of a frame with b's axes whose origin is a point (3,) of b [m].
-
-        With R the rotation, the point is off by `δp - [R point]ₓ δθ`: the turn acts over the lever arm.
-        """
+        """Returns the pose of a frame with b's axes whose origin is a point (3,) of b [m]."""
         arm = self.T_a_b[:3, :3] @ point_b
-        J = np.eye(6)
-        J[:3, 3:] = -se3.skew(arm)
+        J = se3.point_jacobian(arm)
         return GaussianPose(
             se3.compose(self.T_a_b[:3, :3], self.T_a_b[:3, 3] + arm), J @ self.covariance @ J.T
         )

@@ -110,6 +110,16 @@ def skew(v: Array) -> Array:
     return np.asarray((v @ _SKEW).reshape(*v.shape, 3))
 
 
+def point_jacobian(arm: Array) -> Array:
+    """Returns the derivative (6, 6) of (δp, δθ) at a point of a body by that of its origin, `arm` (3,) from there.
+
+    The point moves by δp - [arm]ₓ δθ: the turn acts over the lever arm. Its first three rows are of the point alone.
+    """
+    J = np.eye(6)
+    J[:3, 3:] = -skew(arm)
+    return J
+
+
 def rotation_exp(w: Array) -> Array:
     """Returns the rotations (..., 3, 3) about the vectors `w` (..., 3) by their length [rad] (Rodrigues)."""
     half = 0.5 * np.sqrt(np.maximum((w * w).sum(axis=-1), _TINY))[..., None, None]

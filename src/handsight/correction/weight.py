@@ -75,7 +75,7 @@ class WeightEvidence:
         """
         T, C = estimate.T_palm_object, estimate.bounded_covariance
         arm = T[:3, :3] @ self.center_object
-        J = np.hstack([np.eye(3), -se3.skew(arm)])
+        J = se3.point_jacobian(arm)[:3]
         root = np.linalg.cholesky(self.covariance)
         off = np.linalg.solve(root, T[:3, 3] + arm - self.center_palm)
         whitened = np.linalg.solve(root, J)

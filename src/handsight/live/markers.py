@@ -70,7 +70,7 @@ class Markers:
         T, covariance = estimate.T_palm_object, estimate.bounded_covariance
         # Of the object's middle, wherever its origin is.
         lever = T[:3, :3] @ model.center_object
-        J = np.hstack([np.eye(3), -se3.skew(lever)])
+        J = se3.point_jacobian(lever)[:3]
         values, axes = np.linalg.eigh(J @ covariance @ J.T)
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         at = se3.compose(axes, T[:3, 3] + lever)

@@ -41,8 +41,7 @@ class HandView:
         `PoseAndBias.T_measured_true` has it, and its covariance (6, 6)."""
         E = self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm)
         R, arm = E[:3, :3], E[:3, :3] @ (pivot - self.T_mount_palm[:3, 3])
-        to_pivot = np.eye(6)
-        to_pivot[:3, 3:] = -se3.skew(arm)
+        to_pivot = se3.point_jacobian(arm)
         shift = E[:3, 3] + R @ pivot - pivot
         return se3.compose(R, shift), to_pivot @ self.covariance @ to_pivot.T
 

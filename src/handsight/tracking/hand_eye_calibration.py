@@ -128,6 +128,5 @@ class HandViews:
 
 def _at(detection: PalmDetection, arm: Array, R_mount_camera: Array) -> Array:
     """Returns (6, 6) a seen hand's covariance at its middle, `arm` from the palm's origin, along the mount's axes."""
-    to_middle = np.eye(6)
-    to_middle[:3, 3:] = -se3.skew(arm)
+    to_middle = se3.point_jacobian(arm)
     return se3.rotate_covariance(R_mount_camera, to_middle @ detection.covariance @ to_middle.T)

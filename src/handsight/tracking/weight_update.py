@@ -152,4 +152,4 @@ class WeightUpdate:
 
 def _by_pose(found: Weighing, T_palm_object: Array) -> Array:
     """Returns (3, 6) how far the object's point at the centre of mass moves by (δp, δθ)."""
-    return np.hstack([np.eye(3), -se3.skew(found.center_palm - T_palm_object[:3, 3])])
+    return se3.point_jacobian(found.center_palm - T_palm_object[:3, 3])[:3]

@@ -257,8 +257,7 @@ class DepthTracker:
     def _refined(self, frame: _Frame, predicted: _Belief) -> RefinedPose:
         """Returns what an image says near where the object is expected."""
         T = predicted.T_camera_object
-        J = np.eye(6)
-        J[:3, 3:] = -se3.skew(T[:3, :3] @ self._middle)
+        J = se3.point_jacobian(T[:3, :3] @ self._middle)
         known = np.asarray(np.linalg.inv(J @ predicted.covariance @ J.T))
         return self._refiner.at(T, known, frame.depth, frame.hand, frame.table)
 
@@ -271,8 +270,7 @@ class DepthTracker:
 
     def _about_origin(self, T: Array, variances: Array) -> Array:
         """Returns the covariance (6, 6) at the object's origin of variances (6,) at its centre."""
-        J = np.eye(6)
-        J[:3, 3:] = se3.skew(T[:3, :3] @ self._middle)
+        J = se3.point_jacobian(-T[:3, :3] @ self._middle)
         return (J * variances) @ J.T
 
     def _center(self, T: Array) -> Array:

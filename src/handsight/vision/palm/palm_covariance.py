@@ -56,9 +56,7 @@ def palm_covariance(
         tied = information + (weight.sum() + 1e-9) * 1e-9 * np.eye(6)
         leans = np.linalg.solve(tied, np.einsum("m,mi,mk->ik", weight, lines, by_joints))
         about += hand.sigma_joint**2 * leans @ leans.T
-    to_palm = np.eye(6)
-    to_palm[:3, 3:] = se3.skew(arm)
-    to_palm = to_palm / scale
+    to_palm = se3.point_jacobian(-arm) / scale
     covariance = to_palm @ about @ to_palm.T
     return np.asarray((covariance + covariance.T) / 2)
 
