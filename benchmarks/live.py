@@ -23,11 +23,12 @@ from rosbags import rosbag1
 from handsight.cli.simulate import BEGINS
 from handsight.messages.decode import typestore
 from handsight.messages.topics import rig_topics
+from handsight.objects import ObjectSpec
 from handsight.observation import Observation
 from handsight.recording import RecordingWriter
 from handsight.recording.mcap import McapSource
 from handsight.recording.rosbag1 import Rosbag1Source
-from handsight.rig import ObjectEntry, Rig
+from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of, simulate
 from tests.ros.ros1 import Graph, graph, messages_of
@@ -57,7 +58,7 @@ def held(seconds: float) -> Iterator[Observation]:
 def recording(folder: Path, seconds: float, *, sights: bool) -> tuple[Path, Path]:
     """A bag and its rig."""
     rig = rig_of(Scenario())
-    rig = replace(rig, objects={"can": ObjectEntry(cylinder=(0.033, 0.122))})
+    rig = replace(rig, objects={"can": ObjectSpec(cylinder=(0.033, 0.122))})
     path, rig_path = folder / f"{sights}.mcap", folder / "rig.yaml"
     write_rig(rig, rig_path)
     with RecordingWriter(path, rig) as writer:

@@ -6,7 +6,7 @@ import pytest
 
 FORMER = {
     "handsight": ["PinholeCamera"],
-    "handsight.rig": ["Camera"],
+    "handsight.rig": ["Camera", "ObjectEntry"],
     "handsight.blind": ["Area", "Belief", "Sweep", "Touch", "best_sweep", "candidates", "cast", "resting"],
     "handsight.dynamics": [
         "Carried",

@@ -7,7 +7,8 @@ import numpy as np
 from handsight import se3
 from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
 from handsight.hand import Hand
-from handsight.rig import Finger, MountedCamera, ObjectEntry, Rig, Table, Topics
+from handsight.objects import ObjectSpec
+from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.rig.save import text
 
 URDF = """<robot name="pinch">
@@ -112,10 +113,10 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             )
         },
         objects={
-            "a box": ObjectEntry(box=(a, b, c)),
-            "tin": ObjectEntry(cylinder=(a, b)),
-            "bottle": ObjectEntry(name="mustard"),
-            "mug": ObjectEntry(mesh=(Path(folder) / "mug.stl").absolute(), scale=c),
+            "a box": ObjectSpec(box=(a, b, c)),
+            "tin": ObjectSpec(cylinder=(a, b)),
+            "bottle": ObjectSpec(name="mustard"),
+            "mug": ObjectSpec(mesh=(Path(folder) / "mug.stl").absolute(), scale=c),
         },
     )
 

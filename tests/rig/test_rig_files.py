@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.hand import Hand
-from handsight.rig import Finger, MountedCamera, ObjectEntry, Rig, Table, Topics
+from handsight.objects import ObjectSpec
+from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.rig.save import text, write
 from rig.rigs import TIPS, URDF, full, hand, rig_text
 
-VALUES = (Rig, Finger, MountedCamera, Table, Topics, ObjectEntry, TaxelArray, WrenchCalibration)
+VALUES = (Rig, Finger, MountedCamera, Table, Topics, ObjectSpec, TaxelArray, WrenchCalibration)
 
 
 def leaves(value, path=""):

@@ -30,7 +30,7 @@ from handsight.correction import (
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import explain, field_name
-from handsight.objects import ObjectModel
+from handsight.objects import ObjectModel, ObjectSpec
 
 MODELS_KEPT = 32
 
@@ -155,26 +155,23 @@ class Reader:
             raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {present or 'none'}")
         if fields.scale is not None and fields.mesh is None:
             raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {present[0]}")
+        given: dict[str, Any] = {"name": fields.name}
         if fields.mesh is not None:
             scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
-            try:
-                return ObjectModel.from_file(self.folder / fields.mesh, scale=scale)
-            except HandsightError as error:
-                raise InvalidInput(f"object.mesh: {error}") from None
-        if fields.name is not None:
-            try:
-                return ObjectModel.from_library(fields.name)
-            except HandsightError as error:
-                raise InvalidInput(f"object.name: {str(error).removeprefix('name: ')}") from None
-        if fields.cylinder is not None:
-            return ObjectModel.cylinder(
-                checks.positive(fields.cylinder.radius, "object.cylinder.radius"),
-                checks.positive(fields.cylinder.height, "object.cylinder.height"),
-            )
-        sides = checks.finite(fields.box, "object.box", (3,))
-        if not (sides > 0).all():
-            raise InvalidInput(f"object.box: expected 3 numbers above 0, got {checks.brief(fields.box)}")
-        return ObjectModel.box(sides)
+            given = {"mesh": self.folder / fields.mesh, "scale": scale}
+        elif fields.cylinder is not None:
+            size = ("radius", "height")
+            cylinder = (checks.positive(getattr(fields.cylinder, of), f"object.cylinder.{of}") for of in size)
+            given = {"cylinder": tuple(cylinder)}
+        elif fields.box is not None:
+            sides = checks.finite(fields.box, "object.box", (3,))
+            if not (sides > 0).all():
+                raise InvalidInput(f"object.box: expected 3 numbers above 0, got {checks.brief(fields.box)}")
+            given = {"box": tuple(sides)}
+        try:
+            return ObjectSpec(**given).model()
+        except HandsightError as error:
+            raise InvalidInput(f"object.{present[0]}: {str(error).removeprefix('name: ')}") from None
 
 
 def answer(problem: Problem) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from handsight.cli.terminal import say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.objects import ObjectModel
+    from handsight.objects import ObjectModel, ObjectSpec
     from handsight.recording import Recording
-    from handsight.rig import ObjectEntry, Rig
+    from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
 MOST_WITHOUT_INFO = 1000
@@ -154,7 +154,7 @@ def by_name(models: "Iterable[ObjectModel]") -> "dict[str, ObjectModel]":
 def object_named(
     name: str,
     *,
-    objects: "Mapping[str, ObjectEntry] | None" = None,
+    objects: "Mapping[str, ObjectSpec] | None" = None,
     of: str = "",
     library: str | None = None,
     scale: float = 1.0,

@@ -12,8 +12,9 @@ from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
+    from handsight.objects import ObjectSpec
     from handsight.recording.write import McapFile
-    from handsight.rig import ObjectEntry, Rig
+    from handsight.rig import Rig
     from handsight.simulation import Grasp, Nuisances, Sample, Scenario
 
 BEGINS = 1000.0
@@ -187,11 +188,11 @@ def _found(scenario: "Scenario", path: Path) -> "Grasp":
     return found.grasp
 
 
-def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectEntry":
+def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object in the size that the robot takes it to have."""
-    from handsight.rig import ObjectEntry
+    from handsight.objects import ObjectSpec
 
-    entry = rig.objects.get(scenario.object) or ObjectEntry(mesh=Path(scenario.object))
+    entry = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
     k = scenario.nuisances.object_scale
     if scenario.nuisances.object_off_center:
         entry = dataclasses.replace(entry, center_of_mass=None, sigma_center_of_mass=None)  # it is not known

@@ -3,6 +3,7 @@
 from handsight.objects.fields import Field, FieldValues
 from handsight.objects.library import Facts, Library
 from handsight.objects.model import ObjectModel
+from handsight.objects.spec import ObjectSpec
 from handsight.objects.surface import ObjectWarning
 from handsight.objects.symmetry import Symmetries
 from handsight.objects.symmetry_search import propose_symmetries
@@ -13,6 +14,7 @@ __all__ = [
     "FieldValues",
     "Library",
     "ObjectModel",
+    "ObjectSpec",
     "ObjectWarning",
     "Symmetries",
     "propose_symmetries",

@@ -21,7 +21,8 @@ from handsight.contact.fingertips import LARGEST
 from handsight.contact.taxels import TaxelArray
 from handsight.errors import HandsightError
 from handsight.msgspec_errors import alternatives
-from handsight.rig.rig import DepthCamera, Finger, MountedCamera, ObjectEntry
+from handsight.objects import ObjectSpec
+from handsight.rig.rig import DepthCamera, Finger, MountedCamera
 
 VERSION = 1
 Values = dict[str, Any]
@@ -360,14 +361,14 @@ class ObjectForm(Form):
         if self.scale is not None and self.mesh is None:
             raise ValueError(f"scale: expected beside mesh only, got it beside {found[0]}")
 
-    def entry(self, folder: Path) -> ObjectEntry:
+    def entry(self, folder: Path) -> ObjectSpec:
         """Returns the part of the rig; the path of a mesh begins at the folder."""
         given = self.given()
         if self.cylinder is not None:
             given["cylinder"] = (self.cylinder.radius, self.cylinder.height)
         if self.mesh is not None:
             given["mesh"] = folder / self.mesh
-        return ObjectEntry(**given)
+        return ObjectSpec(**given)
 
 
 class RigForm(Section):

@@ -19,7 +19,7 @@ from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
 from handsight.msgspec_errors import field_name
-from handsight.objects import ObjectModel
+from handsight.objects import ObjectSpec
 from handsight.representation import short_repr
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
@@ -147,49 +147,6 @@ class Topics:
     """PoseStamped of the true pose in the palm, which is only compared with."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObjectEntry:
-    """An `ObjectEntry` is an object that the rig knows by name: one of box, cylinder, mesh, name."""
-
-    box: tuple[float, float, float] | None = None
-    """Sides [m]."""
-    cylinder: tuple[float, float] | None = None
-    """Radius and height [m]."""
-    mesh: Path | None = None
-    """File of a mesh."""
-    scale: float = 1.0
-    """Metres of a unit of the mesh."""
-    name: str | None = None
-    """Name in the library that `ObjectModel.from_library` opens."""
-    mass: float | None = None
-    """Mass [kg]; beside a name it replaces the library's."""
-    center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
-    """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
-    sigma_center_of_mass: float | None = None
-    """Standard deviation of the centre of mass per axis [m]."""
-
-    def model(self) -> ObjectModel:
-        """Returns the object's surface with what is known of its weight; raises a HandsightError."""
-        if self.box is not None:
-            model = ObjectModel.box(self.box)
-        elif self.cylinder is not None:
-            model = ObjectModel.cylinder(*self.cylinder)
-        elif self.name is not None:
-            model = ObjectModel.from_library(self.name)
-        elif self.mesh is not None:
-            model = ObjectModel.from_file(self.mesh, scale=self.scale)
-        else:
-            raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
-        if self.mass is None and self.center_of_mass is None:
-            return model
-        center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass
-        sigma = self.sigma_center_of_mass
-        if center is None:
-            center, sigma = model.center_of_mass, model.sigma_center_of_mass
-        mass = model.mass if self.mass is None else self.mass
-        return model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Rig:
     """A `Rig` is a robot hand with its sensors, and the camera that observes it."""
@@ -214,7 +171,7 @@ class Rig:
     )
     """Names of world, palm and camera in the frame_id of messages."""
     topics: Topics = field(default_factory=Topics)
-    objects: Mapping[str, ObjectEntry] = field(default_factory=dict)
+    objects: Mapping[str, ObjectSpec] = field(default_factory=dict)
     """Objects by name."""
     skin: Mapping[str, TaxelArray] = field(default_factory=dict)
     """Tactile arrays on links, by name."""

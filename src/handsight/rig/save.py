@@ -12,9 +12,10 @@ from handsight.checks import Array
 from handsight.contact import Sphere
 from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
+from handsight.objects import ObjectSpec
 from handsight.rig import form
 from handsight.rig.form import Form, Section, Values, keys
-from handsight.rig.rig import Finger, MountedCamera, ObjectEntry, Rig
+from handsight.rig.rig import Finger, MountedCamera, Rig
 
 
 def write(rig: Rig, path: Path) -> None:
@@ -103,7 +104,7 @@ def _camera(camera: MountedCamera) -> Values:
     return values
 
 
-def _object(entry: ObjectEntry) -> Values:
+def _object(entry: ObjectSpec) -> Values:
     """Returns the values of the first of box, cylinder, name and mesh that the entry has, and of its weight."""
     values = _values(form.ObjectForm, entry)
     if entry.cylinder is not None:

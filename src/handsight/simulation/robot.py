@@ -9,8 +9,8 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, WrenchCalibration
 from handsight.hand import Hand
-from handsight.objects import ObjectModel
-from handsight.rig import Finger, MountedCamera, ObjectEntry, Rig, Table, Topics
+from handsight.objects import ObjectModel, ObjectSpec
+from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.simulation.camera import BELIEVED_CAMERA, INTRINSICS
 from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import (
@@ -78,8 +78,8 @@ def rig_of(scenario: Scenario) -> Rig:
         ),
         skin={"palm": PALM_SKIN} if scenario.skin else {},
         objects={
-            "can": ObjectEntry(cylinder=CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
-            "box": ObjectEntry(box=BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
+            "can": ObjectSpec(cylinder=CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
+            "box": ObjectSpec(box=BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
         },
     )
 

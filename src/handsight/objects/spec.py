@@ -1,0 +1,52 @@
+"""What an object is, as a rig file or a problem says it in a few words."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from handsight.errors import InvalidInput
+from handsight.objects.model import ObjectModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectSpec:
+    """An `ObjectSpec` says what an object is, as files do: one of box, cylinder, mesh, name, and what is known of its
+    weight."""
+
+    box: tuple[float, float, float] | None = None
+    """Sides [m]."""
+    cylinder: tuple[float, float] | None = None
+    """Radius and height [m]."""
+    mesh: Path | None = None
+    """File of a mesh."""
+    scale: float = 1.0
+    """Metres of a unit of the mesh."""
+    name: str | None = None
+    """Name in the library that `ObjectModel.from_library` opens."""
+    mass: float | None = None
+    """Mass [kg]; beside a name it replaces the library's."""
+    center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
+    """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
+    sigma_center_of_mass: float | None = None
+    """Standard deviation of the centre of mass per axis [m]."""
+
+    def model(self) -> ObjectModel:
+        """Returns the object's surface with what is known of its weight; raises a HandsightError."""
+        if self.box is not None:
+            model = ObjectModel.box(self.box)
+        elif self.cylinder is not None:
+            model = ObjectModel.cylinder(*self.cylinder)
+        elif self.name is not None:
+            model = ObjectModel.from_library(self.name)
+        elif self.mesh is not None:
+            model = ObjectModel.from_file(self.mesh, scale=self.scale)
+        else:
+            raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
+        if self.mass is None and self.center_of_mass is None:
+            return model
+        center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass
+        sigma = self.sigma_center_of_mass
+        if center is None:
+            center, sigma = model.center_of_mass, model.sigma_center_of_mass
+        mass = model.mass if self.mass is None else self.mass
+        return model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
