@@ -1,17 +1,18 @@
 """Distance fields: how far a point is from the surface, with two derivatives, and the grids they are sampled on.
 
 Points, gradients and Hessians are in the object's frame. Distances are metres, negative inside. A field is data alone;
-what it is worth at a point is computed by `handsight._kernels.mesh.field`.
+its value at a point is computed by `handsight._kernels.mesh.field`.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight._kernels import records
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 
@@ -26,6 +27,9 @@ class FieldOptions(NamedTuple):
     fine_margin: int = 8  # fine cells around the object
     max_fine_nodes: int = 4_000_000  # of the fine field
     band: int = 4  # fine nodes within this many cells of the surface carry exact distances
+    max_curvature: int = 72
+    """At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
+    parallel: int = 16_384  # points that are enough for another thread
 
 
 FIELDS = FieldOptions()
@@ -50,16 +54,27 @@ class Field:
     """
 
     def evaluate(self, points_object: Array) -> FieldValues:
-        """Returns distance and derivatives at the points (n, 3) [m]; nothing is checked, this is the hot path."""
-        from handsight.objects.record import evaluate  # numba's import is long
+        """Returns distance, gradient and Hessian at points (n, 3) [m], on all cores; nothing is checked."""
+        from handsight._kernels.mesh import field as kernel  # numba's import is long
+        from handsight._kernels.runtime.threads import in_parts
 
-        return evaluate(*self._record, points_object)
+        points = np.require(points_object, np.float64, ["C", "W"])
+        values = np.empty((len(points), 13))
+        record, nodes = self.record
+        in_parts(partial(kernel.evaluate, nodes, record), (points, values), FIELDS.parallel)
+        return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
+
+    def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
+        """Fills in a FIELD record, and returns the nodes of a grid, which begin at `first_node` among the object's."""
+        raise NotImplementedError
 
     @cached_property
-    def _record(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
-        from handsight.objects.record import field_record  # as above
-
-        return field_record(self)
+    def record(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
+        """The FIELD record (1,) of this field on its own, and its nodes."""
+        record = np.zeros(1, dtype=records.FIELD)
+        return record, np.array(
+            self.fill(record[0], 0)
+        )  # a copy, for kernels take nodes that can be written to
 
     def __reduce__(self) -> tuple[type["Field"], tuple[Any, ...]]:
         """For pickle: rebuilt from what it was made of."""
@@ -105,6 +120,13 @@ class GridField(Field):
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
 
+    def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
+        """Fills in a FIELD record; see `Field.fill`."""
+        row["kind"], row["blur"] = records.SHEET if self.sheet else records.GRID, self.blur
+        row["origin"], row["nodes"] = self.origin, first_node
+        row["cell"], row["inverse_cell"], row["shape"] = self.cell, 1 / self.cell, self.values.shape
+        return self.values.reshape(-1)
+
 
 @dataclass(frozen=True, eq=False)
 class ExactField(Field):
@@ -113,6 +135,13 @@ class ExactField(Field):
     shape: Literal["box", "cylinder", "sphere"]
     sizes: Array
     """(3,) [m]: half the sides; or radius, half the height and 0; or radius, 0 and 0. As long as half the diameter."""
+
+    def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
+        """Fills in a FIELD record; see `Field.fill`."""
+        kinds = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
+        row["kind"], row["origin"] = kinds[self.shape], self.sizes
+        row["least_radius"] = 2 * np.linalg.norm(self.sizes) / FIELDS.max_curvature
+        return np.empty(0, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

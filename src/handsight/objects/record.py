@@ -1,16 +1,11 @@
 """An object as the record and the grid nodes that kernels take (`handsight._kernels.records`)."""
 
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels import records
-from handsight._kernels.mesh import field as kernel
-from handsight._kernels.runtime.threads import in_parts
-from handsight.checks import Array
-from handsight.objects.fields import ExactField, Field, FieldValues, GridField
 from handsight.objects.symmetry import Symmetries
 
 if TYPE_CHECKING:
@@ -18,8 +13,6 @@ if TYPE_CHECKING:
 
 Record = NDArray[np.void]
 Nodes = NDArray[np.float32]
-
-EXACT = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
 
 
 class RecordOptions(NamedTuple):
@@ -32,9 +25,6 @@ class RecordOptions(NamedTuple):
     band: float = 1.6  # of the samples' spacing: the tangential distance that costs nothing
     tangential: float = 0.32  # the standard deviation of what is beyond it, of the samples' spacing
     patch: float = 0.02  # how far a patch is off its sample's plane, of the samples' spacing
-    max_curvature: int = 72
-    """At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
-    parallel: int = 16_384  # points that are enough for another thread
 
 
 RECORD = RecordOptions()
@@ -60,11 +50,10 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     """Returns the record of an object."""
     record = np.zeros(1, dtype=records.MODEL)
     row, spacing = record[0], model.sample_spacing
-    nodes = [_nodes(model.coarse), _nodes(model.fine)]
-    _fill_field(row["coarse"], model.coarse, 0)
+    coarse = model.coarse.fill(row["coarse"], 0)
+    nodes = [coarse, model.fine.fill(row["fine"], len(coarse))]
     row["coarse"]["variance_distance"] = (COARSE_ERROR[0] * model.coarse.cell) ** 2
     row["coarse"]["variance_normal"] = COARSE_ERROR[1] ** 2
-    _fill_field(row["fine"], model.fine, len(nodes[0]))
     row["radius"], row["center"] = model.radius, model.center_object
     row["bounds"] = model.bounds_object + RECORD.facet_margin * model.diameter * np.array([[-1.0], [1.0]])
     row["edge_curvature2"] = 1 / (RECORD.edge * model.coarse.cell) ** 2
@@ -85,36 +74,6 @@ def model_record(model: "ObjectModel") -> ModelRecord:
     row["scan"][1:4], row["scan"][4:] = model.points_object.T, model.normals_object.T
     known = row["symmetry"]["kind"] != records.OTHER_SYMMETRY
     return ModelRecord(record, np.concatenate(nodes), bool(known))
-
-
-def field_record(field: Field) -> tuple[Record, Nodes]:
-    """Returns the FIELD record (1,) of a field on its own, and its nodes."""
-    record = np.zeros(1, dtype=records.FIELD)
-    _fill_field(record[0], field, 0)
-    return record, np.array(_nodes(field))
-
-
-def evaluate(field: Record, nodes: Nodes, points_object: Array) -> FieldValues:
-    """Returns distance, gradient and Hessian of a field, its record (1,), at points (n, 3) [m], on all cores."""
-    points = np.require(points_object, np.float64, ["C", "W"])
-    values = np.empty((len(points), 13))
-    in_parts(partial(kernel.evaluate, nodes, field), (points, values), RECORD.parallel)
-    return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
-
-
-def _nodes(field: Field) -> Nodes:
-    return field.values.reshape(-1) if isinstance(field, GridField) else np.empty(0, dtype=np.float32)
-
-
-def _fill_field(row: np.void, field: Field, nodes: int) -> None:
-    """Fills in a FIELD record; the nodes of a grid begin at `nodes`."""
-    if isinstance(field, GridField):
-        row["kind"], row["blur"] = records.SHEET if field.sheet else records.GRID, field.blur
-        row["origin"], row["nodes"] = field.origin, nodes
-        row["cell"], row["inverse_cell"], row["shape"] = field.cell, 1 / field.cell, field.values.shape
-    elif isinstance(field, ExactField):
-        row["kind"], row["origin"] = EXACT[field.shape], field.sizes
-        row["least_radius"] = 2 * np.linalg.norm(field.sizes) / RECORD.max_curvature
 
 
 def _fill_symmetry(row: np.void, symmetries: Symmetries) -> None:

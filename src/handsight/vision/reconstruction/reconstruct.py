@@ -14,7 +14,6 @@ from handsight._kernels.image.vision_records import CANDIDATE
 from handsight._kernels.records import MODEL
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.objects.record import field_record
 from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.reconstruction.volume import Volume
 
@@ -125,7 +124,7 @@ class _Surface:
         self._volumes = {False: coarse, True: fine}
         self._known = {scale: binary_erosion(volume.observed()) for scale, volume in self._volumes.items()}
         self._fine = fine.field()
-        fields = [field_record(field) for field in (coarse.field(), self._fine)]
+        fields = [field.record for field in (coarse.field(), self._fine)]
         self._model, self._nodes = np.zeros(1, dtype=MODEL), np.concatenate([nodes for _, nodes in fields])
         self._model["coarse"], self._model["fine"] = (record for record, _ in fields)
         self._model["fine"]["nodes"] = len(fields[0][1])
