@@ -23,7 +23,7 @@ NO_POSE = "no pose yet: neither a start nor vision"
 NO_CONTACTS, NO_MARGINS = FingertipContacts((), None, {}), LinkMargins()
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TrackState:
     """A `TrackState` is what is known of one object in one hand after some observations; see `Follower.step`, which
     makes the next one.
