@@ -22,7 +22,7 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """A `History` is the instants of the last second, in order of their stamps."""
+    """A `History` is the instants of the last second, and some before them, in order of their stamps."""
 
     instants: tuple[Instant, ...] = ()
 
@@ -31,16 +31,20 @@ class History:
         kept = self.instants
         if kept and kept[-1].stamp >= instant.stamp:
             kept = kept[: bisect_left(kept, instant.stamp, key=_stamp)]
-        first = bisect_left(kept, instant.stamp - DURATION, key=_stamp)
-        return History((*kept[max(first, len(kept) + 1 - MAX_INSTANTS) :], instant))
+        if len(kept) >= MAX_INSTANTS or (kept and kept[0].stamp < instant.stamp - 1.25 * DURATION):
+            # Now and then, for finding where they begin takes longer than adding one.
+            first = bisect_left(kept, instant.stamp - DURATION, key=_stamp)
+            kept = kept[max(first, len(kept) + 1 - MAX_INSTANTS) :]
+        return History((*kept, instant))
 
     def at(self, stamp: float | None) -> Instant | None:
         """Returns the instant nearest to a stamp, the last one for None; None where the stamp is older than all."""
         if stamp is None or not self.instants:
             return self.instants[-1] if self.instants else None
-        if stamp < self.instants[0].stamp - DURATION / 10:
+        first = bisect_left(self.instants, self.instants[-1].stamp - DURATION, key=_stamp)
+        if stamp < self.instants[first].stamp - DURATION / 10:
             return None
-        return min(self.instants, key=lambda instant: abs(instant.stamp - stamp))
+        return min(self.instants[first:], key=lambda instant: abs(instant.stamp - stamp))
 
 
 def _stamp(instant: Instant) -> float:
