@@ -18,7 +18,7 @@ from handsight.checks import Array
 from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
-from handsight.messages import taxels
+from handsight.messages.touch import taxel_fields
 from handsight.messages.decode import rosbags_module, typestore
 from handsight.messages.topics import ARRAY, CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
 from handsight.observation import ContactMeasurement, Observation
@@ -106,7 +106,7 @@ class RecordingWriter(McapFile):
         for finger, contact in observation.contacts.items():
             self._write_contact(stamp, finger, contact)
         for array, reading in observation.skin.items():  # it has no stamp: it is timed by when it is logged
-            fields = taxels.fields(reading, self._rig.skin.get(array), array)
+            fields = taxel_fields(reading, self._rig.skin.get(array), array)
             self.append(_topic(topics.skin.get(array), f"skin.{array}"), ARRAY, stamp, **fields)
         if observation.T_world_palm is not None:
             palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
