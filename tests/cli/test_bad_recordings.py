@@ -50,16 +50,13 @@ def test_an_unknown_finger_is_named(grasp, tmp_path):
     assert {finger for step in ended.steps for finger in step.fingers} == {"ff", "mf", "rf", "lf"}
 
 
-def test_depth_in_the_wrong_unit_is_told(grasp, tmp_path, monkeypatch):
+def test_depth_in_the_wrong_unit_is_told(grasp, tmp_path):
     rig, _ = grasp
     topics = dataclasses.replace(rig.topics, depth="/camera/depth")
     rig = dataclasses.replace(rig, topics=topics)
-    depth = np.full((6, 8), 9.0, dtype=np.float32)  # is written as 9 000 mm
-    with monkeypatch.context() as patch:
-        patch.setattr("handsight.recording.write._millimetres", lambda metres: metres.astype("<u2"))
-        path = recorded(
-            tmp_path / "a.mcap", (dataclasses.replace(s, depth=depth) for s in observations(grasp)), rig
-        )
+    depth = np.full((6, 8), 0.009, dtype=np.float32)  # is written as 9 mm, as 9 m would be in metres
+    seen = (dataclasses.replace(s, depth=depth) for s in observations(grasp))
+    path = recorded(tmp_path / "a.mcap", seen, rig)
     said = r"^/camera/depth: 39 of 39 messages left out: expected depth in millimetres \(16UC1\), got a median of 9 \(another unit\?\)$"
     ended = assert_tracked(path, rig, tmp_path / "out", said)
     assert ended.tally.answered == 39

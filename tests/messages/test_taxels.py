@@ -9,8 +9,8 @@ import pytest
 from handsight.contact import TaxelArray
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.decode import typestore
-from handsight.messages.taxels import fields
 from handsight.messages.topics import ARRAY, IMAGE
+from handsight.messages.touch import taxel_fields
 from handsight.recording.write import header
 from messages.ros import START, Messages, raw, rig
 
@@ -47,7 +47,7 @@ def heard(message):
 
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_an_array_is_in_the_observation_at_the_time_it_was_logged(encoding):
-    observations, topic = heard(said(fields(READING, TAXELS, "palm"), encoding=encoding))
+    observations, topic = heard(said(taxel_fields(READING, TAXELS, "palm"), encoding=encoding))
     np.testing.assert_array_equal(observations[0].skin["palm"], READING)
     assert (topic.used, topic.unstamped) == (1, True)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from handsight import se3
-from handsight.messages.units import Units
+from handsight.messages.report import Units
 from handsight.observation import Observation, PoseMeasurement
 from messages.ros import JOINTS, rig
 

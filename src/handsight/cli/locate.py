@@ -20,8 +20,7 @@ from handsight.files import check_not_overwritten
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
-    from handsight.recording.frames import Frames
-    from handsight.recording.rgbd import Beside
+    from handsight.recording.frames import Beside, Frames
     from handsight.vision import DepthNoise
 
 
@@ -121,7 +120,7 @@ def locate(
     likelier. A picture that cannot be read is answered `{"error": ...}`; the exit
     code is then 1; it is 2 where nothing can be read, 74 where answers cannot be written. Ctrl-C keeps what was found.
     """
-    from handsight.recording.rgbd import Beside
+    from handsight.recording.frames import Beside
 
     announce_compiling()
     beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)

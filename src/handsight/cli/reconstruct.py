@@ -110,7 +110,7 @@ class Run:
 
         from handsight import se3
         from handsight.camera import Camera
-        from handsight.recording.object_views import in_hand_views, views_of
+        from handsight.recording.robot_images import in_hand_views, views_of
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
         from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
 

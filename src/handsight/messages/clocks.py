@@ -1,4 +1,4 @@
-"""When things were measured: one clock for all topics, and one order."""
+"""The stamps of measurements: one clock for all topics, and one order."""
 
 import heapq
 import itertools
@@ -34,8 +34,7 @@ FAR_AHEAD = "stamp far ahead of those before and after"
 
 
 class Clocks:
-    """`Clocks` know, by topic, what brings its stamps to the clock of the joint states; the differences are in the
-    reports."""
+    """A `Clocks` brings the stamps of all topics to the clock of the joint states; differences are in the reports."""
 
     def __init__(self) -> None:
         self._known = set[str]()
@@ -49,9 +48,9 @@ class Clocks:
         """Of the differences of offset that were left as they are [s]."""
 
     def put(self, measurement: Measurement) -> Iterable[Measurement]:
-        """Returns those whose clock is known with this one, their stamps in the clock of the joint states.
+        """Returns the measurements whose clock is known now, their stamps in the clock of the joint states.
 
-        None before the first second of joint states is over, as far as memory reaches; then each at once.
+        There are none before the first second of joint states is over, as far as memory reaches; then each at once.
         """
         if self._waiting is None:
             return (self._aligned(measurement),)
@@ -61,8 +60,7 @@ class Clocks:
         is_joints = measurement.topic.role == "joints"
         if self._first_joints is None and is_joints:
             self._first_joints = measurement
-        first = self._first_joints
-        if first is None:
+        if (first := self._first_joints) is None:
             if full:
                 oldest = self._waiting.popleft()
                 self._waiting_bytes -= oldest.size
@@ -73,12 +71,11 @@ class Clocks:
         return self.finish() if full or over else ()
 
     def restart(self) -> None:
-        """Starts anew: the joint states' clock was set back: what begins from now on is compared with those from now
-        on."""
+        """Forgets the joint states' offset: their clock was set back, and topics that begin later have the new one."""
         self._joint_offsets.clear()
 
     def finish(self) -> list[Measurement]:
-        """Returns those that wait, as `put`: nothing more comes in the first second."""
+        """Returns the measurements that wait, as `put` does: nothing more comes in the first second."""
         waiting, self._waiting = self._waiting or (), None
         topics = {each.topic.name: each.topic for each in waiting}
         for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
@@ -87,8 +84,8 @@ class Clocks:
 
     def _aligned(self, measurement: Measurement) -> Measurement:
         topic = measurement.topic
-        # What begins later is compared with the joint states of its own time: a simulator's clock may drift, and that
-        # of a recording that is played stands still while it pauses.
+        # A topic that begins later is compared with the joint states of its own time: a simulator's clock may drift,
+        # and that of a recording that is played stands still while it pauses.
         paused, is_joints = measurement.log_time - self._joints_at > CLOCKS.comparison, topic.role == "joints"
         if paused and is_joints:
             self._joint_offsets.clear()
@@ -104,7 +101,7 @@ class Clocks:
         return measurement
 
     def _learn(self, first: list[Measurement]) -> None:
-        """Learns difference and shift of a topic from the first of it."""
+        """Sets a topic's difference of clock, and whether it is shifted, by its first messages."""
         topic = first[0].topic
         topic.unstamped = all(each.stamp == 0 for each in first)
         offset = 0.0 if topic.unstamped else median(each.log_time - each.stamp for each in first)
@@ -121,10 +118,9 @@ class Clocks:
 
 
 class ReorderBuffer:
-    """A `ReorderBuffer` puts measurements on one clock, in order of stamp, through a window that the joint states
-    move on.
+    """A `ReorderBuffer` puts measurements on one clock and in order of stamp, in a window that joint states move on.
 
-    Where the joint states go back for good, all that waits is let go, and the order begins anew.
+    Where the joint states go back for good, it releases all that waits, and the order begins anew.
     """
 
     complete = -float("inf")
@@ -136,65 +132,61 @@ class ReorderBuffer:
         self._bytes, self._count = 0, itertools.count()
         self._newest, self._released = -float("inf"), -float("inf")
         self._jumped: Measurement | None = None
-        self._back: list[Measurement] = []  # since joint states went back, as long as that is not confirmed
+        """Joint states far ahead, until the next ones confirm or refute them."""
+        self._back: list[Measurement] = []
+        """What came since joint states went back, until it is confirmed that their clock did."""
         self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
 
     def put(self, measurement: Measurement) -> list[Measurement]:
-        """Returns those that are in order with this one, without the late and the duplicated; some have waited till
-        now."""
-        found = list[Measurement]()
-        for aligned in self._clocks.put(measurement):
-            found += self._insert(aligned)
-        return found
+        """Returns the measurements that are in order now, without the late and the duplicated; some have waited."""
+        return [each for aligned in self._clocks.put(measurement) for each in self._insert(aligned)]
 
     def ready(self) -> list[Measurement]:
-        """Returns those that are in order by now, without another."""
+        """Returns the measurements that are in order by now, without another message."""
         return self._pop(self._edge())
 
     def finish(self) -> list[Measurement]:
-        """Returns those that wait: no more come, or none for long."""
-        found = list[Measurement]()
-        for aligned in self._clocks.finish():
-            found += self._insert(aligned)
-        for each in self._not_back() if self._jumped is None else (*self._not_back(), self._jumped):
+        """Returns the measurements that wait: no more come, or none for long."""
+        found = [each for aligned in self._clocks.finish() for each in self._insert(aligned)]
+        waiting = self._back if self._jumped is None else [*self._back, self._jumped]
+        self._back, self._jumped = [], None
+        for each in waiting:
             self._push(each)
-        self._jumped = None
         return found + self._pop(float("inf"))
 
     def _insert(self, measurement: Measurement) -> list[Measurement]:
-        """Returns those that are in order with this one, which is in the clock of the joint states."""
+        """Returns the measurements that are in order with this one, which is in the clock of the joint states."""
         is_joints, found = measurement.topic.role == "joints", list[Measurement]()
+        in_order, rejected = [measurement], None
         if measurement.stamp < self._newest - CLOCKS.max_jump and (is_joints or self._back):
             self._back.append(measurement)
-            if sum(each.topic.role == "joints" for each in self._back) < CLOCKS.confirming:
-                return found
-            found = self._restart()
+            joints = [each for each in self._back if each.topic.role == "joints"]
+            if len(joints) < CLOCKS.confirming:
+                return []
+            # The clock was set back: all that waits is released, and the order begins with what is back.
+            count, far, first = self._report.backwards or (0, 0.0, self._newest)
+            self._report.backwards = count + 1, max(far, self._newest - joints[0].stamp), first
+            rejected, self._jumped = self._jumped, None
+            found = self._pop(float("inf"))
+            self._forget()
+            self._newest = max(each.stamp for each in joints)
+            in_order, self._back = self._back, []
         elif is_joints:
-            for each in (*self._not_back(), *self._confirmed(measurement)):
-                self._push(each)
-        else:
-            self._push(measurement)
-        return found + self._pop(self._edge())
-
-    def _not_back(self) -> list[Measurement]:
-        """Returns what seemed to begin anew, and does not: it is late."""
-        back, self._back = self._back, []
-        return back
-
-    def _restart(self) -> list[Measurement]:
-        """Returns all that waits; then the order begins with what is back."""
-        joints = [each for each in self._back if each.topic.role == "joints"]
-        count, far, stamp = self._report.backwards or (0, 0.0, self._newest)
-        self._report.backwards = count + 1, max(far, self._newest - joints[0].stamp), stamp
-        if self._jumped is not None:
-            self._jumped.topic.reject(MessageRejected(FAR_AHEAD))
-            self._jumped = None
-        found = self._pop(float("inf"))
-        self._forget()
-        self._newest = max(each.stamp for each in joints)
-        for each in self._not_back():
+            # Joint states that jump ahead count only with next ones that agree; what seemed to be back is late.
+            jumped, self._jumped = self._jumped, None
+            if self._newest > -float("inf") and measurement.stamp > self._newest + CLOCKS.max_jump:
+                if jumped is not None and abs(measurement.stamp - jumped.stamp) <= CLOCKS.max_jump:
+                    in_order, jumped = [jumped, measurement], None
+                else:
+                    in_order, self._jumped = [], measurement
+            rejected = jumped
+            self._newest = max([self._newest, *(each.stamp for each in in_order)])
+            in_order, self._back = self._back + in_order, []
+        if rejected is not None:
+            rejected.topic.reject(MessageRejected(FAR_AHEAD))
+        for each in in_order:
             self._push(each)
-        return found
+        return found + self._pop(self._edge())
 
     def _forget(self) -> None:
         """Forgets what is over: what was released is of an earlier time."""
@@ -203,36 +195,21 @@ class ReorderBuffer:
         self._clocks.restart()
 
     def _edge(self) -> float:
-        """Returns the edge: stamps up to this are in order."""
+        """Returns the stamp up to which measurements are in order [s]."""
         return self._newest - CLOCKS.reorder_window - (self._clocks.most - self._clocks.least)
-
-    def _confirmed(self, joints: Measurement) -> tuple[Measurement, ...]:
-        """Returns the joint states, but those that jump ahead only with the next ones that agree."""
-        jumped, self._jumped = self._jumped, None
-        ahead = self._newest > -float("inf") and joints.stamp > self._newest + CLOCKS.max_jump
-        if jumped is not None:
-            if ahead and abs(joints.stamp - jumped.stamp) <= CLOCKS.max_jump:
-                self._newest = max(joints.stamp, jumped.stamp)
-                return jumped, joints
-            joints.topic.reject(MessageRejected(FAR_AHEAD))
-        if ahead:
-            self._jumped = joints
-            return ()
-        self._newest = max(self._newest, joints.stamp)
-        return (joints,)
 
     def _push(self, measurement: Measurement) -> None:
         if measurement.stamp < max(self._released, self._edge()):
             measurement.topic.late += 1
-            return
-        self._keep(measurement)
+        else:
+            self._keep(measurement)
 
     def _keep(self, measurement: Measurement) -> None:
         heapq.heappush(self._waiting, (measurement.stamp, next(self._count), measurement))
         self._bytes += measurement.size
 
     def _pop(self, edge: float) -> list[Measurement]:
-        """Returns those with stamps up to the edge, and what memory does not hold; of duplicates the first."""
+        """Returns the measurements up to the edge, and those that memory does not hold; of duplicates the first."""
         found, waiting = list[Measurement](), self._waiting
         while waiting and (
             waiting[0][0] <= edge
@@ -241,26 +218,21 @@ class ReorderBuffer:
         ):
             self._released, _, measurement = heapq.heappop(waiting)
             self._bytes -= measurement.size
-            if measurement.topic.role != "tf" and self._is_duplicate(measurement):
-                measurement.topic.duplicated += 1
-                continue
+            if measurement.topic.role != "tf":
+                publisher = publisher_of(measurement)
+                if self._last_stamps.get(publisher) == self._released:
+                    measurement.topic.duplicated += 1
+                    continue
+                if len(self._last_stamps) > CLOCKS.max_publishers:
+                    self._last_stamps.clear()
+                self._last_stamps[publisher] = self._released
             measurement.topic.use(self._released)
             found.append(measurement)
         return found
 
-    def _is_duplicate(self, measurement: Measurement) -> bool:
-        """Returns whether its publisher's last is of the stamp that is released now; takes note of it."""
-        publisher = publisher_of(measurement)
-        if self._last_stamps.get(publisher) == self._released:
-            return True
-        if len(self._last_stamps) > CLOCKS.max_publishers:
-            self._last_stamps.clear()
-        self._last_stamps[publisher] = self._released
-        return False
-
 
 def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:
-    """Returns what is told apart of one stamp: several may publish joint states or transforms, each its own names."""
+    """Returns the topic, and the names that tell its publishers apart: several may publish joint states or /tf."""
     topic, value = measurement.topic, measurement.value
     if topic.role == "joints":
         return topic.name, tuple(value)

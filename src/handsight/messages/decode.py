@@ -1,4 +1,4 @@
-"""ROS messages to what an `Observation` is made of; rosbags reads what the fast readers do not."""
+"""ROS messages to the measurements that an `Observation` consists of; rosbags reads what the fast readers do not."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,14 +6,14 @@ from functools import lru_cache
 from importlib import import_module
 from math import hypot, isfinite
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import camera_info, images, taxels, touch
-from handsight.messages.fast import FastReaders, StampedTransform
+from handsight.messages import images, touch
+from handsight.messages.fast import FastReader, FastReaders, StampedTransform
 from handsight.messages.topics import (
     CONTACT,
     TF,
@@ -25,6 +25,9 @@ from handsight.messages.topics import (
     TopicReport,
 )
 from handsight.observation import VISION_FRAMES, PoseMeasurement
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 
 class DecodeLimits(NamedTuple):
@@ -41,12 +44,12 @@ DECODE = DecodeLimits()
 
 @dataclass(slots=True, eq=False)
 class Measurement:
-    """A `Measurement` is what one message, or one transform of /tf, says."""
+    """A `Measurement` is the content of one message, or of one transform of /tf."""
 
     topic: TopicReport
     """Where it is counted."""
     stamp: float
-    """As the message says it; later, in the clock of the joint states [s]."""
+    """The message's own; later, in the clock of the joint states [s]."""
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
@@ -62,102 +65,80 @@ class Measurement:
 def decode(
     raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastReaders
 ) -> list[Measurement]:
-    """Returns what can be used of the message: nothing, one measurement, or one for each transform of /tf.
+    """Returns the measurements in a message: none, one, or one for each transform of /tf.
 
     Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: what messages
     call world, palm and camera. `fast`: kept from message to message. Raises MissingExtra.
     """
+    role, reader = topic.role, fast.get(raw.encoding)
+    value: object
     try:
         if raw.type not in topic.expected:
             raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}")
-        if topic.role in ("tf", "tf_static"):
-            return _transforms(raw, topic, fast)
-        if (found := _decode_fast(raw, topic.role, fast)) is None:
+        if role in ("tf", "tf_static"):
+            return _transforms(raw, topic, reader)
+        if reader and role == "wrench" and (wrench := reader.wrench(raw.data)):
+            stamp, value = wrench[0], _wrench(wrench[1])
+        elif reader and role == "joints" and (joints := reader.joints(raw.data)):
+            stamp, value = joints[0], _positions(joints[1], joints[2])
+        else:
             message = _deserialized(raw)
-            if topic.role == "skin":
-                value = taxels.reading(message, topic.shape)
-                topic.messages += 1
-                return [Measurement(topic, _stamp(message), raw.log_time, value)]
-            named = frames if topic.role != "contact" else {**frames, "tip": topic.body}
-            found = _stamp(message), READERS[topic.role](message, named)
+            stamp, value = _stamp(message), READERS[role](message, topic, frames)
         topic.messages += 1
-        return [Measurement(topic, found[0], raw.log_time, found[1])]
-    except MessageRejected as error:
+        return [Measurement(topic, stamp, raw.log_time, value)]
+    except (MessageRejected, InvalidInput) as error:
         topic.messages += 1
-        topic.reject(error)
+        topic.reject(error if isinstance(error, MessageRejected) else MessageRejected(str(error)))
         return []
 
 
-def _decode_fast(raw: RawMessage, role: Role, fast: FastReaders) -> tuple[float, object] | None:
-    """Returns stamp and value; None: rosbags must read it."""
-    reader = fast.get(raw.encoding)
-    if reader is None:
-        return None
-    if role == "wrench" and (wrench := reader.wrench(raw.data)):
-        return wrench[0], _wrench(wrench[1])
-    if role == "joints" and (joints := reader.joints(raw.data)):
-        return joints[0], _positions(joints[1], joints[2])
-    return None
-
-
-def _transforms(raw: RawMessage, topic: TopicReport, fast: FastReaders) -> list[Measurement]:
-    """Reads each transform by itself: one that cannot be used does not spoil the others."""
-    reader, found = fast.get(raw.encoding), list[Measurement]()
-    for each in (reader and reader.transforms(raw.data, DECODE.max_transforms)) or _transforms_of(
-        _deserialized(raw)
-    ):
+def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
+    """Returns the transforms of a TFMessage, each read by itself: one that is rejected does not spoil the others."""
+    transforms = reader.transforms(raw.data, DECODE.max_transforms) if reader else None
+    if not transforms:
+        parts = _deserialized(raw).transforms
+        if len(parts) > DECODE.max_transforms:
+            raise MessageRejected(f"expected at most {DECODE.max_transforms} transforms, got {len(parts)}")
+        transforms = [
+            StampedTransform(
+                _stamp(part), part.header.frame_id, part.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
+            )
+            for part in parts
+            for p, q in [(part.transform.translation, part.transform.rotation)]
+        ]
+    found = list[Measurement]()
+    for each in transforms:
         topic.messages += 1
         parent, child = each.parent.lstrip("/"), each.child.lstrip("/")
         try:
-            T = _rigid_transform(*each.numbers)
-            found.append(Measurement(topic, each.stamp, raw.log_time, (parent, child, T)))
+            value = parent, child, _rigid_transform(*each.numbers)
+            found.append(Measurement(topic, each.stamp, raw.log_time, value))
         except MessageRejected as error:
             topic.reject(MessageRejected(f"transform to {child[:60]!r}: {error}", nan=error.nan))
     return found
 
 
-def _transforms_of(message: RosMessage) -> list[StampedTransform]:
-    if len(message.transforms) > DECODE.max_transforms:
-        raise MessageRejected(
-            f"expected at most {DECODE.max_transforms} transforms, got {len(message.transforms)}"
-        )
-    return [
-        StampedTransform(
-            _stamp(each),
-            each.header.frame_id,
-            each.child_frame_id,
-            _numbers(each.transform.translation, each.transform.rotation),
-        )
-        for each in message.transforms
-    ]
-
-
-def _numbers(position: RosMessage, orientation: RosMessage) -> tuple[float, ...]:
-    p, q = position, orientation
-    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
-
-
 def _deserialized(raw: RawMessage) -> RosMessage:
     store = typestore(raw.encoding)
     kind = TF if raw.type == TF_ROS1 else raw.type
+    expected = f"expected a {kind}, got {len(raw.data)} bytes that are none"
     if len(raw.data) < DECODE.min_bytes:  # millions of them may come
-        raise MessageRejected(f"expected a {kind}, got {len(raw.data)} bytes that are none")
+        raise MessageRejected(expected)
     try:
         message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
         return message
     except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
-        expected = f"expected a {kind}, got {len(raw.data)} bytes that are none ({str(error)[:80]})"
-        raise MessageRejected(expected) from None
+        raise MessageRejected(f"{expected} ({str(error)[:80]})") from None
 
 
 @lru_cache
-def typestore(encoding: str) -> Any:
-    """Returns what rosbags knows of the messages so encoded, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
+def typestore(encoding: str) -> "Typestore":
+    """Returns the message types that are encoded so, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
     typesys = rosbags_module("rosbags.typesys")
     stores = {"cdr": typesys.Stores.ROS2_HUMBLE, "ros1": typesys.Stores.ROS1_NOETIC}
     if encoding not in stores:
         raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
-    store = typesys.get_typestore(stores[encoding])
+    store: Typestore = typesys.get_typestore(stores[encoding])
     if TF not in store.types:  # ROS 1's own messages have only its forerunner
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
     store.register(typesys.get_types_from_msg(touch.SHADOW_CONTACT, CONTACT))
@@ -173,8 +154,9 @@ def rosbags_module(name: str) -> ModuleType:
 
 
 def _stamp(message: RosMessage) -> float:
+    """Returns the stamp of a message [s]; 0 where it has none, and is timed by when it was logged."""
     if not hasattr(message, "header"):
-        return 0.0  # timed by when it was logged
+        return 0.0
     stamp = message.header.stamp
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
@@ -188,23 +170,18 @@ def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, fl
     if len(found) > DECODE.max_joints:
         raise MessageRejected(f"expected at most {DECODE.max_joints} joints, got {len(found)}")
     if not hypot(*positions) <= DECODE.max_position:
-        _check_positions(found)
+        if bad := [name for name, position in found.items() if not isfinite(position)]:
+            raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
+        name = max(found, key=lambda name: abs(found[name]))
+        if abs(found[name]) > DECODE.max_position:
+            raise MessageRejected(
+                f"joint {name}: expected a position within {DECODE.max_position:g}, got {found[name]:g}"
+            )
     return found
 
 
-def _check_positions(positions: Mapping[str, float]) -> None:
-    bad = [name for name, position in positions.items() if not isfinite(position)]
-    if bad:
-        raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
-    name = max(positions, key=lambda name: abs(positions[name]))
-    if abs(positions[name]) > DECODE.max_position:
-        raise MessageRejected(
-            f"joint {name}: expected a position within {DECODE.max_position:g}, got {positions[name]:g}"
-        )
-
-
 def _wrench(values: Sequence[float]) -> Array:
-    """Returns (6,)"""
+    """Returns (6,) force [N] and torque [N m]."""
     if not hypot(*values) <= MAX_LOAD:
         if not all(map(isfinite, values)):
             raise MessageRejected("force or torque is not finite", nan=True)
@@ -213,9 +190,8 @@ def _wrench(values: Sequence[float]) -> Array:
     return np.array(values)
 
 
-def _wrench_message(message: RosMessage, _: Mapping[str, str]) -> Array:
-    force, torque = message.wrench.force, message.wrench.torque
-    return _wrench((force.x, force.y, force.z, torque.x, torque.y, torque.z))
+def _xyz(vector: RosMessage) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def _rigid_transform(*numbers: float) -> Array:
@@ -242,11 +218,12 @@ def _rigid_transform(*numbers: float) -> Array:
     )
 
 
-def _vision(message: RosMessage, frames: Mapping[str, str]) -> PoseMeasurement:
+def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) -> PoseMeasurement | Array:
+    """Returns a pose of vision, or the truth, `T_palm_object` (4, 4), as the topic's role is."""
     pose, covariance = message.pose, None
     if hasattr(pose, "covariance"):
         covariance, pose = np.array(pose.covariance, dtype=np.float64).reshape(6, 6), pose.pose
-    T = _rigid_transform(*_numbers(pose.position, pose.orientation))
+    T = _rigid_transform(*_xyz(pose.position), *_xyz(pose.orientation), pose.orientation.w)
     if covariance is not None and not np.isfinite(covariance).all():
         raise MessageRejected("covariance is not finite", nan=True)
     if covariance is not None and not covariance.any():
@@ -256,28 +233,23 @@ def _vision(message: RosMessage, frames: Mapping[str, str]) -> PoseMeasurement:
     if named not in roles:
         known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
         raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
-    try:
-        return PoseMeasurement(T, roles[named], covariance)
-    except InvalidInput as error:
-        raise MessageRejected(str(error)) from None
+    measured = PoseMeasurement(T, roles[named], covariance)
+    if topic.role != "truth":
+        return measured
+    if measured.frame != "palm":
+        palm = frames.get("palm")
+        raise MessageRejected(f"expected the truth in the palm ({palm!r}), got it in the {measured.frame}")
+    return measured.T_frame_object
 
 
-def _truth(message: RosMessage, frames: Mapping[str, str]) -> Array:
-    pose = _vision(message, frames)
-    if pose.frame != "palm":
-        raise MessageRejected(
-            f"expected the truth in the palm ({frames.get('palm')!r}), got it in the {pose.frame}"
-        )
-    return pose.T_frame_object
-
-
-READERS: dict[Role, Callable[[Any, Mapping[str, str]], Any]] = {
-    "joints": lambda message, _: _positions(message.name, message.position.tolist()),
-    "wrench": _wrench_message,
-    "contact": touch.contact,
-    "vision": _vision,
-    "truth": _truth,
-    "color": lambda message, _: images.color(message),
-    "depth": lambda message, _: images.depth(message),
-    "info": lambda message, _: camera_info.intrinsics(message),
+READERS: dict[Role, Callable[[RosMessage, TopicReport, Mapping[str, str]], object]] = {
+    "joints": lambda message, *_: _positions(message.name, message.position.tolist()),
+    "wrench": lambda message, *_: _wrench((*_xyz(message.wrench.force), *_xyz(message.wrench.torque))),
+    "contact": lambda message, topic, frames: touch.contact(message, {**frames, "tip": topic.body}),
+    "skin": lambda message, topic, _: touch.taxel_reading(message, topic.shape),
+    "vision": _pose,
+    "truth": _pose,
+    "color": lambda message, *_: images.color(message),
+    "depth": lambda message, *_: images.depth(message),
+    "info": lambda message, *_: images.camera(message),
 }

@@ -1,9 +1,9 @@
-"""JointState, WrenchStamped and TFMessage, which come hundreds of times a second, read far faster than by rosbags.
+"""Readers of JointState, WrenchStamped and TFMessage, far faster than rosbags: hundreds of them come in a second.
 
 Both encodings have the same fields in the same order, little-endian. CDR, ROS 2's, begins with four bytes of
 encapsulation, behind which all is aligned to its size, and its texts end with a zero; ROS 1 has four bytes of a
-sequence number before each stamp. So a message's own stamp is at 4 and its frame id at 12 in both. Only what is exactly
-as expected is read: for all else the answer is None, and rosbags decides.
+sequence number before each stamp. So a message's own stamp is at 4 and its frame id at 12 in both. Only messages that
+are exactly as expected are read: for all others the answer is None, and rosbags decides.
 """
 
 import struct
@@ -18,7 +18,7 @@ Encoding = Literal["cdr", "ros1"]
 
 
 class StampedTransform(NamedTuple):
-    """A `StampedTransform` is one transform of a TFMessage as it is written there."""
+    """A `StampedTransform` holds the fields of one transform of a TFMessage."""
 
     stamp: float
     parent: str
@@ -28,7 +28,7 @@ class StampedTransform(NamedTuple):
 
 
 class FastReader:
-    """Reads one encoding; remembers the joints' names of the last JointState, which seldom change."""
+    """A `FastReader` reads one encoding and remembers the names of the last JointState, which seldom change."""
 
     def __init__(self, encoding: Encoding) -> None:
         self._cdr = encoding == "cdr"
@@ -51,7 +51,16 @@ class FastReader:
             if self._is_other(data):
                 return None
             if not self._named or not data.startswith(self._named, 12):
-                self._named, self._names = self._read_names(data)
+                at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 4)
+                (count,) = _COUNT.unpack_from(data, at)
+                if count > _MOST_NAMES:
+                    return None
+                at, names = at + 4, []
+                for _ in range(count):
+                    at, name = self._text(data, at)
+                    at = self._aligned(at, 4)
+                    names.append(name)
+                self._named, self._names = data[12:at], names
             at, count = self._skipped(data, 12 + len(self._named))
             positions = struct.unpack_from(f"<{count}d", data, at - 8 * count)
             for _ in ("velocity", "effort"):
@@ -81,7 +90,7 @@ class FastReader:
             return None
 
     def _is_other(self, data: bytes) -> bool:
-        """Returns whether it is encapsulated otherwise."""
+        """Returns whether the message is encapsulated in another way than little-endian CDR."""
         return self._cdr and data[:2] != _LITTLE_ENDIAN
 
     def _stamp(self, data: bytes, at: int) -> float:
@@ -92,7 +101,7 @@ class FastReader:
         return at + (4 - at) % size if self._cdr else at
 
     def _text(self, data: bytes, at: int) -> tuple[int, str]:
-        """Returns where it ends, and what it is; struct.error where there is none."""
+        """Returns where a text ends, and the text; raises struct.error where there is none."""
         begin = at + 4
         end = begin + _COUNT.unpack_from(data, at)[0]
         last = end - self._cdr
@@ -100,23 +109,8 @@ class FastReader:
             raise struct.error
         return end, data[begin:last].decode()
 
-    def _read_names(self, data: bytes) -> tuple[bytes, list[str]]:
-        """Returns the bytes from the frame id to the last of the names, and the names; struct.error where there are
-        none."""
-        at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 4)
-        (count,) = _COUNT.unpack_from(data, at)
-        if count > _MOST_NAMES:
-            raise struct.error
-        at, names = at + 4, []
-        for _ in range(count):
-            at, name = self._text(data, at)
-            at = self._aligned(at, 4)
-            names.append(name)
-        return data[12:at], names
-
     def _skipped(self, data: bytes, at: int) -> tuple[int, int]:
-        """Returns where a sequence of doubles ends, and how many there are; struct.error where it ends beyond the
-        data."""
+        """Returns where a sequence of doubles ends, and their count; raises struct.error if that is beyond the data."""
         (count,) = _COUNT.unpack_from(data, at)
         end = (self._aligned(at + 4, 8) if count else at + 4) + 8 * count
         if end > len(data):

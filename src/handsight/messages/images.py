@@ -1,14 +1,14 @@
-"""Images of ROS to arrays: colour (h, w, 3) red, green, blue; depth (h, w) [m], NaN where there is none."""
+"""Images and cameras out of ROS messages: colour (h, w, 3) red, green, blue; depth (h, w) [m], NaN where unknown.
+
+Functions raise MessageRejected, or InvalidInput, for a message that cannot be used.
+"""
 
 import struct
-from collections.abc import Callable
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.camera import Depth
-from handsight.errors import InvalidInput
+from handsight.camera import Camera, Depth
 from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
@@ -23,27 +23,42 @@ LAYOUTS = {
     "32FC1": ("f4", 1),
 }
 """Type and channels of a pixel, by encoding."""
-Input = TypeVar("Input")
-Output = TypeVar("Output")
+LENSES = {"plumb_bob": 5, "rational_polynomial": 8}
+"""Distortion models of CameraInfo that a pinhole behind a lens is, and how many numbers they have."""
+MAX_PIXELS_ACROSS = 1e6
+"""No focal length or principal point is larger [pixels]."""
 
 
 def color(message: RosMessage) -> Color:
-    """Returns the colour image of an Image or CompressedImage; raises MessageRejected."""
+    """Returns the colour image of an Image or CompressedImage."""
     if hasattr(message, "format"):
-        return _accepted(pixels.color, bytes(message.data))
+        return pixels.color(bytes(message.data))
     found = values(message, ("rgb8", "bgr8"))
     return np.ascontiguousarray(found if message.encoding == "rgb8" else found[..., ::-1])
 
 
 def depth(message: RosMessage) -> Depth:
-    """Returns the depth image of an Image or CompressedImage; raises MessageRejected, also for the wrong unit."""
-    if hasattr(message, "format"):
-        return _compressed_depth(bytes(message.data), str(message.format))
-    return _metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
+    """Returns the depth image of an Image or CompressedImage; whole numbers are millimetres, others metres."""
+    if not hasattr(message, "format"):
+        return pixels.metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
+    data, described = bytes(message.data), str(message.format)
+    if "rvl" in described.lower():
+        raise MessageRejected("expected compressed depth as PNG, got RVL")
+    if "compressedDepth" not in described:
+        return pixels.metres(pixels.sixteen_bits(data))
+    if len(data) < COMPRESSED_DEPTH.size:
+        raise MessageRejected(f"expected a header of {COMPRESSED_DEPTH.size} bytes, got {len(data)} bytes")
+    _, a, b = COMPRESSED_DEPTH.unpack_from(data)
+    numbers = pixels.sixteen_bits(data[COMPRESSED_DEPTH.size :])
+    if not described.startswith("32FC1"):
+        return pixels.metres(numbers)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = (a / (numbers.astype(np.float64) - b)).astype(np.float32)
+    return pixels.metres(np.where(numbers == 0, np.float32(np.nan), inverse))
 
 
 def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:
-    """Returns (h, w, channels) as the encoding says, rows padded to `step`; raises MessageRejected."""
+    """Returns the pixels (h, w, channels) of an Image as its encoding says, whose rows are padded to `step`."""
     if message.encoding not in expected:
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
     kind, channels = LAYOUTS[message.encoding]
@@ -58,31 +73,31 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
     return np.ascontiguousarray(np.ndarray((h, w, channels), dtype, message.data, strides=strides))
 
 
-def _metres(values: NDArray[np.generic]) -> Depth:
-    """Returns a depth image from millimetres if the values are whole numbers, else metres; raises MessageRejected
-    where they are not."""
-    return _accepted(pixels.metres, values)
-
-
-def _compressed_depth(data: bytes, described: str) -> Depth:
-    if "rvl" in described.lower():
-        raise MessageRejected("expected compressed depth as PNG, got RVL")
-    if "compressedDepth" not in described:
-        return _metres(_accepted(pixels.sixteen_bits, data))
-    if len(data) < COMPRESSED_DEPTH.size:
-        raise MessageRejected(f"expected a header of {COMPRESSED_DEPTH.size} bytes, got {len(data)} bytes")
-    _, a, b = COMPRESSED_DEPTH.unpack_from(data)
-    values = _accepted(pixels.sixteen_bits, data[COMPRESSED_DEPTH.size :])
-    if not described.startswith("32FC1"):
-        return _metres(values)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        inverse = (a / (values.astype(np.float64) - b)).astype(np.float32)
-    return _metres(np.where(values == 0, np.float32(np.nan), inverse))
-
-
-def _accepted(read: Callable[[Input], Output], given: Input) -> Output:
-    """Returns what `read` makes of it; raises MessageRejected where it refuses."""
-    try:
-        return read(given)
-    except InvalidInput as error:
-        raise MessageRejected(str(error)) from None
+def camera(message: RosMessage) -> Camera:
+    """Returns the camera of a CameraInfo of ROS 1 or 2, for its images as they come: cut out and binned."""
+    K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
+    if not np.isfinite(K).all():
+        raise MessageRejected("intrinsics are not finite", nan=True)
+    if not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
+    if (most := np.abs(K).max()) > MAX_PIXELS_ACROSS:
+        raise MessageRejected(f"expected intrinsics within {MAX_PIXELS_ACROSS:g} pixels, got {most:g}")
+    # The message's intrinsics and size are of the complete sensor.
+    roi, size = message.roi, [int(message.width), int(message.height)]
+    for axis, (first, side, binned) in enumerate(
+        ((roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y))
+    ):
+        by = max(int(binned), 1)
+        # Centres of pixels are at whole numbers, so the image begins at -½.
+        K[axis, axis], K[axis, 2] = K[axis, axis] / by, (K[axis, 2] - first + 0.5) / by - 0.5
+        size[axis] = (int(side) or size[axis]) // by
+    model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
+    if not np.isfinite(lens).all():
+        raise MessageRejected("the lens' numbers are not finite", nan=True)
+    if model not in LENSES and (model or lens.any()):
+        raise MessageRejected(f"expected a distortion model {' or '.join(LENSES)}, got {model[:40]!r}")
+    count = LENSES.get(model, 0)
+    if lens[count:].any():
+        raise MessageRejected(f"expected at most {count} numbers of a {model} lens, got {len(lens)}")
+    lens = lens[:count].astype(np.float64)
+    return Camera(K, (size[0], size[1]), lens if lens.any() else np.zeros(0))

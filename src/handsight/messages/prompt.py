@@ -1,4 +1,4 @@
-"""An order for one who cannot wait: a joint state goes on once what belongs to it is there, or 2 ms later."""
+"""The order of messages of a live robot: a joint state goes on once all that is due has come, or 2 ms later."""
 
 from collections import deque
 
@@ -10,15 +10,14 @@ from handsight.messages.report import Report
 WAIT = 0.002
 """The longest that joint states wait [s]."""
 WAITED_FOR = ("wrench", "contact", "tf")
-"""What comes as often as joint states do. A camera's word comes late whatever is waited: it counts with the next."""
+"""Roles that come as often as joint states do. An image comes late in any case: it counts with the next."""
 
 
 class PromptBuffer(ReorderBuffer):
-    """A `PromptBuffer` puts measurements in order of stamp as far as 2 ms allow; what comes later counts if it is its
-    topic's newest.
+    """A `PromptBuffer` puts measurements in order of stamp as far as 2 ms allow; later ones count if they are newest.
 
-    A joint state waits until each wrench and transform that is due has reached its stamp. Due is what has come within
-    the last 0.1 s and, by the time between its last two, should have come again.
+    A joint state waits until each wrench and transform that is due has reached its stamp. One is due that has come
+    within the last 0.1 s and, by the time between its last two, should have come again.
     """
 
     def __init__(self, report: Report) -> None:
@@ -31,9 +30,8 @@ class PromptBuffer(ReorderBuffer):
     def _begin(self) -> None:
         self.complete = -float("inf")
         self._pending = deque[tuple[float, float]]()  # joint states' stamps, and until when they wait
-        self._reached: dict[
-            str, tuple[float, float]
-        ] = {}  # by topic: newest stamp, and half of the time since the last
+        # By topic: the newest stamp, and half of the time since the one before.
+        self._reached: dict[str, tuple[float, float]] = {}
         self._newest_of: dict[tuple[str, tuple[str, ...]], float] = {}
 
     @property
@@ -42,7 +40,7 @@ class PromptBuffer(ReorderBuffer):
         return self._pending[0][1] if self._pending else float("inf")
 
     def finish(self) -> list[Measurement]:
-        """Returns those that wait: no more come, or none for long."""
+        """Returns the measurements that wait: no more come, or none for long."""
         found = super().finish()
         if self._pending:
             self.complete = max(stamp for stamp, _ in self._pending)
@@ -56,18 +54,14 @@ class PromptBuffer(ReorderBuffer):
     def _edge(self) -> float:
         while self._pending:
             stamp, until = self._pending[0]
-            if self.now < until and self._lacks(stamp):
+            if self.now < until and any(
+                newest + half < stamp <= newest + ASSEMBLY.max_age_transform
+                for newest, half in self._reached.values()
+            ):
                 break
             self.complete = max(self.complete, stamp)
             self._pending.popleft()
         return self.complete
-
-    def _lacks(self, stamp: float) -> bool:
-        """Returns whether something that is due has not reached the stamp."""
-        return any(
-            newest + half < stamp <= newest + ASSEMBLY.max_age_transform
-            for newest, half in self._reached.values()
-        )
 
     def _push(self, measurement: Measurement) -> None:
         topic, stamp, key = measurement.topic, measurement.stamp, publisher_of(measurement)

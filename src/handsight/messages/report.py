@@ -1,22 +1,86 @@
-"""What was heard of a robot and what its rig needs and did not hear, as numbers and as sentences for the user."""
+"""The counts of a robot's messages, and the sentences for the user on what its rig needs and did not get."""
 
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
 
 from handsight.checks import nearest_name
 from handsight.errors import printable
 from handsight.messages.topics import TOPICS, WRENCH, TopicReport
-from handsight.messages.units import Units
+from handsight.observation import Observation
 from handsight.rig import Rig
 
 MAX_SENTENCES = 12
 """Sentences of one kind."""
 
 
+class UnitLimits(NamedTuple):
+    """`UnitLimits` are sizes beyond which a unit is doubted."""
+
+    max_range: float = 10.0  # no hand sees its object farther away [m]
+    max_force: float = 300.0  # no fingertip bears a larger force [N]
+    min_share: float = 0.1  # part of the observations; fewer are outliers
+
+
+UNITS = UnitLimits()
+
+
+class Units:
+    """A `Units` finds values that are in a wrong unit: they are beyond what the rig's hand can measure."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig, self._count, self._beyond = rig, 0, Counter[str]()
+        self._largest: dict[str, tuple[float, str]] = {}
+        limits = zip(rig.hand.joint_names, np.abs(rig.hand.limits).max(axis=1).tolist(), strict=True)
+        self._limits = {
+            name: limit for name, limit in limits if name in rig.hand.moving and np.isfinite(limit)
+        }
+        self._names = list(self._limits)
+        # A hinge turns by a radian or two; where a file limits it to less, it may be off by more.
+        self._most = 2 * np.array(list(self._limits.values())) + 1
+
+    def put(self, observation: Observation) -> None:
+        """Takes in an observation."""
+        self._count += 1
+        positions, names = observation.joint_positions or {}, self._names
+        values = np.abs([positions.get(name, 0.0) for name in names])
+        for k in np.flatnonzero(values > self._most):
+            value, limit = float(values[k]), self._limits[names[k]]
+            radians = np.deg2rad(value)
+            meant = f"degrees? {radians:.3g} rad"
+            if radians > 2 * limit:
+                meant = f"{1e-3 * value:.3g} in thousandths?"
+            text = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
+            self._note(f"{self._rig.topics.joint_states}: joint {names[k]!r}", value, text)
+        for name, wrench in observation.wrenches.items():
+            force = hypot(*wrench[:3].tolist())
+            if force > UNITS.max_force:
+                self._note(f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)")
+        vision = observation.vision
+        if vision is not None and vision.frame != "world":
+            distance = float(np.linalg.norm(vision.T_frame_object[:3, 3]))
+            if distance > UNITS.max_range:
+                text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
+                self._note(f"{self._rig.topics.vision}: poses", distance, text)
+
+    def _note(self, what: str, value: float, text: str) -> None:
+        self._beyond[what] += 1
+        if value > self._largest.get(what, (0.0, ""))[0]:
+            self._largest[what] = value, text
+
+    def sentences(self) -> list[str]:
+        """Returns a sentence for each value that was often beyond the limits; empty: there is none."""
+        often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
+        return [f"{what} up to {self._largest[what][1]}" for what in often]
+
+
 @dataclass(slots=True)
 class Report:
-    """A `Report` is what was heard on the topics of a rig so far."""
+    """A `Report` counts the messages on the topics of a rig so far."""
 
     joint_states: str
     """The topic whose stamps are the clock."""
@@ -25,11 +89,10 @@ class Report:
     others: dict[str, str] = field(default_factory=dict)
     """Type by topic, of those the rig does not listen to."""
     observations: int = 0
-    """How many were made."""
     placed: int = 0
-    """How many have `T_world_palm`."""
+    """Number of observations that have `T_world_palm`."""
     without: Counter[str] = field(default_factory=Counter)
-    """By finger: observations without its wrench, or without word of its contact."""
+    """By finger: observations without its wrench, or without a message on its contact."""
     without_skin: Counter[str] = field(default_factory=Counter)
     """By tactile array: observations without its readings."""
     fingers: dict[str, str] = field(default_factory=dict)
@@ -38,12 +101,12 @@ class Report:
     """Joint states went back by more than 1 s for good: how often, how far at most [s], and the stamp from where they
     did so first [s]."""
     units: Units | None = None
-    """What came in other units, it seems."""
+    """Values that seem to be in other units."""
     ended: bool = False
     """Whether all messages have come."""
 
     def sentences(self) -> list[str]:
-        """Returns all that is worth telling a user, worst first; empty: nothing is wrong."""
+        """Returns a sentence for each problem that a user should know of, worst first; empty: nothing is wrong."""
         messages = []
         if self.backwards:
             count, far, stamp = self.backwards
@@ -51,7 +114,7 @@ class Report:
                 f"{self.joint_states}: stamps went back {count} times, by up to {far:.3f} s, first from {stamp:.3f} s "
                 "(played in a loop, or a clock that was set back?): a new track each time"
             )
-        messages += few([f"finger {finger}: {what}" for finger, what in self.fingers.items()])
+        messages += shortened(f"finger {finger}: {what}" for finger, what in self.fingers.items())
         messages += [] if self.units is None else self.units.sentences()
         for topic in self.topics.values():
             messages += topic.sentences()
@@ -61,32 +124,35 @@ class Report:
                 f"{joints.name}: {joints.gaps} gaps of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
             )
         of = f"of {self.observations} observations"
-        messages += few(
-            [f"finger {finger}: no wrench in {count} {of}" for finger, count in self.without.items()]
+        messages += shortened(
+            f"finger {name}: no wrench in {count} {of}" for name, count in self.without.items()
         )
-        messages += few(
-            [f"skin {array}: no reading in {count} {of}" for array, count in self.without_skin.items()]
+        messages += shortened(
+            f"skin {name}: no reading in {count} {of}" for name, count in self.without_skin.items()
         )
         others = sorted(name for name, kind in self.others.items() if kind == WRENCH)
-        return [printable(each) for each in messages] + few(
-            [f"{name}: wrenches of no finger of the rig; not used" for name in others]
+        return [printable(each) for each in messages] + shortened(
+            f"{name}: wrenches of no finger of the rig; not used" for name in others
         )
 
 
-def few(sentences: list[str]) -> list[str]:
+def shortened(sentences: Iterable[str]) -> list[str]:
     """Returns the first of many sentences of one kind, each in a line, and how many more there are."""
-    more = len(sentences) - MAX_SENTENCES
-    messages = [printable(each) for each in sentences[:MAX_SENTENCES]]
+    messages = list(sentences)
+    more = len(messages) - MAX_SENTENCES
+    messages = [printable(each) for each in messages[:MAX_SENTENCES]]
     return [*messages, f"and {more} more like that"] if more > 0 else messages
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
-    """Returns a sentence for each topic, frame and joint of the rig that was not heard; empty: nothing is missing.
+    """Returns a sentence for each topic, frame and joint of the rig that did not come; empty: nothing is missing.
 
-    `frames`, `joint_names`: those that were heard.
+    `frames`, `joint_names`: those that came.
     """
     topics, lacking = rig.topics, list[str]()
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None
+    by_tf = rig.world_from == "tf" and topics.tf is not None
+    silent_tf = by_tf and not {topics.tf, f"{topics.tf}_static"} & report.topics.keys()
     for what, topic in (
         *((f"finger {finger}: no wrench", topic) for finger, topic in topics.wrenches.items()),
         *((f"finger {finger}: no contacts", topic) for finger, topic in topics.contacts.items()),
@@ -95,44 +161,38 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         ("no color images", topics.color),
         ("no depth images", topics.depth),
         ("no camera info", None if calibrated else topics.camera_info),
+        ("no transforms", topics.tf if silent_tf else None),
     ):
-        lacking += [] if topic is None else _missing_topic(report, topic, what)
-    if rig.world_from == "tf" and topics.tf is not None:
-        lacking += _missing_frames(rig, report, topics.tf, frames)
-    unheard = list[str]()
-    for joint in rig.hand.moving if report.observations else ():
-        if joint not in joint_names:
-            near = _nearest(joint, joint_names)
-            unheard.append(f"joint {joint!r}: never on {topics.joint_states}{near}")
-    return [printable(each) for each in lacking] + few(unheard)
+        if topic is None:
+            continue
+        known = report.topics.get(topic)
+        if known is None:
+            lacking.append(f"{what} on {topic}{_nearest(topic, report.others)}")
+        elif known.type not in known.expected:
+            lacking.append(
+                f"{what} on {topic}: expected {' or '.join(known.expected)}, got {known.type or 'no type'}"
+            )
+        elif report.ended and not known.messages:
+            lacking.append(f"{what} on {topic}: no message")
+    if by_tf and not silent_tf and report.ended:
+        world, palm = (rig.frames[role].lstrip("/") for role in ("world", "palm"))
+        unknown = [name for name in (world, palm) if name not in frames]
+        absent = report.observations - report.placed
+        if unknown:
+            names, near = " and ".join(map(repr, unknown)), _nearest(unknown[0], frames)
+            lacking.append(f"no transform of {names} on {topics.tf}{near}")
+        elif not report.placed:
+            lacking.append(f"no transforms that lead from {world!r} to {palm!r} on {topics.tf}")
+        elif absent:
+            of = f"{absent} of {report.observations} observations"
+            lacking.append(f"no transform from {world!r} to {palm!r} in {of}")
+    absent_joints = [name for name in rig.hand.moving if report.observations and name not in joint_names]
+    return [printable(each) for each in lacking] + shortened(
+        f"joint {joint!r}: never on {topics.joint_states}{_nearest(joint, joint_names)}"
+        for joint in absent_joints
+    )
 
 
-def _missing_topic(report: Report, topic: str, what: str) -> list[str]:
-    there = report.topics.get(topic)
-    if there is None:
-        return [f"{what} on {topic}{_nearest(topic, report.others)}"]
-    if there.type not in there.expected:
-        return [f"{what} on {topic}: expected {' or '.join(there.expected)}, got {there.type or 'no type'}"]
-    return [f"{what} on {topic}: no message"] if report.ended and not there.messages else []
-
-
-def _missing_frames(rig: Rig, report: Report, topic: str, frames: set[str]) -> list[str]:
-    if not {topic, f"{topic}_static"} & report.topics.keys():
-        return _missing_topic(report, topic, "no transforms")
-    if not report.ended:
-        return []
-    world, palm = (rig.frames[role].lstrip("/") for role in ("world", "palm"))
-    unknown = [name for name in (world, palm) if name not in frames]
-    if unknown:
-        near = _nearest(unknown[0], frames)
-        return [f"no transform of {' and '.join(map(repr, unknown))} on {topic}{near}"]
-    if not report.placed:
-        return [f"no transforms that lead from {world!r} to {palm!r} on {topic}"]
-    absent = report.observations - report.placed
-    messages = f"no transform from {world!r} to {palm!r} in {absent} of {report.observations} observations"
-    return [messages] if absent else []
-
-
-def _nearest(name: str, there: Iterable[str]) -> str:
-    near = nearest_name(name, sorted(there))
+def _nearest(name: str, known: Iterable[str]) -> str:
+    near = nearest_name(name, sorted(known))
     return f"; the nearest is {near!r}" if near else ""

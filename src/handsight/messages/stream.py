@@ -1,4 +1,4 @@
-"""Raw messages to Observations, one at a time: what recordings and live robots have in common."""
+"""Raw messages to Observations, one at a time, of recordings and of live robots."""
 
 from collections.abc import Callable, Iterable, Mapping
 
@@ -17,8 +17,7 @@ MAX_NAMES = 10_000
 
 
 class ObservationStream:
-    """An `ObservationStream` makes observations from a robot's messages, which are put in as they come; see the
-    package for what may be relied on.
+    """An `ObservationStream` turns a robot's messages, put in as they come, into observations, as the package says.
 
     ```
     stream = ObservationStream(rig)
@@ -36,16 +35,16 @@ class ObservationStream:
         report: Report | None = None,
         order: Callable[[Report], ReorderBuffer] = ReorderBuffer,
     ) -> None:
-        """`topics`: type by topic, of all that are known to be there; others are taken in as they are heard.
+        """`topics`: type by topic, of all that are known beforehand; others are added with their first message.
 
-        `report`: a new one that is to be filled. `order`: what makes of measurements as they come those in order.
+        `report`: a new one that is to be filled. `order`: creates the buffer that puts measurements in order.
         """
         self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
-        """What the rig listens to, by name; what is put in of others is passed over."""
+        """The topics that the rig listens to, by name; messages of others are passed over."""
         self.report = Report(rig.topics.joint_states) if report is None else report
         """Counts and sentences."""
         self.intrinsics: Camera | None = None
-        """What CameraInfo says; None: nothing was heard of it."""
+        """The camera by its CameraInfo; None: none came."""
         for name, topic in self.topics.items():
             if name in known:
                 topic.type = known[name]
@@ -65,7 +64,7 @@ class ObservationStream:
             self.report.others.setdefault(message.topic, message.type)
             return []
         self.report.topics.setdefault(topic.name, topic)
-        topic.type = message.type  # rather than what was said beforehand: a damaged file contradicts itself
+        topic.type = message.type  # rather than the type known beforehand: a damaged file contradicts itself
         found = []
         for measurement in decode(message, topic, self._rig.frames, self._fast):
             if topic.role == "tf_static":
@@ -105,25 +104,21 @@ class ObservationStream:
         return found
 
     def lacks(self) -> list[str]:
-        """Returns what the rig needs and was not heard, or of another size, a sentence each; empty: nothing.
+        """Returns a sentence for all that the rig needs and did not get, or of another size; empty: nothing.
 
         Topics are known from the beginning where they were given, joints and frames after the first observations.
         """
         lacking = missing(self._rig, self.report, self._assembler.tree.frames, self._joint_names)
-        return lacking + self._of_other_sizes()
-
-    def _of_other_sizes(self) -> list[str]:
         topics = self._rig.topics
         of_rig = None if self._rig.camera is None else self._rig.camera.size
         of_info = None if self.intrinsics is None else self.intrinsics.size
         depth, info = f"depth images on {topics.depth}", f"camera info on {topics.camera_info}"
-        pairs = (
+        for what, came, expected, who in (
             (depth, self._depth_size, of_info, "CameraInfo says"),
             (depth, self._depth_size, of_rig if of_info is None else None, "the rig's camera has"),
             (info, of_info, of_rig, "the rig's camera has"),
-        )
-        return [
-            f"{what}: expected {expected[0]} x {expected[1]} pixels as {who}, got {came[0]} x {came[1]}"
-            for what, came, expected, who in pairs
-            if came is not None and expected is not None and tuple(came) != tuple(expected)
-        ]
+        ):
+            if came is not None and expected is not None and tuple(came) != tuple(expected):
+                size = f"{expected[0]} x {expected[1]} pixels as {who}"
+                lacking.append(f"{what}: expected {size}, got {came[0]} x {came[1]}")
+        return lacking

@@ -1,4 +1,4 @@
-"""Messages as bytes, what each topic is to a rig, and what came of its messages."""
+"""Messages as bytes, the role of each topic for a rig, and the counts of its messages."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ POSES, IMAGES, TRANSFORMS = (POSE, POSE_COVARIANCE), (IMAGE, COMPRESSED), (TF, T
 
 
 class TopicOptions(NamedTuple):
-    """`TopicOptions` are what a report says of a topic."""
+    """`TopicOptions` say what a report mentions of a topic."""
 
     max_gap: float = 0.1  # joint states farther apart are counted as a gap [s]
     max_clock_difference: float = 0.1  # clocks farther apart are reported [s]
@@ -33,7 +33,7 @@ TOPICS = TopicOptions()
 
 
 class RosMessage(Protocol):
-    """A `RosMessage` is a decoded message of ROS 1 or 2: its fields are attributes."""
+    """A `RosMessage` is a decoded message of ROS 1 or 2: its fields are attributes, whose types rosbags generates."""
 
     def __getattr__(self, name: str, /) -> Any:
         """Returns the field of that name; raises AttributeError where the type has none."""
@@ -53,7 +53,7 @@ class RawMessage(NamedTuple):
 
 
 class MessageRejected(Exception):
-    """A message that is not used, and why; `nan`: for it holds NaN or infinity. Never leaves this package."""
+    """A message is not used, for a reason; `nan`: it holds NaN or infinity. It never leaves this package."""
 
     def __init__(self, reason: str, *, nan: bool = False) -> None:
         super().__init__(reason)
@@ -62,14 +62,16 @@ class MessageRejected(Exception):
 
 @dataclass(slots=True)
 class TopicReport:
-    """A `TopicReport` is one topic. `messages` is the sum of the counts from `used` to `stuck`; /tf is counted by
-    transforms."""
+    """A `TopicReport` counts the messages of one topic, /tf by transforms.
+
+    `messages` is the sum of the counts from `used` to `stuck`.
+    """
 
     name: str
     role: Role
-    """What it is to the rig."""
+    """Its role for the rig."""
     expected: tuple[str, ...]
-    """Types that it may have."""
+    """Message types that it may have."""
     finger: str = ""
     """Of a wrench or a contact; of a tactile array, its name."""
     body: str = ""
@@ -79,7 +81,7 @@ class TopicReport:
     type: str = ""
     messages: int = 0
     used: int = 0
-    """Taken, in order of stamp; of several between two joint states the newest is in the observation."""
+    """In order of stamp; of several between two joint states the newest is in the observation."""
     duplicated: int = 0
     """Of the same topic and stamp as one before."""
     nan: int = 0
@@ -87,7 +89,7 @@ class TopicReport:
     late: int = 0
     """Beyond the reorder window."""
     bad: int = 0
-    """Could not be read as what the topic should be."""
+    """Not readable as one of the expected types."""
     stale: int = 0
     """Too old when the next joint states came."""
     stuck: int = 0
@@ -99,7 +101,7 @@ class TopicReport:
     gap: float = 0.0
     """Longest time between two that were used [s]."""
     gaps: int = 0
-    """How many were longer than 0.1 s."""
+    """Number of times longer than 0.1 s."""
     difference: float = 0.0
     """Of its clock from the joint states': log time minus stamp, median of the first second [s]."""
     shifted: bool = False
@@ -122,7 +124,7 @@ class TopicReport:
         self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > TOPICS.max_gap), stamp
 
     def sentences(self) -> Iterator[str]:
-        """Yields what of this topic is worth telling."""
+        """Yields a sentence for each problem of this topic that a user should know of."""
         for count, sentence in (
             (self.duplicated, "came twice with one stamp and were used once"),
             (self.late, "came too late to be put in order of stamp and were left out"),
@@ -139,20 +141,24 @@ class TopicReport:
 
 
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
-    """Returns what the rig listens to, by name; nothing came yet."""
+    """Returns a report without counts for each topic that the rig listens to, by name."""
     topics = rig.topics
+    tf = topics.tf if rig.world_from == "tf" else None
+    bodies = {finger: tip.frame for finger, tip in rig.fingers.items()}
+    shapes = {name: array.shape for name, array in rig.skin.items()}
     found = [TopicReport(topics.joint_states, "joints", (JOINTS,))]
     found += [TopicReport(topic, "wrench", (WRENCH,), finger) for finger, topic in topics.wrenches.items()]
-    for finger, topic in topics.contacts.items():
-        body = rig.fingers[finger].frame if finger in rig.fingers else ""
-        found.append(TopicReport(topic, "contact", (CONTACT,), finger, body))
-    for name, topic in topics.skin.items():
-        shape = rig.skin[name].shape if name in rig.skin else (0, 0)
-        found.append(TopicReport(topic, "skin", (ARRAY, IMAGE), name, shape=shape))
-    with_tf = topics.tf is not None and rig.world_from == "tf"
+    found += [
+        TopicReport(topic, "contact", (CONTACT,), finger, bodies.get(finger, ""))
+        for finger, topic in topics.contacts.items()
+    ]
+    found += [
+        TopicReport(topic, "skin", (ARRAY, IMAGE), name, shape=shapes.get(name, (0, 0)))
+        for name, topic in topics.skin.items()
+    ]
     others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
-        ("tf", topics.tf if with_tf else None, TRANSFORMS),
-        ("tf_static", f"{topics.tf}_static" if with_tf else None, TRANSFORMS),
+        ("tf", tf, TRANSFORMS),
+        ("tf_static", None if tf is None else f"{tf}_static", TRANSFORMS),
         ("vision", topics.vision, POSES),
         ("truth", topics.truth, POSES),
         ("color", topics.color, IMAGES),

@@ -4,7 +4,7 @@ What becomes of the messages is said in `handsight.messages`: a recording is rea
 file gives what can be read of it; `report.truncated` and `report.sentences()` say what was lost.
 """
 
-from handsight.recording.bop_results import BopResult, read_bop_results
+from handsight.recording.detections import BopResult, read_bop_results
 from handsight.recording.open import Recording, RecordingReport, open_recording
 from handsight.recording.write import (
     RecordingWriter,

@@ -1,14 +1,18 @@
-"""Where objects were found in pictures, as lines of JSON or as BOP's results."""
+"""Detections of objects in pictures: handsight's to JSON or BOP's results, other detectors' from BOP's results."""
 
+import csv
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.errors import HandsightError, InvalidFile
+from handsight.files import read_bytes
 from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame, Unread
 from handsight.vision import ObjectDetection
@@ -18,74 +22,157 @@ BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
 MM = 1e-3
 
 
+class BopResultOptions(NamedTuple):
+    """`BopResultOptions` say how results in BOP's form are read."""
+
+    metres: float = 1e-3  # metres of the file's unit
+    max_bytes: int = 256 * 1024**2  # of a file
+    rounding: float = 1e-3  # how far a written rotation may be off one
+
+
+RESULT_FILES = BopResultOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BopResult:
+    """A `BopResult` is the pose of an object in an image by a detector.
+
+    `PoseMeasurement(result.T_camera_object)` gives it to a tracker.
+    """
+
+    scene: int
+    image: int
+    object: int
+    """BOP's number of the object."""
+    score: float
+    T_camera_object: Array
+    """(4, 4) in the camera's optical frame [m]."""
+    seconds: float | None
+    """Duration of the detection; None: the file does not state it."""
+
+
+def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
+    """Returns the rows of a CSV file `scene_id,im_id,obj_id,score,R,t,time`: R nine numbers, t three in mm, time -1
+    if unknown.
+
+    Raises InvalidFile with the line where one is wrong.
+    """
+    try:
+        text = read_bytes(path, RESULT_FILES.max_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InvalidFile(f"{path}: expected text in UTF-8, got bytes that are none") from None
+    rows, found = csv.reader(text.splitlines(), strict=True), list[BopResult]()
+    try:
+        for row in rows:
+            if row and not (rows.line_num == 1 and [cell.strip() for cell in row] == BOP_COLUMNS.split(",")):
+                found.append(_result(row))
+    except (ValueError, OverflowError, csv.Error, HandsightError) as error:
+        raise InvalidFile(f"{path}: line {rows.line_num}: {error}") from None
+    return found
+
+
+def _result(row: list[str]) -> BopResult:
+    """Returns the result of one row; raises ValueError or InvalidInput."""
+    names = BOP_COLUMNS.split(",")
+    if len(row) != len(names):
+        raise ValueError(f"expected {len(names)} columns, {BOP_COLUMNS}, got {len(row)}")
+    keys = list[int]()
+    for name, cell in zip(names[:3], row, strict=False):
+        try:
+            keys.append(int(cell))
+        except ValueError:
+            raise ValueError(f"{name}: expected a whole number, got {cell[:40]!r}") from None
+    numbers = dict[str, Array]()
+    for name, k, count in (("score", 3, 1), ("time", 6, 1), ("R", 4, 9), ("t", 5, 3)):
+        try:
+            numbers[name] = np.array([float(word) for word in row[k].split()])
+        except ValueError:
+            numbers[name] = np.zeros(0)
+        if len(numbers[name]) != count or not np.isfinite(numbers[name]).all():
+            plural = "s" if count > 1 else ""
+            raise ValueError(f"{name}: expected {count} finite number{plural}, got {row[k][:60]!r}")
+    if np.abs(numbers["R"]).max() > 2:
+        raise ValueError(f"R: expected a rotation, got {row[4][:60]!r}")
+    U, values, V = np.linalg.svd(numbers["R"].reshape(3, 3))
+    if np.abs(values - 1).max() > RESULT_FILES.rounding or np.linalg.det(U @ V) < 0:
+        raise ValueError(f"R: expected a rotation, got one off by {np.abs(values - 1).max():.2g}")
+    T = se3.check(se3.compose(U @ V, RESULT_FILES.metres * numbers["t"]), "t")
+    score, seconds = float(numbers["score"][0]), float(numbers["time"][0])
+    scene, image, number = keys
+    return BopResult(scene, image, number, score, T, seconds if seconds >= 0 else None)
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Located:
-    """A `Located` is an object looked for in one picture, or which of several it shows."""
+    """A `Located` is the search for an object in one picture, or for which of several it shows."""
 
     frame: Frame
     model: ObjectModel
-    """Of several the likeliest."""
+    """The object; of several the likeliest."""
     found: ObjectDetection
-    """Where that is."""
+    """Its pose."""
     seconds: float
-    """That looking took."""
+    """Duration of the search [s]."""
     recognition: Recognition | None = None
-    """Which of several it is; None: there was one."""
+    """Which of several objects it is; None: there was one."""
 
     @property
     def reason(self) -> str | None:
-        """Why it is not there, with the median depth, which tells a wrong unit; None: it is there."""
-        fields = (self.recognition or self.found).reason
-        depth = self.frame.depth
-        if fields is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
-            return fields
-        return f"{fields} (median depth {np.median(known):.2f} m)"
+        """Why no object was found, with the median depth, which shows a wrong unit; None: one was found."""
+        reason, depth = (self.recognition or self.found).reason, self.frame.depth
+        if reason is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
+            return reason
+        return f"{reason} (median depth {np.median(known):.2f} m)"
 
     @property
     def name(self) -> str | None:
-        """Of the object; None: it is none of several."""
+        """The object's name; None: it is none of several."""
         return self.model.name if self.recognition is None else self.recognition.name
 
     @property
     def explained(self) -> float:
-        """Of the pixels that should be the object's those that are, 0 to 1."""
+        """The share of the pixels that should be the object's that are, 0 to 1."""
         candidate = self.found.candidates[0]
         return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
-def answer(located: Located) -> dict[str, object]:
-    """Returns the answer as JSON has it; poses are T_camera_object, in the camera's optical frame."""
-    frame, found = located.frame, located.found
-    fields: dict[str, Any] = {"frame": frame.name}
+def json_line(row: Located | Unread) -> str:
+    """Returns a line of JSON, without its end; `{"frame": ..., "error": ...}` of a picture that cannot be read.
+
+    Poses are T_camera_object, in the camera's optical frame.
+    """
+    if isinstance(row, Unread):
+        return json.dumps({"frame": row.name, "error": row.reason})
+    frame, found, reason = row.frame, row.found, row.reason
+    fields: dict[str, object] = {"frame": frame.name}
     if frame.number is not None:
         fields |= dict(zip(("scene_id", "im_id"), frame.number, strict=True))
-    reason = located.reason
-    fields |= {"object": located.name, "found": reason is None}
-    if located.recognition is not None:
-        fields |= {"scores": located.recognition.scores, "none": located.recognition.none}
-    if reason is not None:
-        return fields | {"reason": reason, "seconds": located.seconds}
-    poses = [
-        {**_pose(T), "covariance": covariance.tolist(), "weight": float(weight)}
-        for T, covariance, weight in zip(
-            found.Ts_camera_object, found.covariances, found.weights, strict=True
-        )
-    ]
-    best = {key: value for key, value in poses[0].items() if key != "weight"}
-    of_best = {"probability": found.probability, "explained": located.explained}
-    return fields | best | of_best | {"hypotheses": poses, "seconds": located.seconds}
-
-
-def json_line(row: Located | Unread) -> str:
-    """Returns a line of JSON, without its end; `{"frame": ..., "error": ...}` of a picture that cannot be read."""
-    fields = {"frame": row.name, "error": row.reason} if isinstance(row, Unread) else answer(row)
-    return json.dumps(fields, allow_nan=False)
+    fields |= {"object": row.name, "found": reason is None}
+    if row.recognition is not None:
+        fields |= {"scores": row.recognition.scores, "none": row.recognition.none}
+    if reason is None:
+        poses = [
+            {
+                "position": T[:3, 3].tolist(),
+                "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
+                "covariance": covariance.tolist(),
+                "weight": float(weight),
+            }
+            for T, covariance, weight in zip(
+                found.Ts_camera_object, found.covariances, found.weights, strict=True
+            )
+        ]
+        fields |= {key: value for key, value in poses[0].items() if key != "weight"}
+        fields |= {"probability": found.probability, "explained": row.explained, "hypotheses": poses}
+    else:
+        fields["reason"] = reason
+    return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
 
 
 def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
-    """Returns a line of BOP's results, t in mm, without its end; None where there is no pose. `numbers`: BOP's by name.
+    """Returns a line of BOP's results, t in mm, without its end; None where there is no pose.
 
-    The score is the share of its pixels that the pose explains.
+    `numbers`: BOP's number of each object by its name. The score is the share of its pixels that the pose explains.
     """
     if isinstance(row, Unread) or row.reason is not None:
         return None
@@ -93,10 +180,3 @@ def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
     R, t = (" ".join(f"{value:.6f}" for value in part.ravel()) for part in (T[:3, :3], T[:3, 3] / MM))
     scene, image = row.frame.number or (0, 0)
     return f"{scene},{image},{numbers[row.model.name]},{row.explained:.4f},{R},{t},{row.seconds:.4f}"
-
-
-def _pose(T: Array) -> dict[str, list[float]]:
-    return {
-        "position": T[:3, 3].tolist(),
-        "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
-    }

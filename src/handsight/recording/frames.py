@@ -1,6 +1,6 @@
-"""Pictures in which an object is looked for: depth, colour and what is known of their pixels."""
+"""Pictures to find an object in: depth, colour and what is known of their pixels, and what lies beside their files."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -9,9 +9,11 @@ import numpy as np
 
 from handsight.camera import Camera, Depth
 from handsight.checks import Mask
-from handsight.errors import InvalidInput
-from handsight.vision.pixels import Color
+from handsight.errors import HandsightError, InvalidInput
+from handsight.vision import read_color
+from handsight.vision.pixels import MILLIMETRE, Color
 
+ENDINGS = (".png", ".jpg", ".jpeg")
 Box = tuple[int, int, int, int]
 """First column and row, last column and row [pixels]."""
 
@@ -21,7 +23,7 @@ class Frame:
     """A `Frame` is one picture of a depth camera."""
 
     name: str
-    """What messages and answers call it."""
+    """Its name in messages and answers."""
     camera: Camera
     depth: Depth
     """(h, w) along the optical axis [m], NaN where there is none."""
@@ -30,9 +32,9 @@ class Frame:
     wanted: Mask | None = None
     """(h, w) pixels that the object may be in; None: all."""
     hand: Mask | None = None
-    """(h, w) pixels of the hand; None: nobody knows of one."""
+    """(h, w) pixels of the hand; None: no hand is known of."""
     number: tuple[int, int] | None = None
-    """BOP's of its scene and of itself."""
+    """BOP's numbers of its scene and of itself."""
 
 
 class Unread(NamedTuple):
@@ -44,17 +46,53 @@ class Unread(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """`Frames` are pictures one after the other, read as they are asked for."""
+    """`Frames` are pictures that are read one by one, as the iterator goes on."""
 
     total: int | None
-    """How many; None: nobody knows beforehand."""
+    """Number of pictures; None: it is not known beforehand."""
     each: Iterator[Frame | Unread]
     library: Path | None = None
-    """Of the objects in them, where they are a data set's that has one."""
+    """Library of the objects in them, where their data set has one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beside:
+    """A `Beside` is what a user declares of depth images in addition to their files."""
+
+    camera: Path | None = None
+    """None: `camera.json` beside the images."""
+    depth_scale: float = MILLIMETRE
+    """Metres of a step of depth."""
+    color: Path | None = None
+    """Colour image of one depth image."""
+    mask: Path | None = None
+    """An image that is not 0 where the object may be, for all pictures; or a folder of such under their names."""
+
+    def wanted(self, stem: str, camera: Camera) -> Mask | None:
+        """Returns where the object may be in the picture of that name; raises InvalidFile, MissingExtra."""
+        if self.mask is None:
+            return None
+        path = self.mask / f"{stem}.png" if self.mask.is_dir() else self.mask
+        return np.asarray(read_color(path, camera=camera).any(axis=2))
+
+
+def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Frame | Unread]:
+    """Yields the frame that `read` returns for each file, or the reason why it raises."""
+    for file in files:
+        try:
+            yield read(file)
+        except HandsightError as error:
+            yield Unread(str(file), str(error))
+
+
+def color_beside(folder: Path, stem: str, folders: tuple[str, ...]) -> Path | None:
+    """Returns the colour image of that name; None where there is none."""
+    places = (folder / name / f"{stem}{ending}" for name in folders for ending in ENDINGS)
+    return next((place for place in places if place.exists()), None)
 
 
 def within(frame: Frame, box: Box) -> Frame:
-    """Returns the same, the object looked for in a box of its pixels; raises InvalidInput for one that is not in it."""
+    """Returns the frame with its object wanted in a box of its pixels; raises InvalidInput for a box beyond them."""
     left, top, right, bottom = box
     width, height = frame.camera.size
     if not (0 <= left <= right < width and 0 <= top <= bottom < height):

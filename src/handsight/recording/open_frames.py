@@ -1,14 +1,20 @@
-"""A path to depth images, whatever lies there, as `Frames`."""
+"""A path to depth images, of any kind, as `Frames`: a file, a folder, a BOP scene or a robot's recording.
+
+A folder has `camera.json` and depth images of 16 bits in `depth/`, with colour under the same names in `rgb/` or
+`color/`, where there is any; or depth images side by side, which have `depth` in their names.
+"""
 
 from pathlib import Path
 
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.recording.bop_scene import bop_scenes, is_scenes
-from handsight.recording.frames import Frames
-from handsight.recording.rgbd import Beside, depth_file, depth_folder
+from handsight.recording.frames import Beside, Frame, Frames, color_beside, read_each
 from handsight.recording.robot_images import recorded_frames
 from handsight.rig import Rig
+from handsight.vision import read_camera, read_color, read_depth
 
+CAMERA = "camera.json"
+COLORS = ("rgb", "color")
 RECORDED = (".mcap", ".bag", ".db3")
 METADATA = "metadata.yaml"
 
@@ -19,10 +25,9 @@ def is_recording(path: Path) -> bool:
 
 
 def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
-    """Returns the pictures of a depth image, a folder of them, a BOP scene or split, or a recording, for which there
-    is a rig.
+    """Returns the pictures of a depth image, a folder of them, a BOP scene or split, or, with a rig, a recording.
 
-    Raises InvalidFile where there is none of these, and as those who read them.
+    Raises InvalidFile where the path is none of these, and the errors of their readers.
     """
     try:
         if is_recording(path):
@@ -33,8 +38,35 @@ def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
                     f"{path}: expected no camera, colour, mask or depth scale beside a recording"
                 )
             return recorded_frames(path, rig)
-        if not path.is_dir():
-            return depth_file(path, beside)
-        return bop_scenes(path, beside) if is_scenes(path) else depth_folder(path, beside)
+        if path.is_dir() and is_scenes(path):
+            return bop_scenes(path, beside)
+        return _depth_images(path, beside)
     except OSError as error:
         raise InvalidFile(f"{error.filename or path}: {error.strerror or error}") from None
+
+
+def _depth_images(path: Path, beside: Beside) -> Frames:
+    """Returns the frames of a folder by their names, or that of a depth image; raises InvalidFile, InvalidInput."""
+    folder, files, in_folders = path.parent, [path], False
+    if path.is_dir():
+        if beside.color is not None:
+            raise InvalidInput(f"color: expected beside one depth image, got {path}, a folder of them")
+        folder, in_folders = path, (path / "depth").is_dir()
+        inside = path / "depth" if in_folders else path
+        pngs = sorted(file for file in inside.iterdir() if file.suffix.lower() == ".png")
+        files = [file for file in pngs if in_folders or "depth" in file.name]
+        if not files:
+            raise InvalidFile(f"{path}: expected depth images, depth/*.png or *depth*.png, got none")
+    camera = read_camera(beside.camera or folder / CAMERA)
+
+    def read(file: Path) -> Frame:
+        color = color_beside(folder, file.stem, COLORS) if in_folders else beside.color
+        return Frame(
+            name=file.name,
+            camera=camera,
+            depth=read_depth(file, beside.depth_scale, camera=camera),
+            color=None if color is None else read_color(color, camera=camera),
+            wanted=beside.wanted(file.stem, camera),
+        )
+
+    return Frames(len(files), read_each(files, read) if folder is path else iter([read(path)]))

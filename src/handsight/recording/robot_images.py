@@ -1,7 +1,13 @@
-"""Depth images of a robot's recording to `Frame`s, its hand masked where it is seen."""
+"""Depth images of a robot, its hand taken out: as `Frame`s of a recording, and as `View`s to reconstruct an object.
 
-from collections.abc import Iterator
+An object in the hand is static in the palm, as far as the grip holds; the palm is where the hand is detected. An object
+on a table is static in the world. If the robot does not know how its camera has moved against that, all views begin at
+one pose, and the growing surface finds theirs.
+"""
+
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -15,84 +21,142 @@ from handsight.recording.open import open_recording
 from handsight.rig import Rig
 from handsight.vision import PalmDetection
 from handsight.vision.palm.hand_in_image import HandInImage
+from handsight.vision.reconstruction.reconstruct import View, within
+from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENTATION, InHandView
 
 KNOWN = 0.01, float(np.deg2rad(2))
-"""How far the hand may be off where the last picture had it, once one has shown it: sigma [m, rad]."""
+"""Sigma of the hand's pose relative to where the last picture had it, once one has shown it [m, rad]."""
 
 
 def recorded_frames(path: Path, rig: Rig) -> Frames:
-    """Returns the frames of a recording in order of stamp; raises InvalidFile where it has no depth images,
-    InvalidInput where neither it nor the rig says what camera they are of.
+    """Returns the frames of a recording in order of stamp; raises InvalidFile where it has no depth images, and
+    InvalidInput where neither it nor the rig has their camera.
 
-    Hand: its links as they are seen (`detect_palm`), else where the rig's camera should see them. Unknown without joint
-    positions, or where a camera in the world does not know of the palm.
+    Hand: its links as they are detected (`detect_palm`), else where the rig's camera should have them. It is unknown
+    without joint positions, or where the palm's pose is unknown to a camera in the world.
     """
     if rig.topics.depth is None:
         raise InvalidInput("rig: expected topics.depth, where the recording has its depth images, got none")
     return Frames(None, _frames(path, rig))
 
 
+def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
+    pixels, camera = HandPixels(rig), None
+    with open_recording(path, rig) as recording:
+        for observation in recording.observations():
+            if observation.depth is None:
+                continue
+            camera = camera or recording.intrinsics or Camera.of(rig.camera)
+            if observation.depth.shape != camera.size[::-1]:
+                (width, height), (h, w) = camera.size, observation.depth.shape
+                message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
+                raise InvalidFile(f"{path}: {message}")
+            alike = observation.color is not None and observation.color.shape[:2] == observation.depth.shape
+            yield Frame(
+                name=f"{observation.stamp:.3f} s",
+                camera=camera,
+                depth=observation.depth,
+                color=observation.color if alike else None,
+                hand=pixels.mask(camera, np.nan_to_num(observation.depth), observation),
+            )
+    if camera is None:
+        raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
+
+
 class HandPixels:
-    """A `HandPixels` says which pixels are the hand's, picture after picture of one camera."""
+    """A `HandPixels` finds the pixels of the hand in picture after picture of one camera."""
 
     def __init__(self, rig: Rig) -> None:
-        """A camera that is calibrated as well as the rig says."""
+        """The camera is calibrated as well as the rig says."""
         self._rig, self._hand = rig, HandInImage(rig)
         # Of the palm in the camera, as constant as the calibration's error.
         self._T_measured_believed: Array | None = None
 
-    def mask(self, camera: Camera, depth: Depth, detected: Observation) -> Mask | None:
-        """Returns (h, w); None where nobody knows of a hand."""
-        T_camera_palm = self.palm(camera, depth, detected)
+    def mask(self, camera: Camera, depth: Depth, observation: Observation) -> Mask | None:
+        """Returns the hand's pixels (h, w); None where no hand is known of."""
+        T_camera_palm = self.palm(camera, depth, observation)
         if T_camera_palm is None:
             return None
-        return self._hand.mask(camera, depth, detected.joint_positions, T_camera_palm)
+        return self._hand.mask(camera, depth, observation.joint_positions, T_camera_palm)
 
-    def palm(self, camera: Camera, depth: Depth, detected: Observation) -> Array | None:
-        """Returns T_camera_palm (4, 4) as the hand is seen; else as believed, by what it was off when it was last
-        seen."""
-        believed, joints, of = believed_palm(self._rig, detected), detected.joint_positions, self._rig.camera
+    def palm(self, camera: Camera, depth: Depth, observation: Observation) -> Array | None:
+        """Returns T_camera_palm (4, 4) as the hand is detected; else by the calibration and its last known error."""
+        believed, of = _in_camera("palm", self._rig, observation), self._rig.camera
         if believed is None or of is None:
             return None
         last = self._T_measured_believed
         off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
         near = believed if last is None else last @ believed
         detect = self._hand.detected if last is None else self._hand.followed
-        found = detect(camera, depth, joints, near, off) if min(off) > 0 else None
+        found = detect(camera, depth, observation.joint_positions, near, off) if min(off) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_measured_believed = near @ se3.inverse(believed)
         return near
 
 
-def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
-    pixels, camera = HandPixels(rig), None
-    with open_recording(path, rig) as recording:
-        for detected in recording.observations():
-            if detected.depth is None:
-                continue
-            camera = camera or recording.intrinsics or Camera.of(rig.camera)
-            if detected.depth.shape != camera.size[::-1]:
-                (width, height), (h, w) = camera.size, detected.depth.shape
-                message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
-                raise InvalidFile(f"{path}: {message}")
-            alike = detected.color is not None and detected.color.shape[:2] == detected.depth.shape
-            yield Frame(
-                name=f"{detected.stamp:.3f} s",
-                camera=camera,
-                depth=detected.depth,
-                color=detected.color if alike else None,
-                hand=pixels.mask(camera, np.nan_to_num(detected.depth), detected),
-            )
-    if camera is None:
-        raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
+def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
+    """Yields the depth images among observations, the hand's pixels 0, by the pose of the world.
+
+    Raises InvalidInput for images of another size than the camera's. Observations without the palm's pose are skipped
+    if the camera's pose relative to the object follows from it.
+    """
+    pixels = HandPixels(rig)
+    for observation in observations:
+        if observation.depth is None:
+            continue
+        depth = _depth(observation.depth, camera)
+        hand = pixels.mask(camera, depth, observation)
+        T = _in_camera("world", rig, observation)
+        if T is None and rig.camera is not None and rig.world_from is not None:
+            continue
+        if hand is not None:
+            depth[hand] = 0
+        yield View(depth, np.eye(4) if T is None else T)
 
 
-def believed_palm(rig: Rig, detected: Observation) -> Array | None:
-    """Returns T_camera_palm (4, 4) by the camera's calibration; None where it does not tell."""
+def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
+    """Yields the depth images among observations, pixels near the hand 0, by the pose of the object in the hand.
+
+    Its frame: the palm's axes about the middle that the fingertips had in the first of them. Observations without
+    joint positions or a belief where the palm is, and those that show nothing but hand there, are skipped. Raises
+    InvalidInput for images of another size than the camera's, and for a rig without a camera.
+    """
+    if rig.camera is None:
+        raise InvalidInput("camera: expected one in the rig, to tell where the hand is, got none")
+    pixels, in_hand = HandPixels(rig), InHandView(rig.hand, rig.sigma_joint_offset)
+    T_palm_object: Array | None = None
+    for observation in observations:
+        joints = observation.joint_positions
+        if observation.depth is None or joints is None or not in_hand.tells(joints):
+            continue
+        depth = _depth(observation.depth, camera)
+        T = pixels.palm(camera, depth, observation)
+        if T is None:
+            continue
+        T_camera_object = T @ (
+            se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
+        )
+        view = View(in_hand.without_hand(camera, depth, joints, T), T_camera_object)
+        if within(camera, view, IN_HAND_BOUNDS).sum() < SEGMENTATION.min_pixels:
+            continue
+        T_palm_object = se3.inverse(T) @ T_camera_object
+        yield view
+
+
+def _depth(depth: Depth, camera: Camera) -> Depth:
+    """Returns a copy of depth (h, w) [m], 0 where there is none; raises InvalidInput for another size."""
+    depth = camera.check_depth(depth)
+    return np.where(depth > 0, depth, 0).astype(np.float32)
+
+
+def _in_camera(body: Literal["palm", "world"], rig: Rig, observation: Observation) -> Array | None:
+    """Returns T_camera_body (4, 4) by the camera's calibration; None where it does not follow from it."""
     if rig.camera is None:
         return None
-    T_camera_mount = se3.inverse(rig.camera.T_mount_camera)
-    if rig.camera.on == "palm":
+    T_camera_mount, T_world_palm = se3.inverse(rig.camera.T_mount_camera), observation.T_world_palm
+    if rig.camera.on == body:
         return T_camera_mount
-    return None if detected.T_world_palm is None else T_camera_mount @ detected.T_world_palm
+    if T_world_palm is None:
+        return None
+    return T_camera_mount @ (T_world_palm if body == "palm" else se3.inverse(T_world_palm))

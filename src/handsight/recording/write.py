@@ -1,13 +1,13 @@
-"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read; what was tracked to MCAP, TUM or CSV."""
+"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read; tracked poses to MCAP, TUM or CSV."""
 
 import csv
 import math
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags asks only for its fields
+from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags reads only its fields
 from typing import Any, Self
 
 import numpy as np
@@ -18,9 +18,9 @@ from handsight.checks import Array
 from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
-from handsight.messages import taxels
 from handsight.messages.decode import rosbags_module, typestore
 from handsight.messages.topics import ARRAY, CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
+from handsight.messages.touch import taxel_fields
 from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Rig
 
@@ -50,7 +50,7 @@ class McapFile:
         self._connections: dict[str, Any] = {}
         self._open = True
 
-    def append(self, topic: str, kind: str, stamp: float, **fields: Any) -> None:
+    def append(self, topic: str, kind: str, stamp: float, **fields: object) -> None:
         """Appends a message of that type, logged at its stamp; its parts are `Message`s too."""
         if not self._open:
             raise InvalidInput(f"{self._path}: expected an open file to write to, got a closed one")
@@ -61,7 +61,7 @@ class McapFile:
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
 
     def close(self) -> None:
-        """Brings the file to its place; a second time does nothing."""
+        """Moves the file to its place; a second time does nothing."""
         if not self._open:
             return
         self._open = False
@@ -76,15 +76,15 @@ class McapFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes; after an error too, so that what was written is kept."""
+        """Closes the file; after an error too, so that what was written is kept."""
         self.close()
 
 
 class RecordingWriter(McapFile):
-    """A `RecordingWriter` is what a rig measured, as one MCAP file; topics and frame ids are the rig's."""
+    """A `RecordingWriter` writes what a rig measured to one MCAP file, by the rig's topics and frame ids."""
 
     def __init__(self, path: str | Path, rig: Rig) -> None:
-        """The file is at `path` once it is closed; what was there is replaced. Raises InvalidFile, MissingExtra."""
+        """The file is at `path` once it is closed, and replaces another one. Raises InvalidFile, MissingExtra."""
         super().__init__(Path(path))
         self._rig = rig
 
@@ -102,16 +102,21 @@ class RecordingWriter(McapFile):
             joints = {"name": names, "position": position, "velocity": none, "effort": none}
             self.append(topics.joint_states, JOINTS, stamp, header=top, **joints)
         for finger, wrench in observation.wrenches.items():
-            self._write_wrench(stamp, finger, wrench)
+            topic = _finger_topic(topics.wrenches, finger, "wrenches")
+            value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
+            body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
+            # The sensor's own frame; none of the rig's frame ids.
+            self.append(topic, WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
         for finger, contact in observation.contacts.items():
-            self._write_contact(stamp, finger, contact)
+            topic = _finger_topic(topics.contacts, finger, "contacts")
+            self._write_contact(stamp, topic, contact)
         for array, reading in observation.skin.items():  # it has no stamp: it is timed by when it is logged
-            fields = taxels.fields(reading, self._rig.skin.get(array), array)
+            fields = taxel_fields(reading, self._rig.skin.get(array), array)
             self.append(_topic(topics.skin.get(array), f"skin.{array}"), ARRAY, stamp, **fields)
         if observation.T_world_palm is not None:
             palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
-            top = header(stamp, frames["world"])
             body = Message(translation=palm.position, rotation=palm.orientation)
+            top = header(stamp, frames["world"])
             link = Message(header=top, child_frame_id=frames["palm"], transform=body)
             self.append(_topic(topics.tf, "tf"), TF, stamp, transforms=[link])
         if (vision := observation.vision) is not None:
@@ -122,44 +127,34 @@ class RecordingWriter(McapFile):
         if observation.color is not None:
             color = np.asarray(observation.color, np.uint8)
             self._write_image((stamp, taken), _topic(topics.color, "color"), "rgb8", color)
-        if observation.depth is not None:
-            depth = _millimetres(observation.depth)
-            self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", depth)
+        if (depth := observation.depth) is not None:
+            with np.errstate(invalid="ignore"):
+                known = (depth > 0) & (depth < 65.5)
+            millimetres = np.round(np.where(known, depth, 0) * 1000).astype("<u2")
+            self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", millimetres)
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
         """Appends where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
         truth, top = pose(se3.check(T_palm_object, "T_palm_object")), header(stamp, self._rig.frames["palm"])
         self.append(_topic(self._rig.topics.truth, "truth"), POSE, stamp, header=top, pose=truth)
 
-    def _write_wrench(self, stamp: float, finger: str, wrench: Array) -> None:
-        topics = self._rig.topics.wrenches
-        if finger not in topics:
-            raise InvalidInput(f"wrenches: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
-        value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
-        body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
-        # The sensor's own frame; none of the rig's frame ids.
-        self.append(topics[finger], WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
-
-    def _write_contact(self, stamp: float, finger: str, contact: ContactMeasurement | None) -> None:
-        """Writes a contact; its own covariance has no place in the message."""
-        topics, none = self._rig.topics.contacts, np.zeros(3)
-        if finger not in topics:
-            raise InvalidInput(f"contacts: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
-        named = {"tip": "", "palm": self._rig.frames["palm"]}
-        frame = "" if contact is None else named.get(contact.frame, contact.frame)
-        # Who does not say how hard it is touched is touched.
-        force = 0.0 if contact is None else 1.0 if contact.force is None else contact.force
-        point, normal = (none, none) if contact is None else (contact.point, contact.normal)
+    def _write_contact(self, stamp: float, topic: str, contact: ContactMeasurement | None) -> None:
+        """Writes a contact, or that there is none; its own covariance has no place in the message."""
+        zero = np.zeros(3)
+        frame, force, point, normal = "", 0.0, zero, zero
+        if contact is not None:
+            frame = {"tip": "", "palm": self._rig.frames["palm"]}.get(contact.frame, contact.frame)
+            force = 1.0 if contact.force is None else contact.force  # any above 0 is a touch
+            point, normal = contact.point, contact.normal
+        top, none = header(stamp, frame), parts("xyz", zero)
         fields = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
-        unsaid = {"tangential_force": parts("xyz", none), "l_torque": 0.0}
-        self.append(
-            topics[finger], CONTACT, stamp, header=header(stamp, frame), f_normal=force, **fields, **unsaid
-        )
+        unknown = {"tangential_force": none, "l_torque": 0.0}
+        self.append(topic, CONTACT, stamp, header=top, f_normal=force, **fields, **unknown)
 
     def _write_image(
         self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[np.generic]
     ) -> None:
-        """Writes an image that was logged at the first stamp and taken at the second."""
+        """Writes an image that was logged at the first stamp and taken at the second, and its camera's CameraInfo."""
         stamp, taken = stamps
         height, width = pixels.shape[:2]
         top = {"header": header(taken, self._rig.frames["camera"]), "height": height, "width": width}
@@ -196,7 +191,7 @@ def pose(T: Array) -> Message:
 
 
 def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
-    """Returns a geometry_msgs/PoseWithCovariance; all zero is what drivers send that do not know it."""
+    """Returns a geometry_msgs/PoseWithCovariance; a covariance of None is all zero, as drivers send it."""
     flat = np.zeros(36) if covariance is None else np.asarray(covariance, dtype=np.float64).ravel()
     return Message(pose=pose(T), covariance=flat)
 
@@ -205,6 +200,12 @@ def _topic(topic: str | None, name: str) -> str:
     if topic is None:
         raise InvalidInput(f"topics.{name}: expected a topic in the rig to write to, got none")
     return topic
+
+
+def _finger_topic(topics: Mapping[str, str], finger: str, name: str) -> str:
+    if finger not in topics:
+        raise InvalidInput(f"{name}: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
+    return topics[finger]
 
 
 def split_stamp(stamp: float) -> tuple[int, int]:
@@ -217,15 +218,9 @@ def split_stamp(stamp: float) -> tuple[int, int]:
     return (sec + 1, 0) if nanosec == 10**9 else (sec, nanosec)
 
 
-def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-    with np.errstate(invalid="ignore"):
-        known = (depth > 0) & (depth < 65.5)
-    return np.round(np.where(known, depth, 0) * 1000).astype("<u2")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackRow:
-    """A `TrackRow` says where the object was at one instant; a row without a pose is in the CSV only."""
+    """A `TrackRow` is the object's tracked pose at one instant; a row without a pose is in the CSV only."""
 
     stamp: float
     """[s]"""
@@ -283,8 +278,10 @@ def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
-    """Writes the columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], or nothing; raises
-    InvalidFile."""
+    """Writes columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], empty where unknown.
+
+    Raises InvalidFile.
+    """
     with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
