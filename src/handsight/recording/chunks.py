@@ -1,6 +1,6 @@
-"""What all kinds of recording files have in common: raw messages, and the chunks they lie in.
+"""The base of all kinds of recording files: raw messages, and the chunks that they are stored in.
 
-Files are hostile until read: no length is believed beyond the file's own, nothing is unpacked beyond a limit.
+Files may be hostile: no length is trusted beyond the file's own, nothing is unpacked beyond a limit.
 """
 
 import math
@@ -8,17 +8,20 @@ import mmap
 import os
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from heapq import heappop, heappush
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, ClassVar, NamedTuple, TypeVar
 from zlib import crc32
 
 from handsight.errors import InvalidFile
 from handsight.files import open_regular
 from handsight.messages import RawMessage
 from handsight.messages.decode import rosbags_module
+
+if TYPE_CHECKING:
+    from bz2 import BZ2Decompressor
 
 Each = TypeVar("Each")
 
@@ -45,30 +48,30 @@ UNPACKERS = {
     "lz4": ("lz4.frame", "LZ4FrameDecompressor"),
     "bz2": ("bz2", "BZ2Decompressor"),
 }
-"""Module and class, each with `decompress(data, max_length)`, `eof` and `unused_data`."""
+"""Module and class, each with the interface of `bz2.BZ2Decompressor`, by compression."""
 
 
 class Source(ABC):
-    """A `Source` is a recording file, open."""
+    """A `Source` is an open recording file."""
 
     MAGIC: ClassVar[bytes]
-    """What such a file begins with."""
+    """First bytes of such a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[str, str] = {}
-        """Type by topic, of all that was recorded."""
+        """Type by topic, of all topics in the file."""
         self.channels: dict[object, tuple[str, str, str]] = {}
-        """Topic, type and encoding by what the file calls them."""
+        """Topic, type and encoding by the file's key for them."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
         self.packed = False
         """Whether each message is compressed by itself, by zstd."""
         self.damage: dict[int, str] = {}
-        """By byte: what of it could not be read."""
+        """What could not be read, by its byte."""
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
-        """Takes in what the file calls `key`; `kind`: as ROS 1 or ROS 2 writes it."""
+        """Adds a topic and its type, as ROS 1 or ROS 2 writes it, by the file's key for them."""
         if topic not in self.topics and len(self.topics) >= CHUNKS.max_topics:
             self.damage[-1] = f"expected at most {CHUNKS.max_topics} topics, got more, which were left out"
             return
@@ -77,63 +80,57 @@ class Source(ABC):
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Returns messages on the wanted topics in order of log time, from the first, each time it is called."""
-        if not self.packed:
-            return self.stored(wanted)
-        return (
-            raw._replace(
-                data=unpacked(
-                    raw.data,
-                    "zstd",
-                    min(CHUNKS.max_unpacked, CHUNKS.spare_message + CHUNKS.max_expansion * len(raw.data)),
-                )[0]
-            )
-            for raw in self.stored(wanted)
-        )
+        """Yields the messages on the wanted topics in order of log time; each call begins again."""
+        for raw in self.stored(wanted):
+            if self.packed:
+                most = CHUNKS.spare_message + CHUNKS.max_expansion * len(raw.data)
+                data, _ = unpacked(raw.data, "zstd", min(CHUNKS.max_unpacked, most))
+                raw = raw._replace(data=data)
+            yield raw
 
     @abstractmethod
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Returns the same, each as it lies in the file."""
+        """Yields the messages as `messages` does, each as it is stored in the file."""
 
     @abstractmethod
     def close(self) -> None:
-        """Lets go of the file."""
+        """Closes the file."""
 
 
 class Chunk(NamedTuple):
-    """A `Chunk` is a stretch of the file that is read in one go."""
+    """A `Chunk` is a part of the file that is read at once."""
 
     start: int
     """Log time of its earliest message [ns]."""
     offset: int
-    """Where its bytes begin in the file."""
+    """Its first byte in the file."""
     length: int
-    """How many there are."""
+    """Its number of bytes in the file."""
     compression: str = ""
     """none, lz4, zstd or bz2; empty: none."""
     size: int = 0
-    """Bytes when unpacked, as the file says."""
+    """Its number of bytes when unpacked, as the file says."""
     crc: int = 0
     """CRC-32 of the unpacked bytes; 0: not given."""
 
 
 class ChunkedSource(Source):
-    """A `ChunkedSource` is a file of chunks, which are found first and read when their turn comes."""
+    """A `ChunkedSource` is a file of chunks: all are found first, and each is read in its turn."""
 
     def __init__(self, path: Path) -> None:
-        """Index of its chunks; `path` is known to begin with MAGIC."""
+        """Finds the chunks of a file that begins with MAGIC."""
         super().__init__(path)
         with open_regular(path) as file:
             self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self._chunks, self._budget = list(self._index()), Budget(len(self.data))
-        # Whoever closed the file repeated its topics outside the chunks; else they are only in them.
+        # A file that was closed repeats its topics outside the chunks; else they are only in them.
         if self.truncated or not self.topics:
             for chunk in self._chunks:
                 self._read(frozenset(), chunk)
 
     @abstractmethod
     def _index(self) -> Iterable[Chunk]:
-        """Returns the chunks as they lie in `data`; topics and where the file ends too early are noted."""
+        """Returns the chunks in `data`, in order of bytes; sets the topics, and where the file ends too early."""
 
     @abstractmethod
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
@@ -147,7 +144,10 @@ class ChunkedSource(Source):
             stop = math.inf if chunk is None or buffered > CHUNKS.max_waiting_bytes else seconds(chunk.start)
             while runs and runs[0].head < stop:
                 run = heappop(runs)
-                yield from _released(run.waiting, min(stop, runs[0].head if runs else math.inf))
+                next_stop = min(stop, runs[0].head if runs else math.inf)
+                yield run.waiting.pop()
+                while run.waiting and run.waiting[-1].log_time < next_stop:
+                    yield run.waiting.pop()
                 if run.waiting:
                     heappush(runs, run._replace(head=run.waiting[-1].log_time))
                 else:
@@ -178,7 +178,7 @@ class ChunkedSource(Source):
 
 
 class Run(NamedTuple):
-    """A `Run` is messages of a chunk that wait for what other chunks have before them."""
+    """A `Run` is the messages of a chunk that wait for earlier ones of other chunks."""
 
     head: float
     """Log time of the first [s]."""
@@ -190,24 +190,16 @@ class Run(NamedTuple):
     """About the bytes they hold."""
 
 
-def _released(waiting: list[RawMessage], stop: float) -> Iterator[RawMessage]:
-    """Yields the first, and those before `stop`."""
-    yield waiting.pop()
-    while waiting and waiting[-1].log_time < stop:
-        yield waiting.pop()
-
-
 class Budget:
-    """A `Budget` is what a file of so many bytes may hold; a few kilobytes may be packed from millions of empty
-    messages."""
+    """A `Budget` limits what a file of so many bytes may hold: a few kilobytes can be millions of empty messages."""
 
     def __init__(self, size: int) -> None:
         self.records = CHUNKS.spare_records + size
-        """That may still be read: none is packed into less than a byte."""
+        """Number of messages that may still be read: none is packed into less than a byte."""
         self._bytes = CHUNKS.spare_unpacked + CHUNKS.max_expansion * size
 
     def spent(self, chunk: Chunk) -> str | None:
-        """Returns why the chunk is not to be read (None: it is), and takes in that it is."""
+        """Returns why the chunk is not to be read; None: it is, and counts."""
         self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
         if self._bytes < 0:
             return (
@@ -216,7 +208,7 @@ class Budget:
         return None if self.records > 0 else TOO_MANY
 
     def limited(self, records: Iterable[Each]) -> Iterator[Each]:
-        """Yields as many of them as may still be read."""
+        """Yields as many of the records as may still be read."""
         left = self.records
         try:
             for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
@@ -227,7 +219,7 @@ class Budget:
 
 
 def seconds(nanoseconds: int) -> float:
-    """Returns seconds as the stamps of messages are made: equal times are equal numbers."""
+    """Returns seconds by the formula of messages' stamps, so that equal times are equal numbers."""
     sec, rest = divmod(nanoseconds, 10**9)
     return sec + rest * 1e-9
 
@@ -243,41 +235,41 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
         return b"", f"expected compression none, lz4, zstd or bz2, got {compression[:20]!r}"
     module, name = UNPACKERS[compression]
     new = getattr(rosbags_module(module), name)
-    out, packed, unpacker = bytearray(), memoryview(data), new()
+    out, pieces = bytearray(), (data[at : at + CHUNKS.piece] for at in range(0, len(data), CHUNKS.piece))
     try:
-        for at in range(0, len(data), CHUNKS.piece):
-            piece = bytes(packed[at : at + CHUNKS.piece])
-            while piece and len(out) < size:
-                out += unpacker.decompress(piece, size - len(out))
-                piece = b""
-                if unpacker.eof:  # several frames may follow one another
-                    piece, unpacker = unpacker.unused_data or b"", new()
+        for part in _unpack(new, pieces, size):
+            out += part
     except Exception as error:  # each library has errors of its own on broken bytes; what came before is kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
 
 
 def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
-    """Writes what a file compressed by zstd unpacks to, as far as it is whole; InvalidFile where it is a bomb."""
+    """Writes what a file compressed by zstd unpacks to, up to its damage; raises InvalidFile for a bomb."""
     module, name = UNPACKERS["zstd"]
     new = getattr(rosbags_module(module), name)
     with open_regular(path) as file:
-        left = CHUNKS.spare_unpacked + CHUNKS.max_expansion * os.fstat(file.fileno()).st_size
-        unpacker = new()
-        while piece := file.read(CHUNKS.piece):
-            while piece:
-                try:
-                    out = unpacker.decompress(piece, left + 1)
-                except Exception as error:  # the library's own; what came before is kept
-                    if not unpacked_file.tell():
-                        raise InvalidFile(
-                            f"{path}: expected a file compressed by zstd, got none ({error})"
-                        ) from None
-                    return
-                unpacked_file.write(out)
-                left -= len(out)
-                if left < 0:
-                    raise InvalidFile(
-                        f"{path}: expected at most {CHUNKS.max_expansion} times its bytes when unpacked, got more"
-                    )
-                piece, unpacker = (unpacker.unused_data, new()) if unpacker.eof else (b"", unpacker)
+        most = CHUNKS.spare_unpacked + CHUNKS.max_expansion * os.fstat(file.fileno()).st_size
+        try:
+            for part in _unpack(new, iter(lambda: file.read(CHUNKS.piece), b""), most + 1):
+                unpacked_file.write(part)
+        except OSError:
+            raise
+        except Exception as error:  # the library's own; what came before is kept
+            if not unpacked_file.tell():
+                raise InvalidFile(f"{path}: expected a file compressed by zstd, got none ({error})") from None
+    if unpacked_file.tell() > most:
+        raise InvalidFile(
+            f"{path}: expected at most {CHUNKS.max_expansion} times its bytes when unpacked, got more"
+        )
+
+
+def _unpack(new: Callable[[], "BZ2Decompressor"], pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
+    """Yields the bytes that consecutive frames unpack to, at most `size` of them; raises the library's errors."""
+    unpacker = new()
+    for piece in pieces:
+        while piece and size > 0:
+            yield (out := unpacker.decompress(piece, size))
+            size, piece = size - len(out), b""
+            if unpacker.eof:  # several frames may follow one another
+                piece, unpacker = unpacker.unused_data or b"", new()  # lz4 has None

@@ -6,6 +6,7 @@ The chunks' own headers are the index, so a file that was never closed is read a
 import mmap
 import struct
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from handsight.messages import RawMessage
@@ -15,7 +16,7 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
 MESSAGE_HEAD, CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
 MAX_RUN = 1 << 20
-"""Bytes of messages outside chunks that are taken as one chunk."""
+"""Bytes of messages outside chunks that are read as one chunk."""
 
 
 class McapSource(ChunkedSource):
@@ -33,8 +34,14 @@ class McapSource(ChunkedSource):
             if run is not None and (op != MESSAGE or begin - run.offset > MAX_RUN):
                 yield run
                 run = None
-            if op == CHUNK:
-                yield from self._chunk(begin, min(end, size))
+            at, stop = begin + CHUNK_HEAD.size + TEXT.size, min(end, size)
+            if op == CHUNK and at <= stop:
+                start, _, unpacked, crc = CHUNK_HEAD.unpack_from(self.data, begin)
+                name = at + TEXT.unpack_from(self.data, at - TEXT.size)[0]
+                if name + 8 <= stop:
+                    length = min(int.from_bytes(self.data[name : name + 8], "little"), stop - name - 8)
+                    compression = self.data[at : min(name, at + 20)].decode("ascii", "replace")
+                    yield Chunk(start, name + 8, length, compression, unpacked, crc)
             if end > size:
                 self.truncated = (
                     f"the file ends at byte {size} in a record that begins at {begin - RECORD.size}"
@@ -55,18 +62,6 @@ class McapSource(ChunkedSource):
         if run is not None:
             yield run
 
-    def _chunk(self, begin: int, end: int) -> Iterator[Chunk]:
-        """Yields the chunk, what there is of it."""
-        at = begin + CHUNK_HEAD.size + TEXT.size
-        if at > end:
-            return
-        start, _, size, crc = CHUNK_HEAD.unpack_from(self.data, begin)
-        name = at + TEXT.unpack_from(self.data, at - TEXT.size)[0]
-        if name + 8 <= end:
-            length = min(int.from_bytes(self.data[name : name + 8], "little"), end - name - 8)
-            compression = self.data[at : min(name, at + 20)].decode("ascii", "replace")
-            yield Chunk(start, name + 8, length, compression, size, crc)
-
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, read = [], 0
         for op, begin, end in self._budget.limited(_records(data, 0, len(data))):
@@ -84,17 +79,15 @@ class McapSource(ChunkedSource):
         return found, wrong if read < len(data) else None
 
     def _take(self, op: int, data: bytes) -> None:
-        """Takes in a schema or a channel; one that is no such thing is passed over, with its messages."""
-        try:
+        """Adds a schema or a channel; one that cannot be read is skipped, with its messages."""
+        with suppress(struct.error, UnicodeDecodeError):
             key = int.from_bytes(data[:2], "little")
             if op == SCHEMA:
                 self._schemas[key], _ = _text(data, 2)
-                return
-            topic, at = _text(data, 4)
-            encoding, _ = _text(data, at)
-        except (struct.error, UnicodeDecodeError):
-            return
-        self.define(key, topic, self._schemas.get(int.from_bytes(data[2:4], "little"), ""), encoding)
+            else:
+                topic, at = _text(data, 4)
+                kind = self._schemas.get(int.from_bytes(data[2:4], "little"), "")
+                self.define(key, topic, kind, _text(data, at)[0])
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
@@ -102,14 +95,14 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int,
     while at + RECORD.size <= stop:
         op, length = RECORD.unpack_from(data, at)
         at += RECORD.size
-        if op == 0:  # no such kind: a file that was made longer than what was written
+        if op == 0:  # no such kind: the file is longer than what was written to it
             return
         yield op, at, at + length
         at += length
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Returns a string, and where it ends; struct.error where it ends beyond the data."""
+    """Returns a text, and where it ends; raises struct.error where that is beyond the data."""
     begin = at + TEXT.size
     end = begin + TEXT.unpack_from(data, at)[0]
     if end > len(data):

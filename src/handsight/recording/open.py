@@ -1,4 +1,4 @@
-"""A path to a recording as a stream of Observations: what kind it is, its first bytes tell, not its name."""
+"""A path to a recording as a stream of Observations; its first bytes tell its kind, not its name."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -29,9 +29,9 @@ MAX_DAMAGE_SENTENCES = 5
 
 
 def open_recording(path: str | Path, rig: Rig) -> "Recording":
-    """Returns the recording, as what a rig has measured: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
+    """Returns the recording of what a rig has measured: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
 
-    The rig says which topic is what. Raises InvalidFile where there is no recording or none with joint states, and
+    The rig gives each topic its role. Raises InvalidFile where there is no recording or none with joint states, and
     MissingExtra without rosbags.
     """
     return Recording(Path(path), rig)
@@ -39,10 +39,10 @@ def open_recording(path: str | Path, rig: Rig) -> "Recording":
 
 @dataclass(slots=True, kw_only=True)
 class RecordingReport(Report):
-    """A `RecordingReport` is what a recording held, as far as it was read."""
+    """A `RecordingReport` counts the content of a recording, as far as it was read."""
 
     files: Sequence[Source]
-    """One, or several as a recorder splits them; what could not be read is in the `damage` of each."""
+    """One, or several as a recorder splits them; each has in `damage` what could not be read."""
 
     @property
     def truncated(self) -> str | None:
@@ -50,7 +50,7 @@ class RecordingReport(Report):
         return next((file.truncated for file in self.files if file.truncated), None)
 
     def sentences(self) -> list[str]:
-        """Returns all that is worth telling a user, worst first; empty: nothing is wrong."""
+        """Returns a sentence for each problem that a user should know of, worst first; empty: nothing is wrong."""
         messages, damage = list[str](), list[str]()
         for file in self.files:
             if file.truncated:
@@ -65,7 +65,7 @@ class RecordingReport(Report):
 
 
 class Recording:
-    """A `Recording` is a recording, open; what was met so far is in `report`, `truth` and `intrinsics`."""
+    """A `Recording` is an open recording; `report`, `truth` and `intrinsics` hold what was read so far."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
         self._path, self._rig, self._topics = path, rig, dict[str, str]()
@@ -87,14 +87,14 @@ class Recording:
 
     @property
     def intrinsics(self) -> Camera | None:
-        """Of the camera's images; None where no CameraInfo was met."""
+        """The camera by its CameraInfo; None where none was read."""
         return self._stream.intrinsics
 
     def observations(self) -> Iterator[Observation]:
-        """Yields what was measured, in order of stamp, one observation for each joint state message.
+        """Yields the observations in order of stamp, one for each joint state message.
 
-        Read as it is asked for, in bounded memory. Each call begins again, and so do `report` and `truth`. Raises
-        InvalidFile at the end if there were no joint states.
+        The file is read as the iterator goes on, in bounded memory. Each call begins again, and so do `report` and
+        `truth`. Raises InvalidFile at the end if there were no joint states.
         """
         self._begin()
         for file in self._files:
@@ -105,21 +105,21 @@ class Recording:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """Returns what the rig needs and was not met so far, a sentence each; joints and frames after `observations`
-        only."""
+        """Returns a sentence for all that the rig needs and was not read so far; joints and frames after
+        `observations` only."""
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
-        topic, there = self._rig.topics.joint_states, sorted(self._topics)
-        more = f" and {len(there) - MAX_NAMED} more" if len(there) > MAX_NAMED else ""
+        topic, names = self._rig.topics.joint_states, sorted(self._topics)
+        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
         cut = f" ({self.report.truncated})" if self.report.truncated else ""
         return InvalidFile(
             f"{self._path}: expected joint states on {topic}, got none; "
-            f"topics there: {', '.join(there[:MAX_NAMED]) or 'none'}{more}{cut}"
+            f"topics there: {', '.join(names[:MAX_NAMED]) or 'none'}{more}{cut}"
         )
 
     def close(self) -> None:
-        """Lets go of the file."""
+        """Closes the file."""
         self._opened.close()
 
     def __enter__(self) -> Self:
@@ -130,13 +130,12 @@ class Recording:
 
 
 def open_files(path: Path) -> Iterator[Source]:
-    """Yields the files of a recording, one after the other, the tenth after the ninth; raises InvalidFile,
-    MissingExtra."""
+    """Yields the files of a recording in the order of their numbers; raises InvalidFile, MissingExtra."""
     try:
-        metadata = path / "metadata.yaml"
         if not path.is_dir():
             yield _open_file(path)
             return
+        metadata = path / "metadata.yaml"
         mode = COMPRESSED.search(read_bytes(metadata, MAX_METADATA)) if metadata.exists() else None
         packed = mode is not None and mode[1].lower() == b"file"
         endings = (".mcap.zstd", ".db3.zstd") if packed else (".mcap", ".db3")
@@ -144,25 +143,24 @@ def open_files(path: Path) -> Iterator[Source]:
         if not files:
             raise InvalidFile(f"{path}: {EXPECTED}, got a folder without {' or '.join(endings)} files")
         for file in sorted(files, key=lambda file: (len(file.name), file.name)):
-            source = _open_packed(file) if packed else _open_file(file)
-            source.packed = mode is not None and not packed
+            if not packed:
+                source = _open_file(file)
+                source.packed = mode is not None
+                yield source
+                continue
+            # The unpacked file is gone as soon as it is closed; where open files cannot be removed, later.
+            with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+                copy = Path(folder) / file.stem
+                with copy.open("wb") as stream:
+                    unpack_file(file, stream)
+                try:
+                    source = _open_file(copy)
+                except InvalidFile as error:
+                    raise InvalidFile(str(error).replace(str(copy), str(file))) from None
+            source.path = file
             yield source
     except OSError as error:
         raise InvalidFile(f"{error.filename or path}: {error.strerror or error}") from None
-
-
-def _open_packed(path: Path) -> Source:
-    """Returns a file that is compressed as a whole, unpacked to one that is gone when it is closed."""
-    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # not where open files cannot be removed
-        unpacked = Path(folder) / path.stem
-        with unpacked.open("wb") as file:
-            unpack_file(path, file)
-        try:
-            source = _open_file(unpacked)
-        except InvalidFile as error:
-            raise InvalidFile(str(error).replace(str(unpacked), str(path))) from None
-    source.path = path
-    return source
 
 
 def _open_file(path: Path) -> Source:

@@ -26,7 +26,7 @@ class Rosbag1Source(ChunkedSource):
         for fields, begin, at in _records(self.data, len(self.MAGIC), size):
             op = fields.get(b"op")
             if op == BAG:
-                # Written last, over a placeholder: a recorder that died left 0.
+                # It is written last, over a placeholder: a recorder that died left 0.
                 closed = 0 < int.from_bytes(fields.get(b"index_pos", b"")[:8], "little") < size
             elif op == CHUNK:
                 # Without an index behind it, a chunk comes after the one before.
@@ -66,7 +66,7 @@ class Rosbag1Source(ChunkedSource):
         return found, wrong if end != len(data) else None
 
     def _take(self, fields: Fields, data: bytes) -> None:
-        """Takes in a connection; one that is no such thing is passed over, with its messages."""
+        """Adds a connection; one that cannot be read is skipped, with its messages."""
         about = _fields(data)
         if b"conn" in fields and b"topic" in fields and b"type" in about:
             topic, kind = (name.decode("utf-8", "replace") for name in (fields[b"topic"], about[b"type"]))
@@ -86,7 +86,7 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fiel
 
 
 def _fields(header: bytes) -> Fields:
-    """Returns `name=value` pairs, up to the first that is none."""
+    """Returns the `name=value` pairs of a header, up to the first that is none."""
     fields, at = {}, 0
     while at + LENGTH.size <= len(header):
         end = at + LENGTH.size + LENGTH.unpack_from(header, at)[0]

@@ -14,21 +14,19 @@ class Rosbag2Limits(NamedTuple):
     """`Rosbag2Limits` say how much work a rosbag 2 may be."""
 
     max_named: int = 12  # tables in a message
-    step: int = 10_000  # of sqlite's machine: between two looks at how many there were
+    step: int = 10_000  # steps of sqlite's machine from one count of them to the next
     spare_steps: int = 300_000
-    """Steps that any file may take. A message of some bytes takes some tens; but pages that refer to one another in a
-    knot never end.
-    """
+    """Steps that any file may take. A short message takes some tens; pages that refer to one another never end."""
     steps_per_byte: int = 5  # and for each of its bytes
 
 
 ROSBAG2 = Rosbag2Limits()
 
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
-"""What a damaged file raises; its error messages may themselves be no text."""
+"""Errors that a damaged file raises; the text of its errors may be damaged too."""
 REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
 PLAIN = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
-"""Not 0 where columns are generated. They, a view or a virtual table may compute for ever."""
+"""Not 0 where columns are generated, which may compute for ever, as a view or a virtual table may."""
 
 
 class SqliteSource(Source):
@@ -37,7 +35,7 @@ class SqliteSource(Source):
     MAGIC = b"SQLite format 3\0"
 
     def __init__(self, path: Path) -> None:
-        """Its topics; raises InvalidFile where its tables are not rosbag 2's."""
+        """Reads its topics; raises InvalidFile where its tables are not rosbag 2's."""
         super().__init__(path)
         with path.open("rb") as file:
             header = file.read(32)
@@ -54,36 +52,33 @@ class SqliteSource(Source):
                 # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
                 self._base.execute("PRAGMA writable_schema = ON")
             self._size = size
-            self._limit(size)
-            self._check_tables()
+            self._limit()
+            tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
+            if not {"topics", "messages"} <= tables:
+                found = ", ".join(sorted(tables)[: ROSBAG2.max_named]) or "(none)"
+                raise InvalidFile(f"the tables {found}")
+            for table in ("topics", "messages"):
+                if self._base.execute(PLAIN, (table,)).fetchone()[0]:
+                    raise InvalidFile(f"the table {table} with columns that are computed")
             for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
                 self.define(key, *map(str, about))
         except (*BROKEN, InvalidFile) as error:
             self._base.close()
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
 
-    def _check_tables(self) -> None:
-        tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
-        if not {"topics", "messages"} <= tables:
-            raise InvalidFile(f"the tables {', '.join(sorted(tables)[: ROSBAG2.max_named]) or '(none)'}")
-        for table in ("topics", "messages"):
-            if self._base.execute(PLAIN, (table,)).fetchone()[0]:
-                raise InvalidFile(f"the table {table} with columns that are computed")
-
-    def _limit(self, size: int) -> None:
-        """Limits the work: from here on, sqlite is interrupted when it has done more than a file of that size asks
-        for."""
-        left = iter(range((ROSBAG2.spare_steps + ROSBAG2.steps_per_byte * size) // ROSBAG2.step))
+    def _limit(self) -> None:
+        """Has sqlite interrupted when it has done more from now on than a file of this size needs."""
+        left = iter(range((ROSBAG2.spare_steps + ROSBAG2.steps_per_byte * self._size) // ROSBAG2.step))
         self._base.set_progress_handler(lambda: next(left, None) is None, ROSBAG2.step)
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields as `Source.stored`; of a cut file in the order in which they were written."""
+        """Yields as `Source.stored` does; the messages of a cut file in the order in which they were written."""
         keys = [key for key, about in self.channels.items() if about[0] in wanted and isinstance(key, int)]
         # The index by time lies all over the file: of a cut one, the rows as they were written.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
         chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
         query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"
-        self._limit(self._size)
+        self._limit()
         budget = Budget(self._size)
         try:
             for key, log, data in budget.limited(self._base.execute(query)):
