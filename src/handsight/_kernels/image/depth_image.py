@@ -139,7 +139,7 @@ def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
 
 @entry
 def normals_at(rays: Any, depth: Any, labels: Any, pixels: Any, out: Any) -> None:
-    """Fills in the SEEN (n,) of pixels (n,), by row and column in one."""
+    """Fills in the DEPTH_POINT (n,) of pixels (n,), by row and column in one."""
     for n in range(len(pixels)):
         v, u = pixels[n] // depth.shape[1], pixels[n] % depth.shape[1]
         z, point = depth[v, u], out[n]

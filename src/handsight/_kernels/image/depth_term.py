@@ -1,24 +1,37 @@
 """Depth points as evidence for a pose in the camera: each lies on the object's surface, or on something else.
 
 Residual of a point P: `d(Rᵀ(P - p))`, with Tukey's weight, so that what is farther off than a bound counts nothing.
-The object moves by (τ, ω), about its centre; the residual's derivative is `-(g, (P - c) × g)`, g the field's gradient
-in the camera.
+The object moves by a step (τ, radius ω) about its centre c; the residual's derivative is `-(g, (P - c)/radius × g)`, g
+the field's gradient in the camera.
 """
 
 from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.prior_term import rotation_log
+from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.evidence.prior_term import add_prior
 from handsight._kernels.image.depth_covariance import covariance_of
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.symmetry import pose_of, store_pose
-from handsight._kernels.math.vec3 import Vec3, add, cross, dot, matmul, mul, sub, tmul, transpose, vector
+from handsight._kernels.math.vec3 import (
+    Vec3,
+    add,
+    cross,
+    dot,
+    mul,
+    neg,
+    scale,
+    store,
+    store33,
+    sub,
+    tmul,
+    vector,
+)
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.records import UNCERTAINTY
+from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, UNCERTAINTY, VISION_PRIOR, WORKSPACE
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.damped import damped_step
+from handsight._kernels.solve.levenberg import IMAGE_DAMPING, damped_step, retract
 
 AGREES = 0.3
 """The least cosine of a point's normal with the surface's."""
@@ -30,7 +43,7 @@ PAIRED = 100
 
 @inner
 def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
-    """Returns weight and residual of a SEEN, where it is, and the surface's normal there in the camera."""
+    """Returns weight and residual of a DEPTH_POINT, where it is, and the surface's normal there in the camera."""
     nodes, field = surface
     R, p = pose
     P = vector(points.point)
@@ -42,87 +55,91 @@ def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, 
 
 
 @inner
-def _equations(surface: Any, points: Any, pose: Pose, about: Vec3, bound: float, u: Any) -> float:
-    """Returns the sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω). surface: nodes,
-    field."""
-    total = 0.0
-    u.matrix[:] = 0.0
-    u.values[:] = 0.0
+def _add_points(surface: Any, points: Any, pose: Pose, frame: Frame, bound: float, equations: Any) -> float:
+    """Adds the rows of all points to normal equations by a step (τ, radius ω) about a frame; returns their weights'
+    sum. surface: nodes, field."""
+    total, (center, radius) = 0.0, frame
     for n in range(len(points)):
         weight, distance, P, g = _point(surface, points[n], pose, bound)
-        if not weight > 0:
-            continue
-        row = g + cross(sub(P, about), g)
-        for i in range(6):
-            u.values[i] += weight * distance * row[i]
-            for j in range(i + 1):
-                u.matrix[i, j] += weight * row[i] * row[j]
-        total += weight
+        if weight > 0:
+            by_shift = neg(g)
+            by_turn = cross(scale(sub(P, center), 1 / radius), by_shift)
+            accumulate((weight,), (by_shift + by_turn + (distance,),), equations)
+            total += weight
     return total
 
 
 @inner
-def _hold(expected: tuple[Pose, Any], center: Vec3, pose: Pose, u: Any) -> None:
-    """Adds to normal equations what is known of a pose beforehand; expected: it, and its information by (τ, ω)."""
-    (R, p), known = expected
-    shift = sub(add(mul(R, center), p), add(mul(pose[0], center), pose[1]))
-    off = shift + rotation_log(matmul(R, transpose(pose[0])))
+def expected_pose(model: Any, information: Any, pose: Pose, prior: Any) -> None:
+    """Fills in what is known of a pose beforehand: its information (6, 6) by (τ, ω) about the object's centre."""
+    R, p = pose
+    center = vector(model.center)
+    prior.kind, prior.has_axis = VISION_PRIOR, 0
+    store(center, prior.pivot_object)
+    store(add(mul(R, center), p), prior.pivot_palm)
+    store33(R, prior.rotation)
     for i in range(6):
         for j in range(6):
-            u.values[i] += known[i, j] * off[j]
-            if j <= i:
-                u.matrix[i, j] += known[i, j]
+            prior.information[i, j] = information[i, j]
 
 
 @inner
-def refine_pose(
-    model: Any, nodes: Any, points: Any, stage: Any, expected: tuple[Pose, Any], pose: Pose
-) -> Pose:
-    """Returns the pose after Gauss-Newton steps to where points lie on the surface; rung: as of `refine_poses`, the
-    third not below the look's own bound; expected: as of `_hold`."""
+def refine_pose(model: Any, nodes: Any, points: Any, stage: Any, prior: Any, pose: Pose) -> Pose:
+    """Returns the pose after Gauss-Newton steps to where points lie on the surface.
+
+    stage: as of `refine_poses`, and a bound that no step goes below [m]; prior: PRIOR_TERM, the pose expected.
+    """
     field = model.fine if stage[0] else model.coarse
-    u, center, steps = local(UNCERTAINTY), vector(model.center), int(stage[3])
-    longest = LONGEST_SHIFT * 2 * model.radius, LONGEST_TURN
+    workspace, center, steps = local(WORKSPACE), vector(model.center), int(stage[3])
+    equations, longest = workspace.now, (LONGEST_SHIFT * 2 * model.radius, LONGEST_TURN)
     for step in range(steps):
         bound = max(stage[1] + (stage[2] - stage[1]) * (step / max(steps - 1, 1)), stage[4])
-        about = add(mul(pose[0], center), pose[1])
-        if not _equations((nodes, field), points, pose, about, bound, u) > 0:
+        frame = add(mul(pose[0], center), pose[1]), model.radius
+        equations[:] = 0.0
+        if not _add_points((nodes, field), points, pose, frame, bound, equations) > 0:
             break
-        _hold(expected, center, pose, u)
-        pose = damped_step(u, model.radius, longest, center, pose)
+        add_prior(prior, pose, frame, equations)
+        moved = damped_step(equations, model.radius, IMAGE_DAMPING, longest, workspace)
+        if np.isnan(moved[0][0]):
+            break
+        pose = retract(pose, moved, frame[0], model.radius)
     return pose
 
 
 @entry
 def refine_poses(model: Any, nodes: Any, points: Any, stage: Any, candidates: Any) -> None:
-    """Moves LOOK (k,) to where SEEN (n,) lie on the surface.
+    """Moves CANDIDATE (k,) to where DEPTH_POINT (n,) lie on the surface.
 
-    rung: whether on the fine field, Tukey's bound at first and at last [m], steps; no bound is less than a look's own.
+    stage: whether on the fine field, Tukey's bound at first and at last [m], steps; no bound is less than a candidate's
+    own.
     """
-    nothing = np.zeros((6, 6))
+    nothing = local(PRIOR_TERM)
+    nothing.kind = NO_PRIOR
     for k in range(len(candidates)):
-        start = pose_of(candidates[k].pose)
         bounded = stage[0], stage[1], stage[2], stage[3], candidates[k].bound
-        store_pose(refine_pose(model[0], nodes, points, bounded, (start, nothing), start), candidates[k].pose)
+        pose = refine_pose(model[0], nodes, points, bounded, nothing, pose_of(candidates[k].pose))
+        store_pose(pose, candidates[k].pose)
 
 
 @entry
 def refine_near(model: Any, nodes: Any, points: Any, stages: Any, known: Any, candidate: Any) -> None:
-    """Moves LOOK (1,) by rungs (r, 5) as of `refine_poses`, each on every so manieth point.
+    """Moves CANDIDATE (1,) by stages (r, 5): as of `refine_poses`, and a stride, such that each takes every stride-th
+    point.
 
-    known (6, 6): information of its pose by (τ, ω), such that a point's residual counts 1 a metre.
+    known (6, 6): information of its pose by (τ, ω) about the object's centre, in units of one point's residual [1/m²].
     """
-    start = pose_of(candidate[0].pose)
-    pose = start
+    pose, prior = pose_of(candidate[0].pose), local(PRIOR_TERM)
+    expected_pose(model[0], known, pose, prior)
     for k in range(len(stages)):
         bounded = stages[k, 0], stages[k, 1], stages[k, 2], stages[k, 3], candidate[0].bound
-        pose = refine_pose(model[0], nodes, points[:: int(stages[k, 4])], bounded, (start, known), pose)
+        pose = refine_pose(model[0], nodes, points[:: int(stages[k, 4])], bounded, prior, pose)
     store_pose(pose, candidate[0].pose)
 
 
 @entry
 def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any) -> None:
-    """Fills in how many of SEEN (n,) lie on the surface of LOOK (k,), each by how near, within so far (k,) [m]."""
+    """Fills in how many of DEPTH_POINT (n,) lie on the surface of CANDIDATE (k,), each by how near, within so far
+    (k,) [m]."""
     for k in range(len(candidates)):
         R, p = pose_of(candidates[k].pose)
         close = 0.0
@@ -189,7 +206,8 @@ def _spread(pulls: tuple[Any, Any], count: int, error: Any, out: Any) -> None:
 
 @entry
 def inform_all(model: Any, nodes: Any, points: Any, errors: Any, candidates: Any, out: Any) -> None:
-    """Fills in what SEEN (n,) say of each LOOK (k,) by (δp, δθ) of the object's centre along the camera's axes.
+    """Fills in what DEPTH_POINT (n,) say of each CANDIDATE (k,) by (δp, δθ) of the object's centre along the camera's
+    axes.
 
     `out` (k, 3, 6, 6): the information of independent points of a standard deviation of 1 m, by their weights, the
     covariance of their pulls, and that of the pose, by (δp, δθ) of the object's *origin*. errors (k, 11) of depth:
@@ -203,10 +221,11 @@ def inform_all(model: Any, nodes: Any, points: Any, errors: Any, candidates: Any
         pose, bound = pose_of(candidates[k].pose), max(errors[k, 6], candidates[k].bound)
         arm = mul(pose[0], vector(model[0].center))
         surface, about = (nodes, model[0].fine), add(arm, pose[1])
-        candidates[k].weight = _equations(surface, points, pose, about, bound, u)
+        u.equations[:] = 0.0
+        candidates[k].weight = _add_points(surface, points, pose, (about, 1.0), bound, u.equations)
         for i in range(6):
             for j in range(6):
-                out[k, 0, i, j] = u.matrix[max(i, j), min(i, j)]
+                out[k, 0, i, j] = u.equations[i, j]
         count = _pulls(surface, points, pose, about, bound, (u, rows))
         _spread((u, rows), count, errors[k], out[k, 1])
         covariance_of(out[k], errors[k], arm, model[0].radius, candidates[k].weight, u)

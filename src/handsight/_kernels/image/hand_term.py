@@ -8,24 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handsight._kernels.evidence.contact_term import Frame, Pose
 from handsight._kernels.image.palm_scan import PALM_SCAN
 from handsight._kernels.image.pinhole import project
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.symmetry import pose_of, store_pose
-from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    add,
-    cross,
-    dot,
-    mul,
-    norm,
-    sub,
-    vector,
-)
-from handsight._kernels.records import UNCERTAINTY
+from handsight._kernels.math.vec3 import Vec3, add, cross, dot, mul, neg, norm, scale, sub, vector
+from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.damped import damped_step
+from handsight._kernels.solve.levenberg import IMAGE_DAMPING, damped_step, retract
 
 
 class HandScoreOptions(NamedTuple):
@@ -91,48 +82,45 @@ def row_of(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[flo
 
 
 @inner
-def _equations(
-    camera: Any, image: Any, hand: Any, pose: tuple[Mat33, Vec3, Vec3], bound: float, u: Any
+def _add_points(
+    camera: Any, image: Any, hand: Any, pose: Pose, frame: Frame, bound: float, equations: Any
 ) -> float:
-    """Returns the sum of weights; `u.matrix`, `u.values`: weighted normal equations, by (τ, ω) about `pose[2]`."""
-    R, p, about = pose
-    total = 0.0
-    u.matrix[:] = 0.0
-    u.values[:] = 0.0
+    """Adds the rows of all of the hand's points to normal equations by a step (τ, radius ω) about a frame; returns
+    their weights' sum."""
+    (R, p), (center, radius), total = pose, frame, 0.0
     for k in range(hand.shape[1]):
         P, n = add(mul(R, vector(hand[0, k])), p), mul(R, vector(hand[1, k]))
         weight, residual = row_of(camera, image, P, n, bound)
         if weight > 0:
-            line = n + cross(sub(P, about), n)
-            for i in range(6):
-                u.values[i] += weight * residual * line[i]
-                for j in range(i + 1):
-                    u.matrix[i, j] += weight * line[i] * line[j]
+            by_shift = neg(n)
+            by_turn = cross(scale(sub(P, center), 1 / radius), by_shift)
+            accumulate((weight,), (by_shift + by_turn + (residual,),), equations)
             total += weight
     return total
 
 
 @entry
 def refine_hand(camera: Any, image: Any, hand: Any, middle: Any, stage: Any, candidates: Any) -> None:
-    """Moves LOOK (k,) by Gauss-Newton steps to where the hand's points (2, m, 3: with normals) lie on the image.
+    """Moves CANDIDATE (k,) by Gauss-Newton steps to where the hand's points (2, m, 3: with normals) lie on the image.
 
-    image: as of `row_of`. middle (3,) of the hand. rung: Tukey's bound at first and at last [m], steps, radius [m].
+    image: as of `row_of`. middle (3,) of the hand. stage: Tukey's bound at first and at last [m], steps, radius [m].
     """
-    u, steps, radius, longest = (
-        local(UNCERTAINTY),
-        int(stage[2]),
-        stage[3],
-        (HAND_SCORE.max_shift, HAND_SCORE.max_rotation),
-    )
+    workspace, steps, radius = local(WORKSPACE), int(stage[2]), stage[3]
+    equations, longest = workspace.now, (HAND_SCORE.max_shift, HAND_SCORE.max_rotation)
     for k in range(len(candidates)):
-        R, p = pose_of(candidates[k].pose)
+        pose = pose_of(candidates[k].pose)
         for step in range(steps):
             bound = stage[0] + (stage[1] - stage[0]) * (step / max(steps - 1, 1))
-            about = add(mul(R, vector(middle)), p)
-            if not _equations(camera[0], image, hand, (R, p, about), bound, u) > HAND_SCORE.min_points:
+            frame = add(mul(pose[0], vector(middle)), pose[1]), radius
+            equations[:] = 0.0
+            weight = _add_points(camera[0], image, hand, pose, frame, bound, equations)
+            if not weight > HAND_SCORE.min_points:
                 break
-            R, p = damped_step(u, radius, longest, vector(middle), (R, p))
-        store_pose((R, p), candidates[k].pose)
+            moved = damped_step(equations, radius, IMAGE_DAMPING, longest, workspace)
+            if np.isnan(moved[0][0]):
+                break
+            pose = retract(pose, moved, frame[0], radius)
+        store_pose(pose, candidates[k].pose)
 
 
 @inner
@@ -177,7 +165,7 @@ def _add(camera: Any, image: Any, P: Vec3, n: Vec3, limits: Any, candidate: Any)
 
 @entry
 def score_hand(camera: Any, image: Any, hand: Any, limits: Any, candidates: Any) -> None:
-    """Fills in the score of LOOK (k,), and what it is made of; `unexplained`: pixels that have another normal.
+    """Fills in the score of CANDIDATE (k,), and what it is made of; `unexplained`: pixels that have another normal.
 
     hand: points and normals (2, m, 3) that are seen from there. limits: area of a point [m²], bound of what is
     explained [m].

@@ -57,10 +57,11 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
 
 @entry
 def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any) -> int:
-    """Fills in the points of SEEN with what lies near LOOK (1,), evenly over all such; how many it filled in.
+    """Fills in the points of DEPTH_POINT with what lies near CANDIDATE (1,), evenly over all such; how many it filled
+    in.
 
     surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m], labels (h, w), of which the negative are
-    left out. window: WINDOW (1,), its step taken smaller until there are as many. out: SEEN (n,), n the most.
+    left out. window: WINDOW (1,), its step taken smaller until there are as many. out: DEPTH_POINT (n,), n the most.
     """
     here, step = window[0], window[0].step
     rays, depth, _ = image

@@ -116,7 +116,7 @@ def _score(sizes: Any, explained: Any, candidate: Any) -> None:
 
 @entry
 def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, candidates: Any) -> None:
-    """Fills in the score of LOOK (k,), and what it is made of.
+    """Fills in the score of CANDIDATE (k,), and what it is made of.
 
     image: depth (h, w) [m] and labels (h, w) of parts, `TABLE`, `HAND` or `OUT`. sides: samples and normals (2, m, 3),
     directions (d, 3), visible (d, m). sizes: pixels of each part (p,). limits: area of a sample [m²], least bound of

@@ -119,7 +119,7 @@ def _best_spins(votes: Any, most: Any, spins: Any) -> None:
 
 @entry
 def vote(table: Any, model: Any, observed: Any, references: Any, limits: Any, candidates: Any) -> None:
-    """Fills in the LOOK (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
+    """Fills in the CANDIDATE (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
 
     table: starts of cells (CELLS + 1,), the model's pairs in them. model: points and normals (2, m, 3). limits:
     diameter [m], most partners of a reference point.

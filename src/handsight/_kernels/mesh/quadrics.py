@@ -246,7 +246,7 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
     """Fits each patch (m,) again in a wider window, and keeps that unless it tells something else.
 
     `cloud` (n, 6): points and normals, in the order of their cells, whose `keys` (n,) are. `levels` (1,): LEVEL.
-    `earlier` (m, windows, SEEN): what earlier windows told.
+    `earlier` (m, windows, WINDOW_VALUES): what earlier windows told.
     """
     level, room, index = levels[0], local(ROOM), np.empty(MOST, np.int64)
     for k in range(len(patches)):

@@ -45,7 +45,8 @@ def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tup
 
 @entry
 def distinct_candidates(symmetries: Any, limits: Any, candidates: Any, order: Any, kept: Any) -> int:
-    """Fills in `kept` (most,) with those LOOK, in an order (k,), that are apart from all before; how many there are.
+    """Fills in `kept` (most,) with those CANDIDATE, in an order (k,), that are apart from all before; how many there
+    are.
 
     symmetries: discrete ones (r, 4, 4), directions of continuous axes (a, 3). limits: a point (3,) on these axes, or
     any where there are none, the object's radius [m], how far apart [m]: that point's shift and radius times a turn.

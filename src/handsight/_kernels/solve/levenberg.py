@@ -14,20 +14,33 @@ from handsight._kernels.records import OUTSIDE, WORKSPACE
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.options import DESCENT
 
+LONGEST_STEP = 1e3, DESCENT.max_turn
+"""The most that one step shifts [m] and turns [rad]: beyond, the turn's derivative says nothing."""
+IMAGE_DAMPING = 1.7e-4
+"""Damping of a step to where points of an image lie: what they do not see stays."""
+
 
 @inner
-def damped_step(equations: Any, radius: float, damping: float, workspace: Any) -> tuple[Vec3, Vec3]:
-    """Returns a Levenberg-Marquardt step (τ, radius ω), its turn at most MAX_TURN; what nothing observes stays."""
+def damped_step(
+    equations: Any, radius: float, damping: float, longest: tuple[float, float], workspace: Any
+) -> tuple[Vec3, Vec3]:
+    """Returns a Levenberg-Marquardt step (τ, radius ω) of normal equations (7, 8); what nothing observes stays.
+
+    damping: by the trace of the information; longest: the most that a step shifts [m] and turns [rad]. The step is NaN
+    where the equations have no solution, and so is its cost: nobody takes it.
+    """
     trace = 0.0
     for k in range(6):
         trace += equations[k, k]
     if not factor(equations, 6, (damping + 1e-12) * trace, workspace.factor):
-        nothing = (np.nan, np.nan, np.nan)  # no step; its cost is no number and it is not taken
+        nothing = (np.nan, np.nan, np.nan)
         return nothing, nothing
     s = workspace.step
     solve(workspace.factor, 6, equations[6], s)
     shift, turn = (s[0], s[1], s[2]), (s[3], s[4], s[5])
-    shorter = -DESCENT.max_turn / max(norm(turn) / radius, DESCENT.max_turn)
+    by_shift = longest[0] / max(norm(shift), longest[0])
+    by_turn = longest[1] / max(norm(turn) / radius, longest[1])
+    shorter = -min(by_shift, by_turn)
     return scale(shift, shorter), scale(turn, shorter)
 
 
@@ -107,5 +120,5 @@ def descend(
             damping = min(damping * 30, 1e3)
         if converged or tried == most:
             return pose, now[6, 6], tried, converged
-        step = damped_step(now, radius, damping, workspace)
+        step = damped_step(now, radius, damping, LONGEST_STEP, workspace)
         candidate = retract(pose, step, center, radius)

@@ -10,7 +10,7 @@ from handsight._kernels.math.simd import accumulate, local, scan
 from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.levenberg import damped_step, retract
+from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract
 from handsight._kernels.solve.options import MATCH
 
 
@@ -83,7 +83,7 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
                 add_match(model, term, pose, frame, equations)
         # Walls would hold the object back on the way to its place: they hurt from far away.
         add_evidence(evidence, PRIOR | LOADS, model.coarse, pose, frame, False, equations)
-        step = damped_step(equations, model.radius, 1e-9, workspace)
+        step = damped_step(equations, model.radius, 1e-9, LONGEST_STEP, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0
         for k in range(3):

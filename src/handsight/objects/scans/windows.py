@@ -91,7 +91,7 @@ def widths(least: float, most: float, ratio: float) -> Array:
 
 
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
-    """Returns what each window (k,) [m] told of each patch, (m, k, SEEN); fits the patches in place."""
+    """Returns what each window (k,) [m] told of each patch, (m, k, WINDOW_VALUES); fits the patches in place."""
     fitted = np.full((len(patches), len(windows), kernel.WINDOW_VALUES), np.nan)
     for place, window in enumerate(windows):
         given = np.zeros(1, dtype=kernel.LEVEL)

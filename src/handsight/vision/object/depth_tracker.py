@@ -64,7 +64,7 @@ class Sighting:
     reason: str
     """Why it is not `tracking`; empty if it is."""
     candidate: NDArray[np.void]
-    """LOOK (1,): the pose that was tried, and what the image says of it."""
+    """CANDIDATE (1,): the pose that was tried, and what the image says of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

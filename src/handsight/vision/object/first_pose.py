@@ -66,7 +66,7 @@ class ObjectDetection:
     weights: Array
     """(k,) their sum is 1."""
     candidates: Candidates
-    """(k,) LOOK: what the image says of each."""
+    """(k,) CANDIDATE: what the image says of each."""
     probability: float = 0.0
     """That the first is right, where as often as not the object is not there at all."""
     reason: str | None = None
@@ -123,12 +123,12 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
 
 
 def poses_of(candidates: Candidates) -> Array:
-    """Returns (..., 4, 4) T_camera_object of LOOK (...)."""
+    """Returns (..., 4, 4) T_camera_object of CANDIDATE (...)."""
     return se3.compose(candidates["pose"]["rotation"], candidates["pose"]["position"])
 
 
 def scores(candidates: Candidates) -> Array:
-    """Returns (k, 2) of LOOK (k,): score, and close pixels in its units."""
+    """Returns (k, 2) of CANDIDATE (k,): score, and close pixels in its units."""
     return np.stack(
         [candidates["score"], candidates["close"] ** (1 - pose_score.POSE_SCORE.size_exponent)], axis=1
     )

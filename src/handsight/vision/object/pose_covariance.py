@@ -22,10 +22,11 @@ def pose_covariances(
     candidates: NDArray[np.void],
     noise: DepthNoise,
 ) -> Array:
-    """Returns (k, 6, 6) of LOOK (k,) by (δp, δθ) of the object's origin along the camera's axes.
+    """Returns (k, 6, 6) of CANDIDATE (k,) by (δp, δθ) of the object's origin along the camera's axes.
 
-    Of SEEN (n,) those within a look's bound count, with errors that they share as the noise has it: a pixel's own, its
-    neighbours', a smooth bias and one of the whole image. On top of that come pixels' places and the model's error.
+    Of DEPTH_POINT (n,) those within a look's bound count, with errors that they share as the noise has it: a pixel's
+    own, its neighbours', a smooth bias and one of the whole image. On top of that come pixels' places and the model's
+    error.
     """
     z = np.maximum(
         (candidates["pose"]["position"] + candidates["pose"]["rotation"] @ model.center_object)[:, 2], 1e-3

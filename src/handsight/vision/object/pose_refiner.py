@@ -43,7 +43,7 @@ class RefinedPose(NamedTuple):
     covariance: Array
     """(6, 6) of (δp, δθ) of the object's origin along the camera's axes."""
     candidate: NDArray[np.void]
-    """LOOK (1,)"""
+    """CANDIDATE (1,)"""
     points: int
     """On the surface, or nearly."""
 

@@ -13,7 +13,7 @@ sums, and how close points lie, tell more of drawn pictures, and lead a real cam
 
 
 def evidence_of(candidates: NDArray[np.void]) -> Array:
-    """Returns (k, 5) of LOOK (k,): one; of the expected pixels the shares explained, seen past, hidden and left
+    """Returns (k, 5) of CANDIDATE (k,): one; of the expected pixels the shares explained, seen past, hidden and left
     over."""
     size = np.maximum(candidates["expected"], LEAST)
     shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
@@ -22,7 +22,7 @@ def evidence_of(candidates: NDArray[np.void]) -> Array:
 
 
 def log_odds(candidates: NDArray[np.void]) -> Array:
-    """Returns (k,) that the object is where LOOK (k,) have it, against that it is not."""
+    """Returns (k,) that the object is where CANDIDATE (k,) have it, against that it is not."""
     return np.asarray(evidence_of(candidates) @ EVIDENCE)
 
 

@@ -91,7 +91,8 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, se
 
 
 def observed_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> NDArray[np.void]:
-    """Returns SEEN (n,): points of the scene's parts about `spacing` [m] apart, at most so many, in random order."""
+    """Returns DEPTH_POINT (n,): points of the scene's parts about `spacing` [m] apart, at most so many, in random
+    order."""
     order = np.flatnonzero(scene.labels >= 0)
     np.random.default_rng(seed).shuffle(order)
     chosen = np.empty(most, dtype=np.int64)

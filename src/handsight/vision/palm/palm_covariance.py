@@ -26,9 +26,9 @@ def palm_covariance(
     stage: tuple[Indices, float],
     noise: DepthNoise,
 ) -> Array:
-    """Returns (6, 6) of LOOK (1,) by (δp, δθ) of the palm along the camera's axes.
+    """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
 
-    rung: rows of the points that are seen (k,), and Tukey's bound [m]. Points err as the noise has it: each by itself,
+    stage: rows of the points that are seen (k,), and Tukey's bound [m]. Points err as the noise has it: each by itself,
     with its neighbours, with all. On top of that come pixels' places and what constant errors of the joints do, to
     first order: how the weighted fit leans when a joint is off.
     """

@@ -84,7 +84,7 @@ class PalmDetection:
     fit: float
     """Of the pixels that the hand should fill, the share that it explains; what hides it takes from it."""
     candidate: NDArray[np.void]
-    """(1,) LOOK: what the image says of it, in pixels."""
+    """(1,) CANDIDATE: what the image says of it, in pixels."""
 
 
 def detect_palm(
@@ -172,7 +172,7 @@ def _positive(value: float, name: str) -> float:
 def _laid(
     picture: Picture, hand: PlacedHand, rows: Indices, stage: tuple[float, ...], candidates: NDArray[np.void]
 ) -> NDArray[np.void]:
-    """Returns the looks moved to where points, some of `rows`, lie on the image, and judged by them; rung: see
+    """Returns the looks moved to where points, some of `rows`, lie on the image, and judged by them; stage: see
     RUNGS."""
     count, first, last, steps, bound = stage
     few = rows[: int(count)]

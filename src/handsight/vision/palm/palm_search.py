@@ -91,7 +91,7 @@ class Belief:
 
 
 def searched(picture: Picture, belief: Belief, there: Mask) -> NDArray[np.void]:
-    """Returns LOOK (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around
+    """Returns CANDIDATE (k,) from which the hand is laid on: the likeliest of all that are tried, and of those around
     them."""
     hand, rows = belief.hand, np.flatnonzero(there)
     air = hand.beside(picture.camera, belief.T, PALM_SEARCH.scanned)
@@ -127,7 +127,8 @@ def _tried(
     steps: tuple[Array, Array],
     fine: tuple[float, int],
 ) -> NDArray[np.void]:
-    """Returns LOOK (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points as of `_scanned`."""
+    """Returns CANDIDATE (k,) the best of all turns (r, 3, 3) and shifts (s, 3) from a pose, by points as of
+    `_scanned`."""
     hand = belief.hand
     rotations = steps[0] @ T[:3, :3]
     middles = se3.apply(T, hand.middle[None])[0] + steps[1]

@@ -141,7 +141,8 @@ class _Surface:
         return self._fine.evaluate(points_object).distance
 
     def refined(self, points: NDArray[np.void], T: Array, stage: Array) -> Array:
-        """Returns T_camera_object (4, 4) where SEEN (n,) lie on the surface, begun at T; rung: as of `refine_poses`."""
+        """Returns T_camera_object (4, 4) where DEPTH_POINT (n,) lie on the surface, begun at T; stage: as of
+        `refine_poses`."""
         candidate = np.zeros(1, dtype=CANDIDATE)
         candidate["pose"]["rotation"], candidate["pose"]["position"] = T[:3, :3], T[:3, 3]
         depth_term.refine_poses(self._model, self._nodes, points, stage, candidate)
