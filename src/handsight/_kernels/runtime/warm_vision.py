@@ -1,4 +1,4 @@
-"""Sight's kernels compiled, or loaded, ahead of their first use."""
+"""The kernels of vision, compiled or loaded ahead of their first use."""
 
 from typing import Any
 
@@ -9,7 +9,6 @@ from handsight._kernels.image import (
     depth_image,
     depth_term,
     hand_term,
-    near_points,
     palm_scan,
     pinhole,
     pose_score,
@@ -17,7 +16,15 @@ from handsight._kernels.image import (
     volume,
     votes,
 )
-from handsight._kernels.image.vision_records import CAMERA, CANDIDATE, DEPTH_POINT, VOXEL, WINDOW
+from handsight._kernels.image.vision_records import (
+    CAMERA,
+    CANDIDATE,
+    DEPTH_ERROR,
+    DEPTH_POINT,
+    STAGE,
+    VOXEL,
+    WINDOW,
+)
 from handsight._kernels.solve import distinct_poses
 
 
@@ -45,25 +52,24 @@ def warm(model: Any, nodes: Any) -> None:
     votes.pairs_of(points, normals, 0.1, cells, spins)
     pairs = np.zeros(votes.CELLS + 1, dtype=np.int32), np.zeros(1, dtype=np.int32)
     voters, voted = np.stack([points, normals]), np.zeros((1, votes.PEAKS), dtype=CANDIDATE)
-    votes.vote(pairs, voters, observed, np.zeros(1, dtype=np.int64), np.array([0.1, 2.0]), voted)
+    votes.vote(pairs, voters, 0.1, observed, np.zeros(1, dtype=np.int64), 2, voted)
 
-    sides = voters, np.eye(3), np.empty((3, 4), dtype=np.bool_)
+    sides = voters, np.eye(3), np.empty((3, 4), dtype=np.bool_), 1e-4
     visible = sides[2]
     pose_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
-    depth_term.refine_poses(model, nodes, observed, np.array([1, 0.01, 0.01, 2]), candidates)
+    stages = np.array([(1, 0.01, 0.01, 2, 1)], dtype=STAGE)
+    depth_term.refine_poses(model, nodes, observed, stages, np.eye(6), candidates)
     depth_term.closeness(model, nodes, observed, np.full(4, 0.01), candidates)
-    depth_term.refine_near(model, nodes, observed, np.ones((1, 5)), np.eye(6), candidates[:1])
-    depth_term.inform_all(model, nodes, observed, np.ones((4, 11)), candidates, np.empty((4, 3, 6, 6)))
-    depth_covariance.largest_shift(model, nodes, np.eye(3), np.eye(6))
+    errors = np.zeros(4, dtype=DEPTH_ERROR)
+    depth_term.inform_all(model, nodes, observed, errors, candidates, np.empty((4, 2, 6, 6)))
     group, order = (np.eye(4)[None], np.zeros((0, 3))), np.arange(4)
     distinct_poses.distinct_candidates(group, np.ones(5), candidates, order, np.empty(4, dtype=np.int64))
-    limits = np.array([1e-4, 0.006, 0, 0, 0])
-    pose_score.score_all(camera, (depth, labels), sides, np.ones(1), limits, candidates)
+    pose_score.score_all(camera, (depth, labels), sides, np.ones(1), np.zeros(3), candidates)
     volume.fuse(camera, depth, np.ones((3, 4)), 0.01, np.zeros((2, 2, 2), dtype=VOXEL))
     window, image = np.zeros(1, dtype=WINDOW), (rays, depth, labels)
     window["step"] = 1
-    near_points.leave_out_plane(image, window)
-    near_points.near_points((model, nodes), image, window, candidates[:1], observed)
+    depth_image.leave_out_plane(image, window)
+    depth_image.near_points((model, nodes), image, window, candidates[:1], observed)
     _warm_hand(camera, rays, depth)
 
 
@@ -73,8 +79,13 @@ def _warm_hand(camera: Any, rays: Any, depth: Any) -> None:
     palm_scan.cells_of(camera, rays, depth, corner, cells)
     hand, candidates = np.ones((2, 3, 3)), np.zeros(2, dtype=CANDIDATE)
     found = np.empty((1, 1, 2))
-    palm_scan.scan(cells, np.append(corner, 0.01), hand, np.ones((1, 3)), np.eye(3)[None], found)
+    palm_scan.scan(cells, corner, 0.01, hand, np.ones((1, 3)), np.eye(3)[None], found)
     image = depth, rays, cells, corner
-    hand_term.refine_hand(camera, image, hand, np.ones(3), np.array([0.02, 0.01, 2, 0.1]), candidates)
-    hand_term.score_hand(camera, image, hand, np.array([1e-4, 0.01]), candidates)
+    stages = np.array([(0, 0.02, 0.01, 2, 1)], dtype=STAGE)
+    hand_term.refine_hand(camera, image, hand, np.ones(3), 0.1, stages, candidates)
+    hand_term.score_hand(camera, image, hand, 1e-4, 0.01, candidates)
     hand_term.rows_of(camera, image, hand, candidates["pose"][:1].copy(), 0.01, np.empty((3, 8)))
+    points = np.ones((3, 3))
+    depth_covariance.inform_points(
+        np.ones(3), points, points, np.ones(3), 0.1, np.zeros(1, dtype=DEPTH_ERROR), 2, np.empty((2, 6, 6))
+    )
