@@ -228,10 +228,9 @@ class DepthTracker:
         if last is None or predicted.lost:
             velocity = np.zeros(6)
         elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
-            now, before = (
-                each.at_point(self.model.center_object).T_a_b for each in (pose, last.pose_camera_object)
-            )
-            velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
+            T_object_center = se3.compose(np.eye(3), self.model.center_object)
+            before = last.pose_camera_object.T_a_b @ T_object_center
+            velocity = se3.difference(pose.T_a_b @ T_object_center, before) / (predicted.stamp - last.stamp)
         return replace(predicted, pose_camera_object=pose, velocity=velocity, lost=False)
 
     def _unsure(self, belief: _Belief) -> float:

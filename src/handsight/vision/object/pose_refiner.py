@@ -104,7 +104,7 @@ class PoseRefiner:
         window = self._window[0]
         last = slice(*window["rows"]), slice(*window["columns"])
         self._depth[last], self._labels[last] = 0, OUT
-        self._depth[box] = np.nan_to_num(depth[box], nan=0, posinf=0, neginf=0)
+        self._depth[box] = np.where(np.isfinite(depth[box]), depth[box], 0)
         self._labels[box] = 0 if hand is None else np.where(hand[box], np.int32(HAND), np.int32(0))
         rows, columns = box
         window["rows"], window["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)
