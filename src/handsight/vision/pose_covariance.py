@@ -60,8 +60,8 @@ def center_covariances(
     depth_term.inform_all(*model.record[:2], points, errors, candidates, informed)
     # The model's normals, which differ from the object's, say of a turn what the object does not.
     spurious = candidates["weight"] * model.sigma_normal**2 / 2
-    informed[:, 0, 3:, 3:] -= spurious[:, None, None] * np.eye(3)
-    unknown = np.repeat([1 / (part * model.diameter) ** 2 for part in UNKNOWN], 3)
+    informed[:, 0, range(3, 6), range(3, 6)] -= spurious[:, None]
+    unknown = 1 / np.repeat(np.multiply(UNKNOWN, model.diameter), 3) ** 2
     image_variance = (PIXEL * z / camera.matrix[0, 0]) ** 2 + model.sigma_point**2
     scale = np.repeat([1.0, model.radius], 3)
     return pose_covariances(informed, unknown, image_variance) / np.outer(scale, scale)

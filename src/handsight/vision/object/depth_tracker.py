@@ -104,7 +104,8 @@ class DepthTracker:
     ) -> None:
         """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
         self.model, self.camera = model, camera
-        self._refiner = PoseRefiner(model, camera, noise)
+        self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
+        self._T_object_center[:3, 3] = model.center_object
         self._start = None if start is None else se3.check(start, "start")
         self._belief: _Belief | None = None
         self._searched = -np.inf
@@ -174,13 +175,12 @@ class DepthTracker:
         velocity = DEPTH_TRACKER.velocity_share * last.velocity * (dt <= DEPTH_TRACKER.max_gap)
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
             pose = pose.transformed(image.T_camera_palm @ se3.inverse(last.T_camera_palm))
-            drift = DEPTH_TRACKER.drift_in_palm
-        center = pose.at_point(self.model.center_object)
-        if drift is DEPTH_TRACKER.drift:
-            center = replace(center, T_a_b=se3.moved(center.T_a_b, velocity * dt))
-        center = center.inflated(np.repeat([(dt * sigma) ** 2 for sigma in drift], 3))
-        pose = _symmetric(center.at_point(-self.model.center_object))
-        pose = pose if hint is None else replace(pose, T_a_b=hint)
+            T, drift = pose.T_a_b, DEPTH_TRACKER.drift_in_palm
+        else:
+            T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
+            T = T_camera_center @ se3.inverse(self._T_object_center)
+        drifted = self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in drift], 3))
+        pose = GaussianPose(T if hint is None else hint, pose.covariance + drifted)
         return _Belief(image.stamp, pose, velocity, image.T_camera_palm, last.lost)
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
@@ -223,14 +223,14 @@ class DepthTracker:
 
     def _fused(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
         """Returns the belief after an image that shows enough of the object."""
-        last, pose = self._belief, _symmetric(predicted.pose_camera_object.fused(refined.pose_camera_object))
-        velocity = predicted.velocity
+        last, velocity = self._belief, predicted.velocity
+        pose = predicted.pose_camera_object.fused(refined.pose_camera_object)
+        pose = replace(pose, covariance=(pose.covariance + pose.covariance.T) / 2)
         if last is None or predicted.lost:
             velocity = np.zeros(6)
         elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
-            T_object_center = se3.compose(np.eye(3), self.model.center_object)
-            before = last.pose_camera_object.T_a_b @ T_object_center
-            velocity = se3.difference(pose.T_a_b @ T_object_center, before) / (predicted.stamp - last.stamp)
+            before, now = (T @ self._T_object_center for T in (last.pose_camera_object.T_a_b, pose.T_a_b))
+            velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
         return replace(predicted, pose_camera_object=pose, velocity=velocity, lost=False)
 
     def _unsure(self, belief: _Belief) -> float:
@@ -250,13 +250,13 @@ class DepthTracker:
         """Returns the belief that the object is about there, and as good as unknown."""
         D = self.model.diameter
         variance = np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
-        center = GaussianPose(T_camera_object, np.zeros((6, 6))).at_point(self.model.center_object)
-        pose = center.inflated(variance).at_point(-self.model.center_object)
-        return _Belief(image.stamp, _symmetric(pose), np.zeros(6), image.T_camera_palm, lost)
+        pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
+        return _Belief(image.stamp, pose, np.zeros(6), image.T_camera_palm, lost)
 
-
-def _symmetric(pose: GaussianPose) -> GaussianPose:
-    return replace(pose, covariance=(pose.covariance + pose.covariance.T) / 2)
+    def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
+        """Returns the covariance (6, 6) of the object's origin that a variance (6,) of its centre makes."""
+        J = se3.point_jacobian(-T_camera_object[:3, :3] @ self.model.center_object)
+        return (J * variance) @ J.T
 
 
 def _is_enough(refined: RefinedPose) -> bool:
