@@ -18,6 +18,7 @@ import handsight as hs
 from from_pictures import OBJECTS, RATE, errors, grasped
 from handsight import se3
 from handsight.camera import Camera
+from handsight.gaussian_pose import GaussianPose
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
@@ -86,20 +87,17 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
 
 def in_palm(seen: RefinedPose, T_palm_camera: Array) -> hs.PosePrior:
     """What an image says of the object in the palm, which itself is known as the seen hand tells it."""
-    T, arm = T_palm_camera @ seen.T_camera_object, np.eye(6)
-    arm[:3, 3:] = -se3.skew(T[:3, 3])
-    covariance = se3.rotate_covariance(T_palm_camera[:3, :3], seen.covariance)
-    covariance = covariance + arm @ np.diag(HAND**2) @ arm.T
-    return hs.PosePrior(T, (covariance + covariance.T) / 2)
+    pose = seen.pose_camera_object.transformed(T_palm_camera)
+    arm = se3.point_jacobian(pose.T_a_b[:3, 3])
+    covariance = pose.covariance + arm @ np.diag(HAND**2) @ arm.T
+    return hs.PosePrior(pose.T_a_b, (covariance + covariance.T) / 2)
 
 
 def both(expected: hs.PosePrior, seen: hs.PosePrior) -> hs.PosePrior:
     """Two poses, each as much as it knows."""
-    P = expected.covariance
-    gain = np.linalg.solve(P + seen.covariance, P).T
-    step = gain @ se3.difference(seen.T_palm_object, expected.T_palm_object)
-    P = P - gain @ P
-    return hs.PosePrior(se3.moved(expected.T_palm_object, step), (P + P.T) / 2)
+    first, second = (GaussianPose(each.T_palm_object, each.covariance) for each in (expected, seen))
+    pose = first.fused(second)
+    return hs.PosePrior(pose.T_a_b, (pose.covariance + pose.covariance.T) / 2)
 
 
 def fused(

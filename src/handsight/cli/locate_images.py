@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from handsight.recording.detections import Located
     from handsight.recording.frames import Frame, Frames, Unread
     from handsight.vision import DepthNoise
-    from handsight.vision.object.recognition import Recognition
+    from handsight.vision.object.locate import Recognition
 
 MOST_PANELS = 6
 """Pictures that a figure has room for."""

@@ -87,8 +87,8 @@ class HandPixels:
         last = self._T_measured_believed
         off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
         near = believed if last is None else last @ believed
-        detect = self._hand.detected if last is None else self._hand.followed
-        found = detect(camera, depth, observation.joint_positions, near, off) if min(off) > 0 else None
+        given = camera, depth, observation.joint_positions, near, off
+        found = self._hand.detected(*given, follow=last is not None) if min(off) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_measured_believed = near @ se3.inverse(believed)

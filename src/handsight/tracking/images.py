@@ -165,8 +165,7 @@ class Eye:
         found = None
         if not known or abs(stamp - self._searched) >= SEARCH_AGAIN:
             self._searched, self.searches = stamp, self.searches + 1
-            observe = self._hand.followed if known else self._hand.detected
-            found = observe(self._camera, depth, joints, believed, sigmas)
+            found = self._hand.detected(self._camera, depth, joints, believed, sigmas, follow=known)
         if isinstance(found, PalmDetection):
             self.hands += 1
             covariance = se3.rotate_covariance(camera.T_mount_camera[:3, :3], found.covariance)

@@ -156,7 +156,8 @@ class DepthTracker:
             predicted, refined = found
         enough = _is_enough(refined)
         self._belief = belief = self._fused(predicted, refined) if enough else predicted
-        pose, unsure = belief.pose_camera_object, self._unsure(belief)
+        pose = belief.pose_camera_object
+        unsure = surface_shift(self.model, pose)
         refined.candidate["pose"] = candidates_at(pose.T_a_b[None])["pose"]
         reason = "" if enough else HIDDEN
         if enough and unsure > DEPTH_TRACKER.uncertain * self.model.diameter:
@@ -198,7 +199,9 @@ class DepthTracker:
             return f"it explains {100 * share:.0f} % of what is seen there"
         if _is_enough(refined):
             return ""
-        far_off = self._unsure(predicted) > DEPTH_TRACKER.lost * self.model.diameter
+        far_off = (
+            surface_shift(self.model, predicted.pose_camera_object) > DEPTH_TRACKER.lost * self.model.diameter
+        )
         return HIDDEN if predicted.lost or far_off else ""
 
     def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
@@ -233,19 +236,6 @@ class DepthTracker:
             velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
         return replace(predicted, pose_camera_object=pose, velocity=velocity, lost=False)
 
-    def _unsure(self, belief: _Belief) -> float:
-        """Returns how far off the object's surface may be [m]: the most that one sigma along any of the three least
-        known directions moves it. A turn that it looks the same after leaves it where it is."""
-        center, scale = self.model.center_object, np.repeat([1.0, self.model.radius], 3)
-        pose = belief.pose_camera_object.at_point(center)
-        pose = pose.transformed(se3.inverse(pose.T_a_b))  # along the object's axes
-        values, vectors = np.linalg.eigh(pose.covariance * np.outer(scale, scale))
-        steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T[3:] / scale
-        moved = se3.apply(
-            se3.moved(np.broadcast_to(np.eye(4), (3, 4, 4)), steps), self.model.points_object - center
-        )
-        return float(np.abs(self.model.evaluate(moved.reshape(-1, 3) + center).distance).max())
-
     def _unknown(self, image: _Image, T_camera_object: Array, *, lost: bool) -> _Belief:
         """Returns the belief that the object is about there, and as good as unknown."""
         D = self.model.diameter
@@ -263,3 +253,16 @@ def _is_enough(refined: RefinedPose) -> bool:
     """Returns whether an image shows enough of the object to say something of its pose."""
     options, explained = DEPTH_TRACKER, refined.candidate["explained"][0]
     return bool(refined.points >= options.min_points and explained >= options.min_pixels)
+
+
+def surface_shift(model: ObjectModel, pose_camera_object: GaussianPose) -> float:
+    """Returns how far off the object's surface may be [m]: the most that one sigma along any of the three least known
+    directions moves it. A turn that it looks the same after leaves it where it is."""
+    center, scale = model.center_object, np.repeat([1.0, model.radius], 3)
+    pose = pose_camera_object.at_point(center)
+    pose = pose.transformed(se3.inverse(pose.T_a_b))  # along the object's axes
+    values, vectors = np.linalg.eigh(pose.covariance * np.outer(scale, scale))
+    steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T[3:] / scale
+    Ts = se3.moved(np.broadcast_to(np.eye(4), (3, 4, 4)), steps)
+    moved = center + se3.apply(Ts, model.points_object - center).reshape(-1, 3)
+    return float(np.abs(model.evaluate(moved).distance).max())
