@@ -40,7 +40,8 @@ class Mjcf:
         self._copy(root, self.robot, 1, 1)
         folder = path.parent / self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
         for mesh in (mesh for asset in self.robot.all("asset") for mesh in asset.all("mesh")):
-            if file := mesh.get("file"):
+            if "file" in mesh.attributes:
+                file = mesh.get("file")
                 mesh.attributes.setdefault("name", Path(file).stem)
                 found = folder / (Path(file).name if self._compiler.get("strippath") == "true" else file)
                 if os.path.isfile(found):
