@@ -20,12 +20,12 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 class FileLimits(NamedTuple):
-    """`FileLimits` are what files of images may hold."""
+    """`FileLimits` bound what files of images and cameras may hold."""
 
     max_image: int = 200_000_000  # bytes of an image
     max_camera: int = 100_000  # bytes of a camera
-    min_scale: float = 1e-7  # metres that one step of a depth image is at least
-    max_scale: float = 1.0  # and at most
+    min_scale: float = 1e-7  # least size of one step of a depth image [m]
+    max_scale: float = 1.0  # and largest [m]
 
 
 FILES = FileLimits()
@@ -35,7 +35,7 @@ Side = Annotated[int, Meta(gt=0, le=MAX_PIXELS)]
 
 
 class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
-    """A `CameraForm` is what a camera's file says [pixels]."""
+    """A `CameraForm` has the keys of a camera's file [pixels]."""
 
     fx: Pixels
     fy: Pixels
@@ -50,10 +50,10 @@ class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_camera(path: str | Path) -> Camera:
-    """Returns the camera of a JSON file: fx, fy, cx, cy, width, height [pixels], and `lens` where images are not
-    rectified.
+    """Returns the camera of a JSON file; raises InvalidFile with the file's name and the key.
 
-    `lens`: k1, k2, p1, p2[, k3[, k4, k5, k6]] of OpenCV. Raises InvalidFile with the file's name and the key.
+    Its keys: fx, fy, cx, cy, width, height [pixels], and where images are not rectified `lens`: k1, k2, p1, p2[, k3[,
+    k4, k5, k6]] of OpenCV.
     """
     form = decode(read_bytes(path, FILES.max_camera), CameraForm, str(path))
     K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
@@ -64,10 +64,10 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | None = None) -> Depth:
-    """Returns depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
+    """Returns the depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
 
-    `scale`: metres of a step; of a BOP scene a thousandth of its `depth_scale`. `camera`: that the image must be of the
-    size of. Raises InvalidFile for what is no such image, for one of another size or without any depth, and where the
+    `scale`: metres of a step; of a BOP scene a thousandth of its `depth_scale`. `camera`: whose size the image must
+    have. Raises InvalidFile for what is no such image, for one of another size or without any depth, and where the
     median depth (below 2 cm or beyond 20 m) says that the unit is another; InvalidInput for the scale; MissingExtra.
     """
     unit = checks.positive(scale, "scale")
@@ -85,10 +85,8 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
 
 
 def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
-    """Returns red, green, blue (h, w, 3) of a PNG or JPEG; `camera`: that it must be of the size of.
-
-    Raises InvalidFile, MissingExtra.
-    """
+    """Returns red, green, blue (h, w, 3) of a PNG or JPEG, which must have the size of `camera`; raises InvalidFile,
+    MissingExtra."""
     data = read_bytes(path, FILES.max_image)
     try:
         return _of_size(pixels.color(data), camera)

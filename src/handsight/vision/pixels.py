@@ -1,4 +1,4 @@
-"""Depth and colour images as bytes and whole numbers hold them, to metres and red, green, blue."""
+"""Depth and colour images from bytes and whole numbers: in metres, and in red, green, blue."""
 
 import io
 import warnings
@@ -20,12 +20,11 @@ Color = NDArray[np.uint8]
 
 
 class DepthLimits(NamedTuple):
-    """`DepthLimits` are what a depth image may hold."""
+    """`DepthLimits` bound what an image may hold."""
 
-    max_pixels: int = 20_000_000  # of a compressed image, before it is unpacked; a kilobyte may hold as many
-    min_median: float = 0.02
-    """Median of what a depth camera measures, at least: below it the unit is another [m]."""
-    max_median: float = 20.0  # and at most [m]
+    max_pixels: int = 20_000_000  # of a compressed image, which a kilobyte may hold
+    min_median: float = 0.02  # of a depth image: below it the unit is another [m]
+    max_median: float = 20.0  # and above it [m]
 
 
 DEPTH_LIMITS = DepthLimits()
@@ -34,8 +33,7 @@ MILLIMETRE = 1e-3
 
 
 def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
-    """Returns depth (h, w) [m], NaN where there is none; of whole numbers, `scale` metres each and 0 for none, or of
-    metres.
+    """Returns the depth (h, w) [m], NaN where there is none, of whole numbers of `scale` metres, or of metres.
 
     Raises InvalidInput where the median says that the unit is another.
     """
@@ -49,35 +47,33 @@ def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
     median = float(np.median(known)) if known.size else np.nan
     if unit * median < DEPTH_LIMITS.min_median or unit * median > DEPTH_LIMITS.max_median:
         guess = "another unit?" if is_integer or median < DEPTH_LIMITS.min_median else "millimetres?"
-        raise InvalidInput(f"expected depth in {_called(unit)}, got a median of {median:.4g} ({guess})")
+        names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
+        expected = names.get(unit, f"units of {1e3 * unit:g} mm")
+        raise InvalidInput(f"expected depth in {expected}, got a median of {median:.4g} ({guess})")
     return depth * np.float32(unit) if is_integer else depth
-
-
-def _called(unit: float) -> str:
-    names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
-    return names.get(unit, f"units of {1e3 * unit:g} mm")
 
 
 Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 def color(data: bytes) -> Color:
-    """Returns red, green, blue (h, w, 3) of the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
+    """Returns red, green, blue (h, w, 3) from the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
     return _opened(data, lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
 
 
 def sixteen_bits(data: bytes) -> NDArray[np.uint16]:
-    """Returns the numbers (h, w) of the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
-    return _opened(data, _sixteen_bits)
+    """Returns the numbers (h, w) from the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
 
+    def read(image: "Image") -> NDArray[np.uint16]:
+        if not image.mode.startswith("I"):
+            raise InvalidInput(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
+        return np.asarray(image).astype(np.uint16)
 
-def _sixteen_bits(image: "Image") -> NDArray[np.uint16]:
-    if not image.mode.startswith("I"):
-        raise InvalidInput(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
-    return np.asarray(image).astype(np.uint16)
+    return _opened(data, read)
 
 
 def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[Pixel]:
+    """Returns what `read` makes of an image from its bytes; raises InvalidInput, MissingExtra."""
     try:
         from PIL import Image
     except ImportError:

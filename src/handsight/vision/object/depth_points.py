@@ -1,4 +1,4 @@
-"""Depth points as evidence of a correction, in place of the pose that they gave."""
+"""Depth points as evidence of a correction, in place of the vision pose that they gave."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,20 +9,18 @@ from handsight.correction import PosePrior
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
-MOST_POINTS = 48
-"""More tell no more of a pose: their errors are common to many."""
-WITHIN = 0.05
-"""Of the surface, for a point to be the object's [diameters]."""
+MAX_POINTS = 48
+"""More say no more of a pose, because their errors are common to many."""
 
 
 def depth_points(model: ObjectModel, points_palm: ArrayLike, vision: PosePrior) -> Contacts | None:
     """Returns points of a depth image as contacts without normals, for one correction with what fingers touch.
 
-    points_palm: (n, 3) [m], of the object and of what is around it, NaN where a pixel has none. vision: the pose that
-    the image gave, in the palm, with all that makes it uncertain: noise, the camera's constant error, where the palm is
-    in the camera. Points share these errors, so each counts for so little that all together know in no direction more
-    than that pose does. It is in them then, and is no prior any more. `MOST_POINTS` of those near the surface, evenly;
-    None where none is. Raises InvalidInput.
+    points_palm: (n, 3) [m], of the object and of its surroundings, NaN where a pixel has none. vision: the pose that
+    the image gave, in the palm, with all that makes it uncertain: noise, the camera's constant error, the pose of the
+    palm in the camera. The points share these errors; so each gets a sigma with which all together know no direction
+    better than that pose does. They replace it: it must not be a prior as well. The answer has at most `MAX_POINTS` of
+    the points within 5 % of the diameter of the surface, evenly; None where there is none. Raises InvalidInput.
     """
     points = np.asarray(points_palm)
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
@@ -31,10 +29,10 @@ def depth_points(model: ObjectModel, points_palm: ArrayLike, vision: PosePrior) 
     points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     T = vision.T_palm_object
     surface = model.evaluate(se3.apply(se3.inverse(T), checks.position(points, "points_palm", (None, 3))))
-    near = np.flatnonzero(np.abs(surface.distance) < WITHIN * model.diameter)
+    near = np.flatnonzero(np.abs(surface.distance) < 0.05 * model.diameter)
     if not len(near):
         return None
-    count = min(len(near), MOST_POINTS)
+    count = min(len(near), MAX_POINTS)
     near = near[np.arange(count) * len(near) // count]
     normals, arms = surface.gradient[near] @ T[:3, :3].T, points[near] - T[:3, 3]
     scale = np.repeat([1.0, model.radius], 3)
