@@ -326,7 +326,7 @@ def settled(known, points, start, off, thing=None):
     rows, look = np.zeros(len(points), dtype=DEPTH_POINT), candidates_at(start[None])
     rows["point"] = se3.apply(off @ start, points)
     stages = np.array([(1, 0.02, 0.02, 30, 1)], dtype=STAGE)
-    depth_term.refine_poses(*(thing or model()).record[:2], rows, stages, known, look)
+    depth_term.refine_poses(*(thing or model()).record[:2], rows, stages, 1.0, known, look)
     return poses_of(look)[0]
 
 

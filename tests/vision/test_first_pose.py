@@ -81,7 +81,7 @@ def test_points_settle_where_least_squares_puts_them(fine):
         se3.rotation_exp(np.array([0.03, -0.02, 0.04])), np.array([2e-3, -1e-3, 2e-3])
     )
     look, stages = candidates_at(start[None]), np.array([(fine, bound, bound, 40, 1)], dtype=STAGE)
-    depth_term.refine_poses(*model().record[:2], rows, stages, NOTHING_KNOWN, look)
+    depth_term.refine_poses(*model().record[:2], rows, stages, 1.0, NOTHING_KNOWN, look)
     found = poses_of(look)[0]
 
     def distances(T):

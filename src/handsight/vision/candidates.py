@@ -1,12 +1,10 @@
 """Candidate poses in a camera, as the records that the kernels of vision take."""
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image.vision_records import CANDIDATE, STAGE
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.checks import Array
 from handsight.objects import ObjectModel
 
@@ -31,8 +29,3 @@ def center_depths(model: ObjectModel, candidates: Candidates) -> Array:
     """Returns the depths (k,) of the object's centre [m]; 1 mm where it is not in front of the camera."""
     z = candidates["pose"]["position"][:, 2] + candidates["pose"]["rotation"][:, 2] @ model.center_object
     return np.asarray(np.maximum(z, 1e-3))
-
-
-def stages_of(rows: Iterable[tuple[bool, float, float, int, int]], unit: float) -> NDArray[np.void]:
-    """Returns STAGE (r,) of rows: whether fine, first and last bound in `unit` [m], steps, stride."""
-    return np.array([(*row[:1], unit * row[1], unit * row[2], *row[3:]) for row in rows], dtype=STAGE)

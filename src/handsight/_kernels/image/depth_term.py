@@ -53,7 +53,7 @@ def add_plane_row(
 
 @inner
 def bound_at(stage: Any, step: int) -> float:
-    """Returns Tukey's bound [m] of a step of a STAGE."""
+    """Returns Tukey's bound of a step of a STAGE, in the unit of its bounds."""
     return stage.first_bound + (stage.last_bound - stage.first_bound) * (step / max(stage.steps - 1, 1))
 
 
@@ -106,12 +106,14 @@ def _expect(model: Any, information: Any, pose: Pose, prior: Any) -> None:
 
 
 @entry
-def refine_poses(model: Any, nodes: Any, points: Any, stages: Any, known: Any, candidates: Any) -> None:
+def refine_poses(
+    model: Any, nodes: Any, points: Any, stages: Any, unit: float, known: Any, candidates: Any
+) -> None:
     """Moves CANDIDATE (k,) by Gauss-Newton steps to where DEPTH_POINT (n,) lie on the surface.
 
-    stages: STAGE (r,), one after another; no bound is less than a candidate's own. known (6, 6): the information of
-    each candidate's pose before, by (δp, δθ) of the object's centre along the camera's axes, in units of one point's
-    residual [1/m²]; 0 where nothing is known.
+    stages: STAGE (r,), one after another, with bounds in `unit` [m]; no bound is less than a candidate's own. known (6,
+    6): the information of each candidate's pose before, by (δp, δθ) of the object's centre along the camera's axes, in
+    units of one point's residual [1/m²]; 0 where nothing is known.
     """
     workspace, prior, center, radius = (
         local(WORKSPACE),
@@ -127,7 +129,7 @@ def refine_poses(model: Any, nodes: Any, points: Any, stages: Any, known: Any, c
             stage = stages[s]
             surface = nodes, model[0].fine if stage.fine else model[0].coarse
             for step in range(stage.steps):
-                bound = max(bound_at(stage, step), candidates[k].bound)
+                bound = max(unit * bound_at(stage, step), candidates[k].bound)
                 frame = add(mul(pose[0], center), pose[1]), radius
                 equations[:] = 0.0
                 if not _add_points(surface, points[:: stage.stride], pose, frame, bound, equations) > 0:

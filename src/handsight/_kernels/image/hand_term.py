@@ -85,7 +85,7 @@ def refine_hand(
 ) -> None:
     """Moves CANDIDATE (k,) by Gauss-Newton steps to where the hand's points (2, m, 3: with normals) lie on the image.
 
-    image: as of `_row`. middle (3,) and radius of the hand [m]. stages: STAGE (1,).
+    image: as of `_row`. middle (3,) and radius of the hand [m]. stages: STAGE (1,), with bounds in metres.
     """
     workspace, stage = local(WORKSPACE), stages[0]
     equations, longest = workspace.now, (HAND_TERM.max_shift, HAND_TERM.max_rotation)

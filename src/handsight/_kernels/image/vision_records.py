@@ -39,10 +39,11 @@ CANDIDATE = record(
     ("rms", "f8"),  # of the distances of the explained pixels [m]
 )
 
-# One of several passes, from coarse to fine, that move a pose to where points lie on a surface.
+# One of several passes, from coarse to fine, that move a pose to where points lie on a surface; the unit of its bounds
+# is given beside it.
 STAGE = record(
     ("fine", "i8"),  # whether on the fine field
-    ("first_bound", "f8"),  # Tukey's bound of the first step [m]
+    ("first_bound", "f8"),  # Tukey's bound of the first step
     ("last_bound", "f8"),  # and of the last, with those of other steps evenly between
     ("steps", "i8"),
     ("stride", "i8"),  # every stride-th point takes part

@@ -58,7 +58,7 @@ def warm(model: Any, nodes: Any) -> None:
     visible = sides[2]
     pose_score.visible_sets(model, nodes, points.copy(), normals.copy(), np.eye(3), visible)
     stages = np.array([(1, 0.01, 0.01, 2, 1)], dtype=STAGE)
-    depth_term.refine_poses(model, nodes, observed, stages, np.eye(6), candidates)
+    depth_term.refine_poses(model, nodes, observed, stages, 1.0, np.eye(6), candidates)
     depth_term.closeness(model, nodes, observed, np.full(4, 0.01), candidates)
     errors = np.zeros(4, dtype=DEPTH_ERROR)
     depth_term.inform_all(model, nodes, observed, errors, candidates, np.empty((4, 2, 6, 6)))

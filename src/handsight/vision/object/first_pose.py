@@ -5,27 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight import se3
 from handsight._kernels.image import depth_term, pose_score, votes
-from handsight._kernels.image.vision_records import CANDIDATE
+from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight._kernels.solve import distinct_poses
-from handsight.checks import Array, Indices
-from handsight.gaussian_pose import GaussianPose
+from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, poses_of, stages_of
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.pose_covariance import center_covariances
-
-
-class FirstPoseStage(NamedTuple):
-    """A `FirstPoseStage` moves candidates to the image by some of its points, and keeps the best."""
-
-    points: int
-    fine: bool  # whether on the fine field
-    bounds: tuple[float, float]  # Tukey's, of the first and the last step [diameters]
-    steps: int
-    kept: int  # candidates that go on
 
 
 class FirstPoseOptions(NamedTuple):
@@ -45,12 +35,6 @@ class FirstPoseOptions(NamedTuple):
     close_sigmas: float = (
         1.25  # of the depth, its bias included, within which a point is close to the surface
     )
-    stages: tuple[FirstPoseStage, ...] = (
-        FirstPoseStage(80, False, (0.12, 0.08), 4, kept=24),
-        FirstPoseStage(160, False, (0.08, 0.05), 4, kept=12),
-        FirstPoseStage(300, True, (0.05, 0.03), 4, kept=8),
-        FirstPoseStage(900, True, (0.03, 0.0), 5, kept=8),
-    )
     score_weights: tuple[float, float] = (1.2, 22.0)
     """Of the two `scores` in the logarithm of a mode's weight. They were chosen by hand between fits to two sets of
     drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of the one that it draws)."""
@@ -58,9 +42,16 @@ class FirstPoseOptions(NamedTuple):
 
 FIRST_POSE = FirstPoseOptions()
 
+STAGES = np.array(
+    [(0, 0.12, 0.08, 4, 1), (0, 0.08, 0.05, 4, 1), (1, 0.05, 0.03, 4, 1), (1, 0.03, 0.0, 5, 1)], dtype=STAGE
+)
+"""How candidates are moved to the image, with bounds in diameters."""
+POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
+"""Observed points by which each stage moves them, and candidates that go on from each."""
+
 EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
-"""The weights of the columns of `evidence_of` in the log odds (`experiments/sight_fit.py`). Shares alone: sums, and how
-close points lie, say more of drawn pictures, and mislead with a real camera's."""
+"""The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`).
+Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +87,25 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     """
     appearance, D, camera = appearance_of(model), model.diameter, scene.camera
     observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
-    references = _references(observed, len(scene.sizes))
+    # The points that vote are spread over the segments by the roots of their sizes: a big one must not take all.
+    has = (observed["normal"] != 0).any(axis=1)
+    counts = np.bincount(observed["part"][has], minlength=len(scene.sizes))
+    share, chosen = np.sqrt(counts), [np.empty(0, dtype=np.int64)]
+    for part in np.flatnonzero(counts >= FIRST_POSE.min_pixels):
+        number = max(FIRST_POSE.min_references, round(FIRST_POSE.references * share[part] / share.sum()))
+        chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
+    references = np.concatenate(chosen)
     voted = np.zeros((len(references), votes.PEAKS), dtype=CANDIDATE)
     votes.vote(appearance.pairs, appearance.voters, D, observed, references, FIRST_POSE.partners, voted)
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
-    for stage in FIRST_POSE.stages:
+    image = scene.depth, scene.labels
+    for stage, points, kept in zip(STAGES, POINTS, KEPT, strict=True):
         found["bound"] = explained_within(noise, center_depths(model, found))
-        rows, points = stages_of([(stage.fine, *stage.bounds, stage.steps, 1)], D), observed[: stage.points]
-        depth_term.refine_poses(*model.record[:2], points, rows, NOTHING_KNOWN, found)
-        image = scene.depth, scene.labels
+        stages = np.atleast_1d(stage)
+        depth_term.refine_poses(*model.record[:2], observed[:points], stages, D, NOTHING_KNOWN, found)
         pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, found)
-        found = distinct(model, found, found["score"], stage.kept, FIRST_POSE.candidate_spacing)
+        found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
     z = center_depths(model, found)
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
     depth_term.closeness(*model.record[:2], observed, close, found)
@@ -115,10 +113,11 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     log_weights = scores(found) @ FIRST_POSE.score_weights
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
-    poses, centers = poses_of(found), center_covariances(model, camera, observed, found, noise)
-    covariances = np.zeros((len(found), 6, 6))
-    for k, (T, covariance) in enumerate(zip(poses, centers, strict=True)):
-        covariances[k] = GaussianPose(T, covariance).at_point(-model.center_object).covariance
+    poses = poses_of(found)
+    to_origin = se3.point_jacobian(-poses[:, :3, :3] @ model.center_object)
+    covariances = (
+        to_origin @ center_covariances(model, camera, observed, found, noise) @ np.swapaxes(to_origin, 1, 2)
+    )
     probability = float(probabilities(log_odds(found[:1])).sum())
     return ObjectDetection(poses, covariances, weights / max(weights.sum(), 1.0), found, probability)
 
@@ -167,16 +166,3 @@ def distinct(
         np.argsort(-score, kind="stable"),
     )
     return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]
-
-
-def _references(observed: Candidates, segments: int) -> Indices:
-    """Returns the points that vote, spread over the segments by the roots of their sizes: a big one must not take
-    all."""
-    has = (observed["normal"] != 0).any(axis=1)
-    counts = np.bincount(observed["part"][has], minlength=segments)
-    share = np.sqrt(counts)
-    chosen = [np.empty(0, dtype=np.int64)]
-    for part in np.flatnonzero(counts >= FIRST_POSE.min_pixels):
-        number = max(FIRST_POSE.min_references, round(FIRST_POSE.references * share[part] / share.sum()))
-        chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
-    return np.concatenate(chosen)

@@ -6,12 +6,12 @@ import numpy as np
 
 from handsight import se3
 from handsight._kernels.image import depth_image, depth_term, pinhole, pose_score
-from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, WINDOW
+from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import Candidates, candidates_at, center_depths, poses_of, stages_of
+from handsight.vision.candidates import Candidates, candidates_at, center_depths, poses_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import explained_within
@@ -27,14 +27,12 @@ class RefinerOptions(NamedTuple):
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
     covariance_points: int = 50  # of them are enough for the covariance
-    stages: tuple[tuple[bool, float, float, int, int], ...] = (
-        (False, 0.12, 0.05, 4, 4),
-        (True, 0.05, 0.0, 3, 1),
-    )
-    """Whether on the fine field; Tukey's bound of the first and the last step [diameters]; steps; stride of points."""
 
 
 REFINER = RefinerOptions()
+
+STAGES = np.array([(0, 0.12, 0.05, 4, 4), (1, 0.05, 0.0, 3, 1)], dtype=STAGE)
+"""How the pose is moved to the points, with bounds in diameters."""
 
 
 class RefinedPose(NamedTuple):
@@ -59,7 +57,6 @@ class PoseRefiner:
         self._window["within"] = REFINER.within * model.diameter
         self._window["plane_within"] = REGION.table_within
         self._points = np.zeros(REFINER.max_points, dtype=DEPTH_POINT)
-        self._stages = stages_of(REFINER.stages, model.diameter)
 
     def at(
         self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None
@@ -76,7 +73,7 @@ class PoseRefiner:
         points, z = self._points[:count], center_depths(self.model, candidate)
         candidate["bound"] = explained_within(self.noise, z)
         one_point = self.noise.sigma(z) ** 2 + self.noise.bias(z) ** 2
-        depth_term.refine_poses(*record, points, self._stages, one_point * known, candidate)
+        depth_term.refine_poses(*record, points, STAGES, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidate)
         some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])

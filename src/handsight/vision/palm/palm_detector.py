@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._kernels.image import hand_term
+from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
-from handsight.vision.candidates import Candidates, candidates_at, poses_of, stages_of
+from handsight.vision.candidates import Candidates, candidates_at, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_appearance import PlacedHand
 from handsight.vision.palm.palm_covariance import palm_covariance
@@ -180,7 +181,7 @@ def _align(
     """Moves candidates to where the first of the visible points `rows` lie on the image, and scores them by these."""
     few = rows[: stage.points]
     skin, camera = np.ascontiguousarray(hand.skin[:, few]), picture.camera.record
-    stages = stages_of([(False, stage.first_bound, stage.last_bound, stage.steps, 1)], 1.0)
+    stages = np.array([(0, stage.first_bound, stage.last_bound, stage.steps, 1)], dtype=STAGE)
     hand_term.refine_hand(camera, picture.arrays, skin, hand.middle, hand.radius, stages, candidates)
     area = hand.appearance.point_area * len(rows) / max(len(few), 1)
     hand_term.score_hand(camera, picture.arrays, skin, area, stage.explained, candidates)

@@ -9,11 +9,11 @@ from scipy.ndimage import binary_erosion
 
 from handsight import se3
 from handsight._kernels.image import depth_term
-from handsight._kernels.image.vision_records import OUT
+from handsight._kernels.image.vision_records import OUT, STAGE
 from handsight._kernels.records import MODEL
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of, stages_of
+from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
 from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.reconstruction.volume import Volume
 
@@ -33,14 +33,12 @@ class ReconstructionOptions(NamedTuple):
     near: float = 0.5  # a point on the surface is nearer to it than this [bounds]
     min_shift: float = 0.02  # a view is fused if the camera has moved so far since the last one [m]
     min_rotation: float = np.deg2rad(3)  # or turned so far [rad]
-    stages: tuple[tuple[bool, float, float, int, int], ...] = (
-        (False, 1.0, 0.5, 6, 1),
-        (True, 1.0, 0.6, 8, 1),
-    )
-    """Whether on the fine volume; Tukey's bound of the first and the last step [bounds]; steps; stride of points."""
 
 
 RECONSTRUCTION = ReconstructionOptions()
+
+STAGES = np.array([(0, 1.0, 0.5, 6, 1), (1, 1.0, 0.6, 8, 1)], dtype=STAGE)
+"""How a view is aligned with the coarse and the fine volume, with bounds in those of the volume."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,10 +97,11 @@ class Reconstruction:
         scene = Scene(self.camera, view.depth, labels, sizes)
         points = observed_points(scene, RECONSTRUCTION.spacing, RECONSTRUCTION.max_points)
         T = view.T_camera_object
-        for stage in RECONSTRUCTION.stages:
-            bound = (self.volume if stage[0] else self._coarse).bound
-            known = points[surface.is_known(stage[0], se3.apply(se3.inverse(T), points["point"]))]
-            T = surface.refined(known, T, stages_of([stage], bound))
+        for stage in STAGES:
+            fine = bool(stage["fine"])
+            bound = (self.volume if fine else self._coarse).bound
+            known = points[surface.is_known(fine, se3.apply(se3.inverse(T), points["point"]))]
+            T = surface.refined(known, T, np.atleast_1d(stage), bound)
         off = np.abs(surface.distances(se3.apply(se3.inverse(T), known["point"])))
         enough = max(RECONSTRUCTION.min_fit * len(known), RECONSTRUCTION.min_points)
         return View(view.depth, T) if (off < RECONSTRUCTION.near * self.volume.bound).sum() > enough else None
@@ -140,8 +139,9 @@ class _Surface:
         """Returns (n,) [m] from the surface."""
         return self._fine.evaluate(points_object).distance
 
-    def refined(self, points: NDArray[np.void], T: Array, stages: NDArray[np.void]) -> Array:
-        """Returns T_camera_object (4, 4) near T where DEPTH_POINT (n,) lie on the surface, after STAGE (r,)."""
+    def refined(self, points: NDArray[np.void], T: Array, stages: NDArray[np.void], bound: float) -> Array:
+        """Returns T_camera_object (4, 4) near T where DEPTH_POINT (n,) lie on the surface, by STAGE (r,) in `bound`
+        [m]."""
         candidate = candidates_at(T[None])
-        depth_term.refine_poses(self._model, self._nodes, points, stages, NOTHING_KNOWN, candidate)
+        depth_term.refine_poses(self._model, self._nodes, points, stages, bound, NOTHING_KNOWN, candidate)
         return np.asarray(poses_of(candidate)[0])
