@@ -1,4 +1,4 @@
-"""How far a pose that a depth image gives may be off, by errors that the image's points share."""
+"""The covariance of a pose from a depth image, by errors that the image's points share."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,5 +1,4 @@
-"""What of an object a depth camera can observe: pairs of its surface points, and which of them are visible from
-where."""
+"""The points of an object that depth images are compared with: pairs that vote, and which are visible from where."""
 
 from dataclasses import dataclass
 from functools import lru_cache

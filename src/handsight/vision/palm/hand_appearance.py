@@ -1,5 +1,4 @@
-"""What of a hand a depth camera can observe: points of its skin, and triangles that decide which of them are
-visible."""
+"""The points of a hand's skin that depth images are compared with, and triangles that decide which are visible."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

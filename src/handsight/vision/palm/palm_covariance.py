@@ -1,4 +1,4 @@
-"""How far the palm's pose may be off that a depth image gives."""
+"""The covariance of the palm's pose from a depth image."""
 
 import numpy as np
 
