@@ -180,7 +180,15 @@ def end(namespace: dict[str, Any]) -> None:
 shells = [CodeBlockParser(language, commands) for language in ("bash", "sh", "shell", "console")]
 data = [CodeBlockParser(language, readable) for language in ("json", "yaml", "xml")]
 pytest_collect_file = Sybil(
-    [SkipParser(), PythonCodeBlockParser(), links, mentions, CodeBlockParser("bash run", run), *shells, *data],
+    [
+        SkipParser(),
+        PythonCodeBlockParser(),
+        links,
+        mentions,
+        CodeBlockParser("bash run", run),
+        *shells,
+        *data,
+    ],
     path=str(ROOT),
     patterns=["README.md", "CONTRIBUTING.md", "docs/*.md"],
     setup=begin,
