@@ -8,13 +8,12 @@ from handsight.checks import Array, Indices
 from handsight.gaussian_pose import GaussianPose
 from handsight.vision.candidates import Candidates, poses_of
 from handsight.vision.depth_noise import DepthNoise
-from handsight.vision.palm.hand_appearance import PlacedHand
 from handsight.vision.palm.palm_search import Picture
 from handsight.vision.pose_covariance import PIXEL, depth_errors, pose_covariances
 
 
 def palm_covariance(
-    picture: Picture, hand: PlacedHand, candidate: Candidates, rows: Indices, bound: float, noise: DepthNoise
+    picture: Picture, candidate: Candidates, rows: Indices, bound: float, noise: DepthNoise
 ) -> Array:
     """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
 
@@ -22,7 +21,7 @@ def palm_covariance(
     whole pixels, and of constant errors of the joints, to first order: how the weighted fit follows a joint that is
     off.
     """
-    T, camera, compared = poses_of(candidate)[0], picture.camera, 150
+    T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150
     skin, fitted = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))
     hand_term.rows_of(camera.record, picture.arrays, skin, candidate["pose"].copy(), bound, fitted)
     used = fitted[:, 0] > 0

@@ -124,15 +124,13 @@ def detect_palm(
     if not len(candidates):
         return PalmNotFound("outside")
     for stage in DETECTOR.stages:
-        _align(picture, hand, rows, stage, candidates)
+        _align(picture, rows, stage, candidates)
         candidates = _believed(belief, candidates, DETECTOR.search_factor * DETECTOR.max_sigmas)
         candidates = distinct(hand, candidates, stage.spacing, stage.kept)
     candidates = candidates[candidates["score"] > DETECTOR.near_best * candidates["score"].max(initial=0.0)]
-    finished = [
-        _finished(picture, hand, candidates[[k]], DETECTOR.last_stage) for k in range(len(candidates))
-    ]
+    finished = [_finished(picture, candidates[[k]], DETECTOR.last_stage) for k in range(len(candidates))]
     candidates = np.concatenate([candidates[:0], *finished])
-    return _answer(picture, hand, _believed(belief, candidates, DETECTOR.max_sigmas), noise)
+    return _answer(picture, _believed(belief, candidates, DETECTOR.max_sigmas), noise)
 
 
 def follow_palm(
@@ -152,14 +150,14 @@ def follow_palm(
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
         return PalmNotFound("outside")
-    candidate = _finished(picture, hand, candidates_at(T[None]), DETECTOR.followed_stage)
+    candidate = _finished(picture, candidates_at(T[None]), DETECTOR.followed_stage)
     candidate = _believed(Belief(hand, T, sigmas), candidate, DETECTOR.max_sigmas)
     if len(candidate):
         free = candidate["explained"] + candidate["passed"] + candidate["unexplained"]
         fits = candidate["explained"] > DETECTOR.min_fit_followed * free
         if not (fits & (candidate["passed"] < DETECTOR.max_passed * free)).all():
             return PalmNotFound("no_fit")
-    return _answer(picture, hand, candidate, noise)
+    return _answer(picture, candidate, noise)
 
 
 def _checked(camera: Camera, depth: Depth, T_camera_palm: Array) -> Array:
@@ -175,11 +173,9 @@ def _positive(value: float, name: str) -> float:
     return number
 
 
-def _align(
-    picture: Picture, hand: PlacedHand, rows: Indices, stage: AlignStage, candidates: Candidates
-) -> None:
+def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candidates) -> None:
     """Moves candidates to where the first of the visible points `rows` lie on the image, and scores them by these."""
-    few = rows[: stage.points]
+    few, hand = rows[: stage.points], picture.hand
     skin, camera = np.ascontiguousarray(hand.skin[:, few]), picture.camera.record
     stages = np.array([(0, stage.first_bound, stage.last_bound, stage.steps, 1)], dtype=STAGE)
     hand_term.refine_hand(camera, picture.arrays, skin, hand.middle, hand.radius, stages, candidates)
@@ -187,13 +183,13 @@ def _align(
     hand_term.score_hand(camera, picture.arrays, skin, area, stage.explained, candidates)
 
 
-def _finished(picture: Picture, hand: PlacedHand, candidate: Candidates, stage: AlignStage) -> Candidates:
+def _finished(picture: Picture, candidate: Candidates, stage: AlignStage) -> Candidates:
     """Returns CANDIDATE (1,) aligned by all visible points; a surface that goes on beside the hand lowers its score."""
-    rows = np.flatnonzero(hand.visible_from(picture.camera, poses_of(candidate)[0]))
+    rows = np.flatnonzero(picture.hand.visible_from(picture.camera, poses_of(candidate)[0]))
     candidate, score = candidate.copy(), hand_term.HAND_SCORE
-    _align(picture, hand, rows, stage, candidate)
+    _align(picture, rows, stage, candidate)
     expected = candidate["expected"]
-    continued = hand.outline_continued(picture.camera, picture.depth, poses_of(candidate)[0])
+    continued = picture.hand.outline_continued(picture.camera, picture.depth, poses_of(candidate)[0])
     size = np.maximum(expected, score.min_expected) ** score.size_exponent
     candidate["score"] -= DETECTOR.continued_weight * continued * expected / size
     return candidate
@@ -208,21 +204,19 @@ def _believed(belief: Belief, candidates: Candidates, sigmas: float) -> Candidat
     return candidates[np.argsort(-candidates["score"], kind="stable")]
 
 
-def _answer(
-    picture: Picture, hand: PlacedHand, candidates: Candidates, noise: DepthNoise
-) -> PalmDetection | PalmNotFound:
+def _answer(picture: Picture, candidates: Candidates, noise: DepthNoise) -> PalmDetection | PalmNotFound:
     """Returns the best candidate, where it is good enough and no other is nearly as good."""
     if not len(candidates) or not candidates["score"][0] > DETECTOR.min_score:
         return PalmNotFound("no_fit")
     best, fits = candidates[:1].copy(), candidates["explained"] / np.maximum(candidates["expected"], 1.0)
     if best["explained"][0] < DETECTOR.min_pixels or fits[0] < DETECTOR.min_fit:
         return PalmNotFound("hardly_seen")
-    others = distinct(hand, candidates, DETECTOR.candidate_spacing, 2)[1:]
+    others = distinct(picture.hand, candidates, DETECTOR.candidate_spacing, 2)[1:]
     if len(others) and others["score"][0] > DETECTOR.as_good * best["score"][0]:
         return PalmNotFound("ambiguous")
     T = poses_of(best)[0]
-    if hand.outline_continued(picture.camera, picture.depth, T) > DETECTOR.max_continued:
+    if picture.hand.outline_continued(picture.camera, picture.depth, T) > DETECTOR.max_continued:
         return PalmNotFound("no_fit")
-    rows = np.flatnonzero(hand.visible_from(picture.camera, T))
-    covariance = palm_covariance(picture, hand, best, rows, DETECTOR.last_stage.last_bound, noise)
+    rows = np.flatnonzero(picture.hand.visible_from(picture.camera, T))
+    covariance = palm_covariance(picture, best, rows, DETECTOR.last_stage.last_bound, noise)
     return PalmDetection(T, covariance, float(fits[0]), best)

@@ -41,8 +41,9 @@ PALM_SEARCH = PalmSearchOptions()
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A `Picture` is a depth image as the kernels take it, sampled in cells around where the hand may be."""
+    """A `Picture` is a depth image in which a hand may be, as the kernels take it, sampled in cells around there."""
 
+    hand: PlacedHand
     camera: Camera
     depth: Depth
     cells: NDArray[np.float32]
@@ -67,7 +68,7 @@ def picture_of(camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigma: 
     corner = np.array([middle[0] / far - half, middle[1] / far - half, 2 * half / count])
     cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
     palm_scan.cells_of(camera.record, camera.rays, known, corner, cells)
-    return Picture(camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
+    return Picture(hand, camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,64 +87,55 @@ class Belief:
         return off, se3.rotation_log(rotations @ self.T[:3, :3].T)
 
 
+class Scan(NamedTuple):
+    """A `Scan` says which poses around a given one are tried, and by which points of the hand."""
+
+    points: Array
+    """(2, k, 3) about the hand's middle [m], and their normals; points in the air beside it have none."""
+    bin_width: float
+    """Of the distances from the camera that are told apart [m]."""
+    turns: Array
+    """(r, 3, 3) rotations of the hand."""
+    shifts: Array
+    """(s, 3) shifts of its middle [m]."""
+    kept: int
+    """How many poses are kept."""
+
+
 def searched(picture: Picture, belief: Belief, visible: Mask) -> Candidates:
     """Returns CANDIDATE (k,) from which the hand is aligned: the best poses of all within the belief, and around them.
 
     visible (m,): which points of the hand the camera sees at the belief.
     """
-    hand, rows, count = belief.hand, np.flatnonzero(visible), PALM_SEARCH.scanned
-    air = hand.beside(picture.camera, belief.T, count)
-    turns = _turns(PALM_SEARCH.max_sigmas * belief.sigmas[1], PALM_SEARCH.rotation)
-    shifts = _shifts(PALM_SEARCH.max_sigmas * belief.sigmas[0])
-    points, width = _about_middle(hand, rows[:count], air[: count // 2]), PALM_SEARCH.bin
-    candidates = _best(
-        picture, belief, points, width, turns @ belief.T[:3, :3], belief.T, shifts, PALM_SEARCH.best
-    )
-    candidates = distinct(hand, candidates, PALM_SEARCH.shift, PALM_SEARCH.refined)
-    points, turns = (
-        _about_middle(hand, rows[: 2 * count], air),
-        _turns(PALM_SEARCH.rotation / 2, PALM_SEARCH.rotation / 2),
-    )
-    around = [
-        _best(
-            picture,
-            belief,
-            points,
-            width / 2,
-            turns @ T[:3, :3],
-            T,
-            np.zeros((1, 3)),
-            PALM_SEARCH.best_around,
-        )
-        for T in poses_of(candidates)
-    ]
-    return distinct(hand, np.concatenate([candidates[:0], *around]), PALM_SEARCH.shift / 2, PALM_SEARCH.kept)
+    hand, rows, options = picture.hand, np.flatnonzero(visible), PALM_SEARCH
+    air = hand.beside(picture.camera, belief.T, options.scanned)
+    points = _about_middle(hand, rows[: options.scanned], air[: options.scanned // 2])
+    turns = _turns(options.max_sigmas * belief.sigmas[1], options.rotation)
+    shifts = _shifts(options.max_sigmas * belief.sigmas[0])
+    candidates = _best(picture, belief, Scan(points, options.bin, turns, shifts, options.best), belief.T)
+    candidates = distinct(hand, candidates, options.shift, options.refined)
+    points = _about_middle(hand, rows[: 2 * options.scanned], air)
+    turns = _turns(options.rotation / 2, options.rotation / 2)
+    finer = Scan(points, options.bin / 2, turns, np.zeros((1, 3)), options.best_around)
+    around = [_best(picture, belief, finer, T) for T in poses_of(candidates)]
+    return distinct(hand, np.concatenate([candidates[:0], *around]), options.shift / 2, options.kept)
 
 
 def _about_middle(hand: PlacedHand, rows: Indices, air: Array) -> Array:
-    """Returns (2, k, 3) points of the skin about its middle with their normals, and points in the air with none."""
+    """Returns points of the skin and in the air, as a `Scan` has them."""
     points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
     return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
 
 
-def _best(
-    picture: Picture,
-    belief: Belief,
-    points: Array,
-    bin_width: float,
-    rotations: Array,
-    T: Array,
-    shifts: Array,
-    most: int,
-) -> Candidates:
-    """Returns CANDIDATE (k,): the best of all rotations (r, 3, 3) and shifts (s, 3) of the hand's middle from T.
+def _best(picture: Picture, belief: Belief, scan: Scan, T: Array) -> Candidates:
+    """Returns the best CANDIDATE (k,) of all turns and shifts of a scan around a pose T (4, 4).
 
-    points: as of `_about_middle`. For each rotation and shift one distance from the camera is taken, the one at which
-    most points agree, in bins of `bin_width` [m].
+    For each of them one distance from the camera is taken, the one at which most points agree with the image.
     """
-    middles = se3.apply(T, belief.hand.middle[None])[0] + shifts
+    rotations, most = scan.turns @ T[:3, :3], scan.kept
+    middles = se3.apply(T, belief.hand.middle[None])[0] + scan.shifts
     found = np.empty((len(rotations), len(middles), 2))
-    palm_scan.scan(picture.cells, picture.corner, bin_width, points, middles, rotations, found)
+    palm_scan.scan(picture.cells, picture.corner, scan.bin_width, scan.points, middles, rotations, found)
     places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
     off, turned = belief.differences(places, rotations[:, None])
     chi2 = (off**2).sum(axis=-1) / belief.sigmas[0] ** 2 + (turned**2).sum(axis=-1) / belief.sigmas[1] ** 2
