@@ -101,8 +101,8 @@ def closed(surface: SurfacePoints, volume: Volume, table: bool) -> Reconstructed
             points, normals = np.concatenate([points, new.points]), np.concatenate([normals, new.normals])
             guesses.append(description)
     if table and count:
-        foot = _foot(SurfacePoints(points, normals), volume.grid.cell)
-        points, normals = np.concatenate([points, foot.points]), np.concatenate([normals, foot.normals])
+        lowest = _base(SurfacePoints(points, normals), volume.grid.cell)
+        points, normals = np.concatenate([points, lowest.points]), np.concatenate([normals, lowest.normals])
         guesses.append("its foot, straight down to the table")
     return ReconstructedModel(points, normals, np.arange(len(points)) < count, tuple(guesses))
 
@@ -233,7 +233,7 @@ def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) ->
     return SurfacePoints(at * cell, facing)
 
 
-def _foot(surface: SurfacePoints, cell: float) -> SurfacePoints:
+def _base(surface: SurfacePoints, cell: float) -> SurfacePoints:
     """Returns a surface from the lowest points straight down to the table, and its base there."""
     points, normals = surface
     low = points[:, 2] < (COMPLETION.table_margin + COMPLETION.base_height) * cell
