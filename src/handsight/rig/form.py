@@ -262,7 +262,7 @@ class IntrinsicsForm(Form):
 class CameraForm(Section):
     fixed_to: Annotated[Literal["world", "palm"], key("world or palm")] = "world"
     pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
-    noise: Annotated[VisionNoiseForm | None, key("of a seen pose, each time anew")] = None
+    noise: Annotated[VisionNoiseForm | None, key("of a detected pose, independent in each image")] = None
     constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
     depth_camera: Annotated[
         DepthCamera | None, key("structured_light, time_of_flight or stereo: how it measures depth")

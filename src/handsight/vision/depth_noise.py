@@ -59,10 +59,8 @@ class DepthNoise:
         """Raises InvalidInput for what is no size, share or range."""
         checks.finite(self.axial, "axial", (3,))
         for name in (*SIZES, *SHARES, "correlation", "smooth_length", "nearest", "farthest", "edge_width"):
-            value, most = (
-                float(checks.finite(getattr(self, name), name, ())),
-                1.0 if name in SHARES else LARGEST,
-            )
+            value = float(checks.finite(getattr(self, name), name, ()))
+            most = 1.0 if name in SHARES else LARGEST
             if not 0 <= value <= most:
                 raise InvalidInput(f"{name}: expected a number from 0 to {most:g}, got {value:g}")
         checks.integer(self.edge_width, "edge_width", int(LARGEST))

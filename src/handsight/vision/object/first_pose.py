@@ -32,9 +32,7 @@ class FirstPoseOptions(NamedTuple):
     candidate_spacing: float = 0.08  # between those that go on [diameters]
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
-    close_sigmas: float = (
-        1.25  # of the depth, its bias included, within which a point is close to the surface
-    )
+    close_sigmas: float = 1.25  # of the depth with its bias, within which a point is close to the surface
     score_weights: tuple[float, float] = (1.2, 22.0)
     """Of the two `scores` in the logarithm of a mode's weight. They were chosen by hand between fits to two sets of
     drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of the one that it draws)."""

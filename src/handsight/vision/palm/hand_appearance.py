@@ -154,8 +154,7 @@ def skin_points(hand: Hand, count: int) -> tuple[Array, Array, Indices]:
     shape = hand.shape()
     if not len(shape.faces):
         raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
-    corners, link = shape.vertices_body[shape.faces], shape.body_of[shape.faces[:, 0]]
-    by_link = [corners[link == b] for b in range(len(shape.bodies))]
+    by_link = [mesh.vertices[mesh.faces] for mesh in shape.meshes.values()]
     body, points, normals = sample_by_area(by_link, count, 0)
     return points, normals, body.astype(np.int64)
 

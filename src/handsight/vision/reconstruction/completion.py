@@ -30,13 +30,9 @@ class CompletionOptions(NamedTuple):
     max_wrong: float = 0.1  # share of these points that may be wrong
     min_known: float = 0.25  # share of all points that must come to known places
     max_cosine: float = 0.2  # between the normals of two mirrors that are taken for perpendicular
-    table_margin: float = (
-        2.5  # height above a table from which the object's surface can be told from it [cells]
-    )
-    base_height: float = (
-        3.0  # height of the lowest part above that, whose outline is that of the foot [cells]
-    )
-    closed_gap: int = 4  # gaps in the foot's outline up to twice so wide are closed [cells]
+    table_margin: float = 2.5  # points nearer to the table than this may be the table's [cells]
+    base_height: float = 3.0  # of the part above that whose outline is taken for the base's [cells]
+    closed_gap: int = 4  # gaps in the base's outline up to twice so wide are closed [cells]
     open_share: float = 0.6  # an outline that fills less than this of its hull is open
     part_gap: int = 2  # half the gap that there may be between parts of one object [cells]
     sigma_measured: float = 5e-4

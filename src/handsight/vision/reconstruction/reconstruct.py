@@ -23,9 +23,7 @@ class ReconstructionOptions(NamedTuple):
 
     cell: float = 0.002  # of the volume [m]: finer is below what depth cameras resolve
     max_cells: int = 160  # along the longest side of a large one
-    coarse_factor: int = (
-        4  # how much larger the cells of the coarse volume are, in which a view is aligned first
-    )
+    coarse_factor: int = 4  # how much larger the cells are of the volume that aligns a view first
     spacing: float = 0.003  # of the points that align a view with the surface [m]
     max_points: int = 3000  # of them
     min_fit: float = 0.4  # share of a view's points on the surface so far, or the view is left out
