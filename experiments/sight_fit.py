@@ -8,7 +8,7 @@ that it is none of the others. The worth of a mode's score is fitted beside it.
 import numpy as np
 from scipy.optimize import minimize
 
-from handsight.vision.object.first_pose import EVIDENCE, evidence_of, first_pose, scores
+from handsight.vision.object.first_pose import EVIDENCE, FIRST_POSE, evidence_of, first_pose
 from handsight.vision.object.locate import LOCATE
 from handsight.vision.object.region import scene_of
 from shared import report, sight, ycb
@@ -30,7 +30,9 @@ def looked_for(name: str, k: int, seed: int) -> tuple[str, dict[str, Array], Arr
     scene = scene_of(scenes.WIDE, picture.depth, wanted=wanted, hand=hand, extent=extent)
     found = {each: first_pose(model, scene) for each, model in models.items()}
     right = scenes.mssd(picture.model, picture.T_camera_object, found[of].Ts_camera_object) < RIGHT
-    return of, {each: one.candidates[:1] for each, one in found.items()}, scores(found[of].candidates), right
+    modes = found[of].candidates
+    scores = np.stack([modes["score"], modes["close"] ** FIRST_POSE.close_exponent], axis=1)
+    return of, {each: one.candidates[:1] for each, one in found.items()}, scores, right
 
 
 def loss(weights: Array, indices: Array, evidence: Array) -> float:

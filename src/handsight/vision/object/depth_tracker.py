@@ -262,7 +262,9 @@ def surface_shift(model: ObjectModel, pose_camera_object: GaussianPose) -> float
     pose = pose_camera_object.at_point(center)
     pose = pose.transformed(se3.inverse(pose.T_a_b))  # along the object's axes
     values, vectors = np.linalg.eigh(pose.covariance * np.outer(scale, scale))
-    vectors *= np.sign(vectors[np.abs(vectors).argmax(axis=0), range(6)])  # their sign is any that LAPACK gives
+    vectors *= np.sign(
+        vectors[np.abs(vectors).argmax(axis=0), range(6)]
+    )  # their sign is any that LAPACK gives
     steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T[3:] / scale
     Ts = se3.moved(np.broadcast_to(np.eye(4), (3, 4, 4)), steps)
     moved = center + se3.apply(Ts, model.points_object - center).reshape(-1, 3)

@@ -33,9 +33,11 @@ class FirstPoseOptions(NamedTuple):
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     close_sigmas: float = 1.25  # of the depth with its bias, within which a point is close to the surface
+    close_exponent: float = 1 - pose_score.POSE_SCORE.size_exponent  # makes pixels a score
     score_weights: tuple[float, float] = (1.2, 22.0)
-    """Of the two `scores` in the logarithm of a mode's weight. They were chosen by hand between fits to two sets of
-    drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of the one that it draws)."""
+    """Of the score, and of the close pixels to that power, in the logarithm of a mode's weight. They were chosen by
+    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of
+    the one that it draws)."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -108,7 +110,8 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
     depth_term.closeness(*model.record[:2], observed, close, found)
     found["close"] *= scene.sizes.sum() / max(len(observed), 1)
-    log_weights = scores(found) @ FIRST_POSE.score_weights
+    log_weights = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
+    log_weights = log_weights @ FIRST_POSE.score_weights
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     poses = poses_of(found)
@@ -123,12 +126,6 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
 def explained_within(noise: DepthNoise, z: Array) -> Array:
     """Returns how near to the surface a depth z (k,) [m] must be to be explained by it, (k,) [m]."""
     return np.asarray(np.maximum(FIRST_POSE.bound, FIRST_POSE.bound_sigmas * noise.sigma(z)))
-
-
-def scores(candidates: Candidates) -> Array:
-    """Returns (k, 2) of CANDIDATE (k,): the score, and the close pixels in the units of the score."""
-    exponent = 1 - pose_score.POSE_SCORE.size_exponent
-    return np.stack([candidates["score"], candidates["close"] ** exponent], axis=1)
 
 
 def evidence_of(candidates: Candidates) -> Array:
