@@ -12,12 +12,14 @@ import handsight as hs
 from handsight import se3
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR, DEPTH_POINT, STAGE
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects.symmetry import nearest
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
+from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import distinct, first_pose
-from handsight.vision.object.region import scene_of, table_plane
-from handsight.vision.pose_covariance import pose_covariances
+from handsight.vision.object.first_pose import FIRST_POSE, distinct, first_pose
+from handsight.vision.object.region import observed_points, scene_of, table_plane
+from handsight.vision.pose_covariance import UNKNOWN, center_covariances, pose_covariances
 from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
 
 
@@ -181,6 +183,21 @@ def test_a_weighted_fit_is_off_as_the_errors_of_its_points_make_it():
     np.testing.assert_allclose(found - 4e-6 * np.eye(6), np.cov(fits), atol=0.05 * np.abs(found).max())
 
 
+def test_what_no_point_observes_is_unknown_and_the_rest_is_known_to_millimetres():
+    """Of a can the spin, as far as from one side of it to the other."""
+    can = hs.ObjectModel.cylinder(0.03, 0.1)
+    T = se3.compose(se3.random(np.random.default_rng(6))[:3, :3], np.array([0.02, 0.01, 0.5]))
+    points, normals = can.sample(1500, 1)
+    look, rows = candidates_at(T[None]), seen(points, normals, T)
+    look["bound"] = 0.006
+    covariance = center_covariances(can, CAMERA, rows, look, STRUCTURED_LIGHT)[0]
+    axis = np.append(np.zeros(3), T[:3, 2])
+    assert axis @ covariance @ axis == pytest.approx((UNKNOWN[1] * can.diameter / can.radius) ** 2, rel=0.02)
+    across = np.linalg.svd(axis[None])[2][1:]
+    assert np.linalg.eigvalsh(across @ covariance @ across.T).max() < 0.1**2
+    assert np.sqrt(np.diag(covariance)[:3].max()) < 5e-3
+
+
 def test_of_a_convex_object_all_that_faces_a_side_is_seen():
     box = hs.ObjectModel.box((0.05, 0.08, 0.03))
     samples, directions, visible = appearance_of(box).sides[:3]
@@ -261,6 +278,18 @@ def test_an_object_beside_another_is_found_without_a_guess():
         right.append(off.max() < 0.1 * model().diameter)
         assert (np.diff(found.weights) <= 0).all()
     assert sum(right) >= 19
+
+
+def test_the_covariances_are_of_the_objects_origin():
+    _, depth, labels, _ = picture(0, neighbours=0)
+    scene = scene_of(CAMERA, depth, wanted=labels == 0)
+    found = first_pose(model(), scene)
+    points = observed_points(scene, FIRST_POSE.spacing * model().diameter, FIRST_POSE.max_points)
+    centers = center_covariances(model(), CAMERA, points, found.candidates, STRUCTURED_LIGHT)
+    assert len(centers) > 1
+    for T, covariance, expected in zip(found.Ts_camera_object, found.covariances, centers, strict=True):
+        center = GaussianPose(T, covariance).at_point(model().center_object)
+        np.testing.assert_allclose(center.covariance, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_where_nothing_is_there_is_no_pose():
