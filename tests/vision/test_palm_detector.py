@@ -25,7 +25,7 @@ from handsight.vision.candidates import candidates_at, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.palm.hand_appearance import APPEARANCE, HandAppearance
 from handsight.vision.palm.hand_in_image import HandInImage
-from handsight.vision.palm.palm_search import Picture, _shifts, _turns, picture_of
+from handsight.vision.palm.palm_search import PALM_SEARCH, Picture, _shifts, _turns, picture_of
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
@@ -179,7 +179,7 @@ def test_whatever_a_belief_is_off_by_something_near_is_tried(reach, angle, seed)
     shift, turn = error(rng, reach * rng.random() ** (1 / 3), angle * rng.random() ** (1 / 3))
     tried = np.abs(_shifts(reach) - shift)
     assert (tried <= np.array([0.0125, 0.0125, 0.05]) + 1e-9).all(axis=1).any()
-    turns = [np.linalg.norm(se3.rotation_log(each.T @ turn)) for each in _turns(angle)]
+    turns = [np.linalg.norm(se3.rotation_log(each.T @ turn)) for each in _turns(angle, PALM_SEARCH.rotation)]
     assert min(turns) < np.deg2rad(12)
 
 

@@ -150,7 +150,7 @@ def _best(picture: Picture, belief: Belief, scan: Scan, T: Array) -> Candidates:
 
 
 @lru_cache(maxsize=16)
-def _turns(reach: float, step: float = PALM_SEARCH.rotation) -> Array:
+def _turns(reach: float, step: float) -> Array:
     """Returns rotations (r, 3, 3) `step` apart, up to `reach` [rad]; none but 0 where that is less than half a step."""
     count = max(int(np.ceil(reach / step - 0.5)), 0)
     steps = step * np.arange(-count, count + 1)
