@@ -81,7 +81,7 @@ def scene_of(
     return Scene(camera, filled, labels, sizes[:count].copy())
 
 
-def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, seed: int = 0) -> Array | None:
+def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) -> Array | None:
     """Returns the plane (4,) that most of the wanted pixels (h, w) lie on, by random sample consensus.
 
     It is `n·P + offset = 0` with n towards the camera; None where no plane is wider than `extent` [m].
@@ -89,7 +89,7 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, se
     pixels = np.flatnonzero(wanted & (depth > 0) & (depth < np.inf))
     if len(pixels) < 500:
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     chosen = pixels[rng.choice(len(pixels), min(len(pixels), REGION.refine_pixels), replace=False)]
     z = depth.reshape(-1)[chosen].astype(np.float64)
     points = np.c_[camera.rays.reshape(-1, 2)[chosen] * z[:, None], z]
@@ -115,11 +115,11 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, se
     return np.append(n, -n @ middle)
 
 
-def observed_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> NDArray[np.void]:
+def observed_points(scene: Scene, spacing: float, most: int) -> NDArray[np.void]:
     """Returns DEPTH_POINT (n,): at most so many points of the scene's segments, `spacing` [m] apart, in random
     order."""
     order = np.flatnonzero(scene.labels >= 0)
-    np.random.default_rng(seed).shuffle(order)
+    np.random.default_rng(0).shuffle(order)
     chosen = np.empty(most, dtype=np.int64)
     count = depth_image.spread(scene.camera.rays, scene.depth, order, spacing, chosen)
     points = np.zeros(count, dtype=DEPTH_POINT)
