@@ -131,9 +131,9 @@ def test_the_demo_takes_most_of_what_touch_can_see():
 
 def test_the_demo_finds_the_can_in_a_picture_with_the_hand_before_it(tmp_path):
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
-    from handsight.cli.demo import _pictured
+    from handsight.cli.demo import find_can
 
-    said, wrote = _pictured(tmp_path / "picture.png").splitlines()
+    said, wrote = find_can(tmp_path / "picture.png").splitlines()
     found = re.search(r"\(synthetic\): centre off by ([\d.]+) mm, axis by ([\d.]+)°", said)
     assert float(found[1]) < 10
     assert float(found[2]) < 5
@@ -148,7 +148,7 @@ def test_without_an_extra_the_demo_says_so_and_goes_on(asked, monkeypatch):
     def missing(*_):
         raise MissingExtra("images need pillow: pip install 'handsight[vision]'")
 
-    monkeypatch.setattr(demo, "_replayed", missing)
+    monkeypatch.setattr(demo, "replayed", missing)
     monkeypatch.setattr(demo, "picture", missing)
     out, _ = asked("demo", columns=200)
     for said in ("no picture looked at", "no recordings replayed"):
@@ -207,6 +207,6 @@ def test_every_command_that_computes_announces_compiling(command, monkeypatch, t
     def announced():
         raise SystemExit("announced")
 
-    for module in ("correct", "contact", "track", "rig", "demo", "locate", "simulate"):
+    for module in ("correct", "contact", "options", "demo", "locate", "simulate"):
         monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
     assert called(monkeypatch, tmp_path, *command.split()) == "announced"

@@ -24,7 +24,7 @@ def test_a_grasp_is_searched_said_kept_and_used_again(tmp_path, monkeypatch, cap
     assert "slipped out" not in said
     assert {path.name for path in tmp_path.iterdir()} == {name, "one.mcap", "one.rig.yaml", "one.grasp.json"}
     searched = []
-    monkeypatch.setattr(command, "_found", lambda *_: searched.append(1))
+    monkeypatch.setattr(command, "_search_grasp", lambda *_: searched.append(1))
     again = ("--grasp", "one.grasp.json", "-o", "two.mcap")
     assert called(monkeypatch, tmp_path, *arguments, *again) == 0
     assert not searched
