@@ -20,9 +20,9 @@ class CacheWarning(UserWarning):
 
 
 def cache_folder() -> Path:
-    """Returns `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`, as `private_folder` does.
+    """Returns `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`; it may not exist yet.
 
-    It may not exist yet.
+    Where that is not private, it is another one, as `private_folder` says.
     """
     if configured := os.environ.get("HANDSIGHT_CACHE"):
         return private_folder(Path(configured))

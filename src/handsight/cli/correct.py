@@ -51,8 +51,8 @@ def correct(
         typer.Option(
             metavar="ADDRESS",
             help="Address of a Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They read meshes "
-            "from the problem file's folder under its absolute path, so share it, and names from the library of their own "
-            "environment. One thread per worker is best.",
+            "from the problem file's folder under its absolute path, so share it, and names from the library of "
+            "their own environment. One thread per worker is best.",
         ),
     ] = None,
 ) -> None:

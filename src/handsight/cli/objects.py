@@ -78,7 +78,7 @@ def add(
         typer.Option(
             metavar="z|z/N|find",
             help="Rotations that change neither shape nor print: by any angle about an axis (x, y, z) through the "
-            "middle of the surface, or by an N-th of a turn; find: those that the shape suggests. May be given several times.",
+            "middle of the surface, or by an N-th of a turn; find: those that the shape suggests. May be repeated.",
         ),
     ] = None,
     licence: Annotated[str, typer.Option(help="Licence of the model.")] = "",
