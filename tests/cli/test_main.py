@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from cli.commands import called, read_some, run
+from handsight.cli.main import app
 
 
 def test_help_teaches(asked):
@@ -29,6 +31,52 @@ def test_version_is_the_packages():
 
     out, _ = run("--version")
     assert out.strip() == f"handsight {version('handsight')}"
+
+
+def commands():
+    """Each command by its name, with its parameters."""
+
+    def below(command, name):
+        if not hasattr(command, "commands"):
+            yield name, command
+        for key, each in getattr(command, "commands", {}).items():
+            yield from below(each, f"{name} {key}".strip())
+
+    return dict(below(typer.main.get_command(app), ""))
+
+
+@pytest.mark.parametrize("name", commands())
+def test_every_command_teaches(name):
+    """A sentence on what it does, an example as one types it, and a help text for each option."""
+    command = commands()[name]
+    assert re.match(r"[A-Z][^.]+[.,:;]", command.help)
+    assert f"\nhandsight {name} " in command.help or f"\nhandsight {name}\n" in command.help
+    for parameter in command.params:
+        assert parameter.hidden or len(parameter.help) > 5, parameter.name
+
+
+def test_o_is_a_file_and_an_option_has_one_letter_only():
+    for name, command in commands().items():
+        for option in command.params:
+            if "-o" in option.opts and not option.hidden:
+                assert option.opts == ["--output", "-o"]
+                assert option.help.startswith("File for the"), name
+            else:
+                assert "-o" in option.opts or all(len(opt) != 2 for opt in option.opts)
+
+
+def test_the_choices_in_the_help_are_those_that_are_taken():
+    from typing import get_args
+
+    from handsight.correction import ANSWERS
+    from handsight.simulation.scenario import Motion
+    from handsight.vision.depth_noise import PRESETS
+
+    taken = {"answer": ANSWERS, "depth_camera": PRESETS, "motion": get_args(Motion)}
+    for command in commands().values():
+        for option in command.params:
+            if option.name in taken:
+                assert option.metavar.split("|") == list(taken[option.name])
 
 
 @pytest.mark.parametrize(
@@ -153,6 +201,27 @@ def test_without_an_extra_the_demo_says_so_and_goes_on(asked, monkeypatch):
     out, _ = asked("demo", columns=200)
     for said in ("no picture looked at", "no recordings replayed"):
         assert f"{said}: images need pillow: pip install 'handsight[vision]'" in " ".join(out.split())
+
+
+BAR = """
+from handsight.cli.terminal import bar
+
+with bar("correcting") as move:
+    for share in (None, 0.5, 1.0):
+        move(share, "12 answers, 3/s")
+"""
+
+
+def test_a_bar_on_a_terminal_shows_what_is_done():
+    ours, its = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+    done = subprocess.Popen([sys.executable, "-c", BAR], stdout=its, stderr=its, env=environment)
+    os.close(its)
+    text = "".join(iter(lambda: read_some(ours), ""))
+    os.close(ours)
+    assert done.wait() == 0, text
+    assert "correcting" in text
+    assert "12 answers, 3/s" in text
 
 
 KERNEL = """

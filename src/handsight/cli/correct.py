@@ -1,6 +1,5 @@
 """`handsight correct`: a file of problems, each answered in a line."""
 
-import contextlib
 import json
 import os
 import stat
@@ -13,7 +12,15 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.terminal import INTERRUPTED, NOBODY_READS, announce_compiling, bar, say, warn
+from handsight.cli.terminal import (
+    INTERRUPTED,
+    NOBODY_READS,
+    announce_compiling,
+    bar,
+    output_stream,
+    say,
+    warn,
+)
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
@@ -176,13 +183,7 @@ def _answer(
     single = problems.endswith(".json")
     run = answering(source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling)
     started, read = time.monotonic(), 0
-    with contextlib.ExitStack() as opened:
-        answered = opened.enter_context(run)
-        sink = sys.stdout
-        if isinstance(place, Path):
-            opened.enter_context(write_errors(place))
-            sink = opened.enter_context(open(place, "w", encoding="utf-8"))
-        move = opened.enter_context(bar("correcting", show=output is not None))
+    with run as answered, output_stream(output) as sink, bar("correcting", show=output is not None) as move:
         for lines, answers in answered:
             written.write(lines, answers, sink)
             read += sum(len(line) + 1 for line in lines)

@@ -1,6 +1,5 @@
 """How `handsight locate` goes through images: it locates an object in each, writes the answer, and may show a table."""
 
-import contextlib
 import math
 import sys
 import time
@@ -9,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from handsight.cli.terminal import FAILED, WRONG_INPUT, bar, kept_going, print_out, table
+from handsight.cli.terminal import FAILED, WRONG_INPUT, bar, kept_going, output_stream, print_out, table
 from handsight.errors import HandsightError
 from handsight.files import stream_name, write_errors
 
@@ -96,11 +95,7 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
 
     result, locate_in = LocateResult(), None
     as_table = output is None and sys.stdout.isatty()
-    with contextlib.ExitStack() as opened:
-        sink = sys.stdout
-        if output is not None and str(output) != "-":
-            opened.enter_context(write_errors(output))
-            sink = opened.enter_context(open(output, "w", encoding="utf-8"))
+    with output_stream(output) as sink, kept_going() as end, bar("locating") as move:
 
         def write(line: str | None) -> None:
             if line is not None:
@@ -108,7 +103,6 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
                     sink.write(f"{line}\n")
                     sink.flush()
 
-        end, move = opened.enter_context(kept_going()), opened.enter_context(bar("locating"))
         if targets.numbers is not None:
             write(BOP_COLUMNS)
         for frame in frames.each:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -78,8 +78,11 @@ DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
 """How a camera measures depth, and so which errors it has: the names of `handsight.vision.depth_noise`."""
 
 
-def renamed(new: bool, old: bool, names: tuple[str, str]) -> bool:
-    """Returns a switch that was given under its new or its former name; a warning on stderr names the new one."""
+Value = TypeVar("Value")
+
+
+def renamed(new: Value, old: Value, names: tuple[str, str]) -> Value:
+    """Returns an option's value under its new name, else under its former one, which gives a warning on stderr."""
     if old:
         say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
     return new or old

@@ -26,9 +26,10 @@ def ros2_bridge(
         ),
     ] = False,
     former_as_recorded: Annotated[bool, typer.Option("--equal", hidden=True)] = False,
-    view: Annotated[
+    port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser. 0: no page.")
     ] = 0,
+    former_port: Annotated[int, typer.Option("--view", min=0, max=65535, hidden=True)] = 0,
 ) -> None:
     """Follow an object in a robot's hand over ROS 2, without ROS installed here.
 
@@ -53,8 +54,8 @@ def ros2_bridge(
     as_recorded = renamed(as_recorded, former_as_recorded, ("--as-recorded", "--equal"))
     live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=as_recorded)
     bridge = Bridge(live, Network(), say)
-    if view:
-        viewer = Viewer(live.tracker, port=view)
+    if port := renamed(port, former_port, ("--port", "--view")):
+        viewer = Viewer(live.tracker, port=port)
         live.show = viewer.update
         say(f"look at {viewer.address}")
     worker = threading.Thread(target=work, args=(bridge, bridge.publish, say, ended), daemon=True)

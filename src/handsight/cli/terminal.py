@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from handsight.errors import HandsightError, NotWritten, printable
-from handsight.files import STREAMS
+from handsight.files import STREAMS, write_errors
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -140,6 +140,16 @@ def print_out(*parts: "str | Table", **options: Any) -> None:
     from rich.console import Console
 
     Console(markup=False, highlight=False).print(*parts, **options)
+
+
+@contextlib.contextmanager
+def output_stream(path: Path | None) -> Iterator[IO[str]]:
+    """Yields a new text file, or stdout where the path is None or `-`; raises NotWritten."""
+    if path is None or str(path) == "-":
+        yield sys.stdout
+        return
+    with write_errors(path), open(path, "w", encoding="utf-8") as file:
+        yield file
 
 
 @dataclass(slots=True)

@@ -68,8 +68,7 @@ def track(
 
     settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     run = Run.of(recording, rig, object, settings)
-    if renamed(False, former_output is not None, ("--output-folder", "--output")):
-        output_folder = output_folder or former_output
+    output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
         result = tracked(run, watch)
