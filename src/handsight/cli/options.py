@@ -52,8 +52,8 @@ Answer = Annotated[
     str,
     typer.Option(
         metavar="best|maximum|mean",
-        help="Which pose of the best mode is reported: the maximum of the posterior, its mean, or the best of both: "
-        "the mean where the posterior is not Gaussian.",
+        help="Which pose is reported: the maximum of the posterior, its mean, or best: the mean where the posterior is "
+        "not Gaussian, else the maximum.",
     ),
 ]
 Samples = Annotated[
