@@ -1,4 +1,4 @@
-"""Many lines answered by many workers: read as they come, handed on in order, never all in memory."""
+"""Many lines answered by many workers: read when they are there, answered in order, never all in memory."""
 
 import contextlib
 import functools
@@ -64,17 +64,17 @@ def answering(
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     work = functools.partial(answer_lines, str(folder))
     with Cluster(cluster, work) if cluster else Processes(workers or available, work, first) as those:
-        yield iter(Run(source, those, single=single))
+        yield iter(Batch(source, those, single=single))
 
 
-class Run:
-    """A `Run` sends lines to workers; iterate over it, once, for the lines and their answers in order.
+class Batch:
+    """A `Batch` sends lines to workers; iterate over it, once, for the lines and their answers in order.
 
     One thread reads the lines. All else happens in the thread that iterates, when lines are read and chunks end.
     """
 
     def __init__(self, source: Source, workers: Processes | Cluster, *, single: bool = False) -> None:
-        """The run closes `source`; `single`: the entire source is one line."""
+        """The batch closes `source`; `single`: the entire source is one line."""
         self._blocks, self._workers = blocks(source, single=single), workers
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._wanted: SimpleQueue[bool] = SimpleQueue()

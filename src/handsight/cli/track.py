@@ -7,18 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import (
-    Answer,
-    ObjectName,
-    OutsidePoints,
-    Rate,
-    RecordingPath,
-    RigPath,
-    Run,
-    Samples,
-    WithImages,
-    renamed,
-)
+from handsight.cli import options
+from handsight.cli.options import Run, renamed
 from handsight.cli.terminal import live_rows, say
 from handsight.cli.track_summary import TrackResult, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
@@ -32,19 +22,19 @@ if TYPE_CHECKING:
 
 
 def track(
-    recording: RecordingPath,
-    rig: RigPath = None,
-    object: ObjectName = None,
+    recording: options.RecordingPath,
+    rig: options.RigPath = None,
+    object: options.ObjectName = None,
     output_folder: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. Default: RECORDING-track in the current folder."),
     ] = None,
     former_output: Annotated[Path | None, typer.Option("--output", "-o", hidden=True)] = None,
-    rate: Rate = None,
-    answer: Answer = "best",
-    samples: Samples = 0,
-    outside: OutsidePoints = 200,
-    images: WithImages = True,
+    rate: options.Rate = None,
+    answer: options.Answer = "best",
+    samples: options.Samples = 0,
+    outside: options.OutsidePoints = 200,
+    images: options.WithImages = True,
 ) -> None:
     """Track an object in the hand through a recording.
 

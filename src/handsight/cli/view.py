@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import (
-    Answer,
-    ObjectName,
-    OutsidePoints,
-    Rate,
-    RecordingPath,
-    RigPath,
-    Run,
-    Samples,
-    WithImages,
-)
+from handsight.cli import options
+from handsight.cli.options import Run
 from handsight.cli.terminal import FAILED, say
 from handsight.cli.track_summary import refusals
 from handsight.errors import HandsightError, InvalidInput
@@ -27,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def view(
-    recording: RecordingPath,
-    rig: RigPath = None,
-    object: ObjectName = None,
-    rate: Rate = None,
-    answer: Answer = "best",
-    samples: Samples = 0,
-    outside: OutsidePoints = 200,
-    images: WithImages = True,
+    recording: options.RecordingPath,
+    rig: options.RigPath = None,
+    object: options.ObjectName = None,
+    rate: options.Rate = None,
+    answer: options.Answer = "best",
+    samples: options.Samples = 0,
+    outside: options.OutsidePoints = 200,
+    images: options.WithImages = True,
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
     ] = 8080,
