@@ -46,8 +46,8 @@ class LocateResult:
     """Messages about images without the object."""
     panels: "list[Located]" = field(default_factory=list)
     """The first answers, for a picture."""
-    rows: "list[Located | Unread]" = field(default_factory=list)
-    """All answers, where they are shown as a table."""
+    cells: list[list[str]] = field(default_factory=list)
+    """All answers in words, where they are shown as a table; images are too large to keep."""
     messages: list[str] = field(default_factory=list)
     """What else to print."""
     ended: int = 0
@@ -114,13 +114,28 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
                 row = locate_in(frame)
             result.add(row)
             if as_table:
-                result.rows.append(row)
+                result.cells.append(_cells(row, several=len(targets.models) > 1))
             else:
                 write(json_line(row) if targets.numbers is None else bop_line(row, targets.numbers))
             total = frames.total
             move(result.done / total if total else None, f"{result.done} of {total or '?'} pictures")
-    if as_table and result.rows:
-        _print_table(result.rows, list(targets.models))
+    if as_table and result.cells:
+        names = list(targets.models)
+        columns = [
+            "picture",
+            "x, y, z in the camera [mm]",
+            "± [mm]",
+            "± [°]",
+            "explained",
+            "weight",
+            "others",
+            "ms",
+        ]
+        if len(names) > 1:
+            columns.insert(1, "object")
+        title = f"{len(names)} objects" if len(names) > 1 else names[0]
+        title += " in depth images"
+        print_out(table(columns, result.cells, texts=1 + (len(names) > 1), title=title))
         result.messages += result.missed[:MAX_MESSAGES]
     result.ended = end.exit_code
     if isinstance(end.error, HandsightError) and not result.done:
@@ -170,42 +185,22 @@ def draw(panels: "list[Located]", path: Path) -> str:
     return f"wrote {path}"
 
 
-def _print_table(rows: "list[Located | Unread]", names: list[str]) -> None:
-    """Prints the answers for a person; with several objects, also which one each image has."""
+def _cells(row: "Located | Unread", *, several: bool) -> list[str]:
+    """Returns an answer as a row of the table; `several` objects need a column for which one it is."""
     from handsight.recording.frames import Unread
 
-    several = len(names) > 1
-    cells = []
-    for row in rows:
-        if isinstance(row, Unread):
-            cells.append([row.name, *[""] * several, "cannot be read"])
-            continue
-        which = []
-        if (answer := row.recognition) is not None:
-            likeliest = "none" if answer.name is None else answer.name
-            probability = answer.none if answer.name is None else answer.scores[answer.name]
-            which = [f"{likeliest}: {probability:.2f}"]
-        milliseconds = f"{1e3 * row.seconds:.0f}"
-        if row.reason is not None:
-            cells.append([row.frame.name, *which, "not here", *[""] * 5, milliseconds])
-            continue
-        T, covariance = row.found.Ts_camera_object[0], row.found.covariances[0]
-        shift, turn = (math.sqrt(covariance.diagonal()[part].max()) for part in (slice(3), slice(3, 6)))
-        place = ", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3])
-        sigmas = (f"{1e3 * shift:.1f}", f"{math.degrees(turn):.1f}")
-        weights = (f"{row.found.weights[0]:.2f}", str(len(row.found.weights) - 1))
-        cells.append([row.frame.name, *which, place, *sigmas, f"{row.explained:.0%}", *weights, milliseconds])
-    columns = [
-        "picture",
-        "x, y, z in the camera [mm]",
-        "± [mm]",
-        "± [°]",
-        "explained",
-        "weight",
-        "others",
-        "ms",
-    ]
-    if several:
-        columns.insert(1, "object")
-    title = f"{len(names)} objects" if several else names[0]
-    print_out(table(columns, cells, texts=1 + several, title=f"{title} in depth images"))
+    if isinstance(row, Unread):
+        return [row.name, *[""] * several, "cannot be read"]
+    which = []
+    if (answer := row.recognition) is not None:
+        probability = answer.none if answer.name is None else answer.scores[answer.name]
+        which = [f"{answer.name or 'none'}: {probability:.2f}"]
+    milliseconds = f"{1e3 * row.seconds:.0f}"
+    if row.reason is not None:
+        return [row.frame.name, *which, "not here", *[""] * 5, milliseconds]
+    T, covariance = row.found.Ts_camera_object[0], row.found.covariances[0]
+    shift, turn = (math.sqrt(covariance.diagonal()[part].max()) for part in (slice(3), slice(3, 6)))
+    place = ", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3])
+    sigmas = (f"{1e3 * shift:.1f}", f"{math.degrees(turn):.1f}")
+    weights = (f"{row.found.weights[0]:.2f}", str(len(row.found.weights) - 1))
+    return [row.frame.name, *which, place, *sigmas, f"{row.explained:.0%}", *weights, milliseconds]
