@@ -5,12 +5,13 @@ import hashlib
 import os
 import sys
 import time
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from handsight.errors import InvalidFile, NotWritten
-from handsight.files import atomic_file, open_regular, write_errors
+from handsight.files import open_regular, write_errors
 
 LOCK = ".handsight.lock"
 LOCK_SECONDS = 60.0
@@ -35,12 +36,20 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
     Whatever ends it before, a kill too, leaves what was under that name as it was.
     """
+    temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex}.part")
     with write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())  # else a machine that loses power may keep the name and lose the content
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(temporary, "xb") as file:
+                yield file
+                file.flush()
+                os.fsync(
+                    file.fileno()
+                )  # else a machine that loses power may keep the name and lose the content
+            os.replace(temporary, path)
+        finally:  # still there only where that failed
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
 
 
 @contextlib.contextmanager
