@@ -199,7 +199,7 @@ def test_without_an_extra_the_demo_says_so_and_goes_on(asked, monkeypatch):
     monkeypatch.setattr(demo, "replayed", missing)
     monkeypatch.setattr(demo, "picture", missing)
     out, _ = asked("demo", columns=200)
-    for said in ("no picture looked at", "no recordings replayed"):
+    for said in ("no image searched", "no recordings replayed"):
         assert f"{said}: images need pillow: pip install 'handsight[vision]'" in " ".join(out.split())
 
 

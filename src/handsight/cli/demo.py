@@ -63,7 +63,7 @@ def demo(
     try:
         out.print(find_can(plot.with_name(f"{plot.stem}-picture{plot.suffix}")))
     except MissingExtra as error:
-        out.print(f"no picture looked at: {error}")
+        out.print(f"no image searched: {error}")
     results = []
     try:
         for name in NAMES:
@@ -142,12 +142,12 @@ def find_can(plot: Path) -> str:
     model = replace(rig.objects["can"].model(), name="can")
     row = locator(Targets({model.name: model}, STRUCTURED_LIGHT))(picture(rig, known))
     if row.reason is not None:
-        return f"can in a picture (synthetic): not found: {row.reason}"
+        return f"can in an image (synthetic): not found: {row.reason}"
     T, T_true = row.found.Ts_camera_object[0], se3.from_position_quaternion(**known["truth"])
     off = 1e3 * math.dist(T[:3, 3], T_true[:3, 3])
     tilt = math.degrees(math.acos(min(1.0, abs(float(T[:3, 2] @ T_true[:3, 2])))))
     found = f"centre off by {off:.1f} mm, axis by {tilt:.1f}°, in {1e3 * row.seconds:.0f} ms"
-    text = f"can found in a picture with the hand before it, without a guess (synthetic): {found}"
+    text = f"can found in an image with the hand in front of it, without a guess (synthetic): {found}"
     try:
         return f"{text}\n{draw([row], plot)}"
     except MissingExtra as error:

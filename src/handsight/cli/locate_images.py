@@ -79,9 +79,9 @@ class LocateResult:
         for message in self.unread[:MAX_MESSAGES]:
             yield f"handsight: {message}"
         if len(self.unread) > MAX_MESSAGES:
-            yield f"handsight: {len(self.unread) - MAX_MESSAGES} more pictures cannot be read"
+            yield f"handsight: {len(self.unread) - MAX_MESSAGES} more images cannot be read"
         if output is not None:
-            yield f"wrote {output}: found in {self.found} of {self.done} pictures"
+            yield f"wrote {output}: found in {self.found} of {self.done} images"
         yield from self.messages
 
 
@@ -118,11 +118,11 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
             else:
                 write(json_line(row) if targets.numbers is None else bop_line(row, targets.numbers))
             total = frames.total
-            move(result.done / total if total else None, f"{result.done} of {total or '?'} pictures")
+            move(result.done / total if total else None, f"{result.done} of {total or '?'} images")
     if as_table and result.cells:
         names = list(targets.models)
         columns = [
-            "picture",
+            "image",
             "x, y, z in the camera [mm]",
             "± [mm]",
             "± [°]",
@@ -141,7 +141,7 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
     if isinstance(end.error, HandsightError) and not result.done:
         raise end.error
     if end.exit_code:
-        stopped = f"handsight: stopped after {result.done} pictures; what was found is kept"
+        stopped = f"handsight: stopped after {result.done} images; what was found is kept"
         result.messages.append(end.message or stopped)
     return result
 
