@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -86,6 +86,16 @@ def renamed(new: Value, old: Value, names: tuple[str, str]) -> Value:
     if old:
         say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
     return new or old
+
+
+def tracker_settings(**given: Any) -> "TrackerSettings":
+    """Returns the settings of a tracker that options give; raises an InvalidInput that names the option."""
+    from handsight.tracking import TrackerSettings
+
+    try:
+        return TrackerSettings(**given)
+    except InvalidInput as error:
+        raise InvalidInput(f"--{str(error).removeprefix('settings.')}") from None
 
 
 @dataclass(frozen=True, slots=True)

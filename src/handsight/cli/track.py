@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handsight.cli import options
-from handsight.cli.options import Run, renamed
+from handsight.cli.options import Run, renamed, tracker_settings
 from handsight.cli.terminal import live_rows, say
 from handsight.cli.track_summary import TrackResult, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
@@ -54,9 +54,7 @@ def track(
     If an error or Ctrl-C ends it early, what was tracked until then is written. The exit code is 0 only if nothing
     ended it early and there is at least one pose.
     """
-    from handsight.tracking import TrackerSettings
-
-    settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+    settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     run = Run.of(recording, rig, object, settings)
     output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")

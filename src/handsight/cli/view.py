@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handsight.cli import options
-from handsight.cli.options import Run
+from handsight.cli.options import Run, tracker_settings
 from handsight.cli.terminal import FAILED, say
 from handsight.cli.track_summary import refusals
 from handsight.errors import HandsightError, InvalidInput
@@ -41,11 +41,10 @@ def view(
     handsight view can.mcap
     ```
     """
-    from handsight.tracking import TrackerSettings
     from handsight.viewer.page import Page, require_viser
 
     require_viser()
-    settings = TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+    settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     with contextlib.suppress(KeyboardInterrupt):
         _refuse_track(recording)
         run = Run.of(recording, rig, object, settings)
