@@ -10,18 +10,14 @@ from handsight.cli.options import (
     DEPTH_CAMERAS,
     LibraryPlace,
     RigPath,
-    by_name,
+    find_models,
     find_rig,
-    models_in,
-    models_of_library,
-    object_named,
 )
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 from handsight.files import check_not_overwritten
 
 if TYPE_CHECKING:
-    from handsight.objects import ObjectModel
     from handsight.recording.frames import Frames
     from handsight.vision import DepthNoise
 
@@ -197,7 +193,7 @@ def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "
         if images.depth_camera is not None:
             raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {path}")
         rig, rig_path = find_rig(path, images.rig)
-        models = models_in(rig, rig_path, objects.names)
+        models = find_models(objects.names, rig, rig_path)
         noise = _noise(None if rig.camera is None else rig.camera.depth_camera)
         frames = open_frames(path, beside, rig)
     else:
@@ -206,7 +202,7 @@ def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "
         noise = _noise(images.depth_camera)
         frames = open_frames(path, beside)
         library = objects.library or (str(frames.library) if frames.library else None)
-        models = _models(objects, library)
+        models = find_models(objects.names, library=library, scale=objects.scale)
         if csv:  # BOP's results name objects by the library's numbers
             entries = zip(models, objects.names or models, strict=True)
             opened = Library(library)
@@ -221,12 +217,6 @@ def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "
         each = (within(frame, box) if isinstance(frame, Frame) else frame for frame in frames.each)
         frames = frames._replace(each=each)
     return frames, Targets(models, noise, numbers)
-
-
-def _models(objects: Objects, library: str | None) -> "dict[str, ObjectModel]":
-    if not objects.names:
-        return models_of_library(library)
-    return by_name(object_named(name, library=library, scale=objects.scale) for name in objects.names)
 
 
 def _noise(kind: str | None) -> "DepthNoise":

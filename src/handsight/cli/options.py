@@ -1,6 +1,7 @@
 """Options that several commands have, and the values they stand for: a rig, objects, and a `Run` of a recording."""
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -13,7 +14,7 @@ from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.objects import ObjectModel, ObjectSpec
+    from handsight.objects import Library, ObjectModel, ObjectSpec
     from handsight.recording import Recording
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
@@ -115,8 +116,9 @@ class Run:
         announce_compiling()
         found, path = find_rig(recording, rig)
         if name is None and len(found.objects) != 1:
-            raise _no_object(found, path)
-        (model,) = models_in(found, path, () if name is None else (name,)).values()
+            known = ", ".join(found.objects) or "none"
+            raise InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
+        (model,) = find_models(() if name is None else (name,), found, path).values()
         return cls(recording, found, model, settings)
 
     @contextlib.contextmanager
@@ -156,78 +158,70 @@ def find_rig(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
     return Rig.from_file(places[0]), places[0]
 
 
-def _no_object(rig: "Rig", path: Path) -> InvalidInput:
-    return InvalidInput(f"--object: expected, got nothing; {path} knows {', '.join(rig.objects) or 'none'}")
+def find_models(
+    names: Iterable[str],
+    rig: "Rig | None" = None,
+    rig_path: Path | None = None,
+    *,
+    library: str | None = None,
+    scale: float = 1.0,
+) -> "dict[str, ObjectModel]":
+    """Returns the models of the named objects by name; without names, those of all objects of the rig or library.
 
-
-def models_in(rig: "Rig", path: Path, names: Iterable[str]) -> "dict[str, ObjectModel]":
-    """Returns the models of the named objects, else of all objects of the rig, by name; `path` is the rig's.
-
-    Raises InvalidInput.
+    `library` None: the default one; `scale`: metres per unit of a mesh file. Raises InvalidInput.
     """
-    wanted = tuple(names) or tuple(rig.objects)
-    if not wanted:
-        raise _no_object(rig, path)
-    return by_name(object_named(name, objects=rig.objects, place=str(path)) for name in wanted)
-
-
-def models_of_library(library: str | None) -> "dict[str, ObjectModel]":
-    """Returns the models of all objects of a library (None: the default one), by name; raises InvalidInput where there
-    is none."""
     from handsight.objects import Library
     from handsight.objects.library import NoLibrary
 
-    opened, message = Library(library), "expected a name of the library or a mesh file, got nothing"
-    try:
-        entries = opened.entries()
-    except NoLibrary:
-        raise InvalidInput(f"--object: {message}; there is no library at {opened.place}") from None
-    if not entries:
-        raise InvalidInput(f"--object: {message}; the library {opened.place} is empty")
-    return by_name(opened.model(entry.name) for entry in entries)
-
-
-def by_name(models: "Iterable[ObjectModel]") -> "dict[str, ObjectModel]":
-    """Returns models by their names; raises InvalidInput where two have the same one."""
-    found = dict[str, "ObjectModel"]()
-    for model in models:
-        if model.name in found:
-            raise InvalidInput(f"--object: expected objects of different names, got {model.name!r} twice")
-        found[model.name] = model
-    return found
+    objects, opened = {} if rig is None else rig.objects, Library(library)
+    if wanted := tuple(names) or tuple(objects):
+        place = "" if rig is None else str(rig_path)
+        models = [
+            object_named(name, objects=objects, place=place, library=opened, scale=scale) for name in wanted
+        ]
+    elif rig is not None:
+        raise InvalidInput(f"--object: expected, got nothing; {rig_path} knows none")
+    else:
+        message = "--object: expected a name of the library or a mesh file, got nothing"
+        try:
+            entries = opened.entries()
+        except NoLibrary:
+            raise InvalidInput(f"{message}; there is no library at {opened.place}") from None
+        if not entries:
+            raise InvalidInput(f"{message}; the library {opened.place} is empty")
+        models = [opened.model(entry.name) for entry in entries]
+    by_name = {model.name: model for model in models}
+    if len(by_name) < len(models):
+        twice = next(name for name, count in Counter(model.name for model in models).items() if count > 1)
+        raise InvalidInput(f"--object: expected objects of different names, got {twice!r} twice")
+    return by_name
 
 
 def object_named(
-    name: str,
-    *,
-    objects: "Mapping[str, ObjectSpec] | None" = None,
-    place: str = "",
-    library: str | None = None,
-    scale: float = 1.0,
+    name: str, *, objects: "Mapping[str, ObjectSpec]", place: str, library: "Library", scale: float
 ) -> "ObjectModel":
     """Returns the model of that name among a rig's `objects` or in the library, or of a mesh file of that path.
 
-    `place`: the rig's path, for the message; `library` None: the default one; `scale`: metres per unit of a mesh file.
-    Raises InvalidInput where there is none.
+    `place`: the rig's path, for the message, or empty. Raises InvalidInput where there is none.
     """
     from handsight.checks import suggestion
-    from handsight.objects import Library, ObjectModel
+    from handsight.objects import ObjectModel
     from handsight.objects.library import NoLibrary
 
-    objects = objects or {}
     if name in objects:
         return replace(objects[name].model(), name=name)
     if Path(name).is_file():
         return ObjectModel.from_file(name, scale=scale)
-    opened = Library(library)
     try:
-        entries = opened.entries()
+        entries = library.entries()
     except NoLibrary:  # there need not be one
         entries = ()
     for entry in entries:
         if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
-            return opened.model(entry.name)
-    in_library = f"the library {opened.place}" if entries else f"a library (there is none at {opened.place})"
+            return library.model(entry.name)
+    in_library = (
+        f"the library {library.place}" if entries else f"a library (there is none at {library.place})"
+    )
     known = suggestion(name, {*objects, *(entry.name for entry in entries)})
     raise InvalidInput(
         f"--object: expected a name of {place or in_library} or a mesh file, got {name!r}{known}"
