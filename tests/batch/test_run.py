@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,7 @@ from batch.fragile_worker import ends_at_once, obeyed
 from handsight.batch import run as batch
 from handsight.batch.lines import LONGEST, blocks
 from handsight.batch.run import Batch
-from handsight.batch.workers import Answers, Processes, WorkerFailure
+from handsight.batch.workers import Answers, Processes, WorkerDied, WorkerFailure
 from handsight.errors import InvalidFile
 
 
@@ -32,12 +31,6 @@ class Pretended:
         self.room, self.seconds, self.loses = size, seconds, loses
         self.random = random.Random(seed)
         self.begun, self.running, self.most = [], 0, 0
-
-    def answers(self, future):
-        try:
-            return future.result()
-        except BrokenProcessPool:
-            return None
 
     def submit(self, lines):
         self.begun.append(len(lines))
@@ -53,7 +46,7 @@ class Pretended:
     def finish(self, lines, future):
         self.running -= 1
         if self.loses(lines):
-            future.set_exception(BrokenProcessPool())
+            future.set_exception(WorkerDied())
         else:
             texts = [json.dumps({"line": line.decode()}) for line in lines]
             future.set_result(Answers(texts, self.seconds, []))

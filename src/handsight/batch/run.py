@@ -13,7 +13,7 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 from handsight.batch.lines import Source, blocks
-from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
+from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, WorkerDied, answer_lines
 
 
 class BatchLimits(NamedTuple):
@@ -97,8 +97,9 @@ class Batch:
                     self._take(self._events.get())
                     continue
                 lines, future = self._submitted.popleft()
-                answers = self._workers.answers(future)
-                if answers is None:
+                try:
+                    answers = future.result()
+                except WorkerDied:
                     yield from self._one_by_one(lines)
                 else:
                     yield lines, answers
@@ -157,10 +158,13 @@ class Batch:
         while self._running:
             self._take(self._events.get())
         message = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"
-        error = Answers([json.dumps({"error": message})], 0.0, [])
         for line in lines:
-            tried = (self._workers.answers(self._workers.submit([line])) for _ in range(DEATHS))
-            yield [line], next(filter(None, tried), error)
+            answers = Answers([json.dumps({"error": message})], 0.0, [])
+            for _ in range(DEATHS):
+                with contextlib.suppress(WorkerDied):
+                    answers = self._workers.submit([line]).result()
+                    break
+            yield [line], answers
 
 
 def _bytes(lines: list[bytes]) -> int:

@@ -33,6 +33,10 @@ class WorkerFailure(HandsightError):
     """Worker processes cannot work, or a cluster cannot be reached."""
 
 
+class WorkerDied(Exception):
+    """The worker of a chunk died, perhaps of the chunk."""
+
+
 class Answers(NamedTuple):
     """An `Answers` is a worker's answers to a chunk of lines."""
 
@@ -82,13 +86,15 @@ def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
 
 
 def _from_file(named: Future[str], answers: Future[Answers]) -> None:
-    """Sets the result of `answers` to what a worker wrote, or its exception to why it did not."""
+    """Sets the result of `answers` to what a worker wrote, or its exception to WorkerDied or WorkerFailure."""
     try:
         path = Path(named.result())
         answers.set_result(Answers(*json.loads(path.read_bytes())))
         path.unlink()
-    except BaseException as error:  # whoever waits for the answers must get it
-        answers.set_exception(error)
+    except BrokenProcessPool:
+        answers.set_exception(WorkerDied())
+    except BaseException as error:  # whatever it is, whoever waits for the answers must get it
+        answers.set_exception(WorkerFailure(f"worker: {type(error).__name__}: {error}"))
 
 
 class Processes(contextlib.AbstractContextManager["Processes"]):
@@ -123,7 +129,8 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             self._pool = None
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns the future answers to a chunk; raises WorkerFailure where no worker can be started."""
+        """Returns the future answers to a chunk, or WorkerDied or WorkerFailure; raises the latter where no worker can
+        be started."""
         while True:
             pool = self._pool or self._started()
             try:
@@ -136,15 +143,6 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                 answers: Future[Answers] = Future()
                 named.add_done_callback(functools.partial(_from_file, answers=answers))
                 return answers
-
-    def answers(self, future: Future[Answers]) -> Answers | None:
-        """Waits for a chunk's answers; None where a worker died. Raises WorkerFailure for other errors."""
-        try:
-            return future.result()
-        except BrokenProcessPool:
-            return None
-        except Exception as error:
-            raise WorkerFailure(f"worker: {type(error).__name__}: {error}") from None
 
     def _started(self) -> ProcessPoolExecutor:
         """Returns a pool whose first worker is ready."""
@@ -230,7 +228,8 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
             self._client.close(timeout=CONNECT_SECONDS)
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns the future answers to a chunk; raises WorkerFailure where the cluster was lost."""
+        """Returns the future answers to a chunk, or WorkerDied where several workers died, or WorkerFailure; raises the
+        latter where the cluster was lost."""
         # Not by Client.get_executor(), whose futures never end when the scheduler is lost.
         try:
             submitted = self._client.submit(self._work, lines, pure=False)
@@ -240,27 +239,20 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         submitted.add_done_callback(lambda done: self._ended.put((done, answers)))
         return answers
 
-    def answers(self, future: Future[Answers]) -> Answers | None:
-        """Waits for a chunk's answers; None where several workers died. Raises WorkerFailure where the cluster was
-        lost."""
+    def _fetch(self) -> None:
+        """Sets the results of futures, in a thread of its own."""
         from distributed.scheduler import KilledWorker
 
-        try:
-            return future.result()
-        except KilledWorker:
-            return None
-        except Exception as error:
-            raise self._lost(error) from None
-
-    def _fetch(self) -> None:
         while True:
             done, answers = self._ended.get()
             try:
                 answers.set_result(Answers(*done.result()))
+            except KilledWorker:
+                answers.set_exception(WorkerDied())
             except BaseException as error:
-                answers.set_exception(error)
+                answers.set_exception(self._lost(error))
 
-    def _lost(self, error: Exception) -> WorkerFailure:
+    def _lost(self, error: BaseException) -> WorkerFailure:
         message = f"the cluster was lost ({type(error).__name__}: {error})"
         if isinstance(error, ModuleNotFoundError):
             message = f"the workers have no module {error.name!r}; install handsight there"
