@@ -12,7 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -89,9 +89,10 @@ def _from_file(named: Future[str], answers: Future[Answers]) -> None:
     """Sets the result of `answers` to what a worker wrote, or its exception to WorkerDied or WorkerFailure."""
     try:
         path = Path(named.result())
-        answers.set_result(Answers(*json.loads(path.read_bytes())))
+        found = Answers(*json.loads(path.read_bytes()))
         path.unlink()
-    except BrokenProcessPool:
+        answers.set_result(found)
+    except (BrokenProcessPool, CancelledError):
         answers.set_exception(WorkerDied())
     except BaseException as error:  # whatever it is, whoever waits for the answers must get it
         answers.set_exception(WorkerFailure(f"worker: {type(error).__name__}: {error}"))
