@@ -98,6 +98,7 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
     with output_stream(output) as sink, kept_going() as end, bar("locating") as move:
 
         def write(line: str | None) -> None:
+            """Writes an answer at once; None: it has no line."""
             if line is not None:
                 with write_errors(stream_name(sink)):
                     sink.write(f"{line}\n")
@@ -163,6 +164,7 @@ def locator(targets: Targets) -> "Callable[[Frame], Located]":
         appearance_of(model)
 
     def locate_in(frame: "Frame") -> "Located":
+        """Returns the object's pose in an image, and how long that took."""
         model, recognition, started = first, None, time.perf_counter()
         camera, depth, wanted, hand = frame.camera, frame.depth, frame.wanted, frame.hand
         if len(models) == 1:

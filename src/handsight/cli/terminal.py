@@ -104,6 +104,7 @@ def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterato
     with Live(console=_messages(), auto_refresh=False, transient=True) as live:
 
         def show(*now: Any) -> None:
+            """Replaces the rows, unless they were shown a moment ago."""
             nonlocal shown_at
             if time.monotonic() - shown_at >= refresh_seconds:
                 shown_at = time.monotonic()
