@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.live.answers import POSE_TOPIC, Writer, pose_numbers
-from handsight.messages.topics import POSE_COVARIANCE, TF
-from handsight.recording.write import pose
+from handsight.live.answers import Writer, pose_numbers
+from handsight.messages.encode import header, pose
+from handsight.messages.topics import OwnTopic, RosType
 
 STAMPS = st.floats(0, 2.0**31 - 1)
 SMALL = st.floats(-3, 3)
@@ -25,14 +25,17 @@ def test_poses_and_transforms_are_what_rosbags_writes(encoding, stamp, six, palm
     writer, T = Writer(encoding, palm), se3.moved(np.eye(4), np.array(six))
     covariance = np.diag(np.arange(1.0, 7)) + 0.1
     estimate, numbers = Message(bounded_covariance=covariance), pose_numbers(T)
-    body, top = pose(T), writer.header(stamp, palm)
+    body, top = pose(T), header(stamp, palm)
     expected = writer.answer(
-        POSE_TOPIC, POSE_COVARIANCE, header=top, pose=Message(pose=body, covariance=covariance.ravel())
+        OwnTopic.POSE,
+        RosType.POSE_COVARIANCE,
+        header=top,
+        pose=Message(pose=body, covariance=covariance.ravel()),
     )
     assert writer.pose(stamp, estimate, numbers) == expected
     link = Message(translation=body.position, rotation=body.orientation)
     expected = writer.answer(
-        "/tf", TF, transforms=[Message(header=top, child_frame_id="object", transform=link)]
+        "/tf", RosType.TF, transforms=[Message(header=top, child_frame_id="object", transform=link)]
     )
     assert writer.transform(stamp, numbers) == expected
 

@@ -21,17 +21,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
-from handsight.live.answers import MARKERS_TOPIC
 from handsight.live.node import NODE, PublishedTypes, done, live_tracker, work
 from handsight.messages import RawMessage
-from handsight.messages.prompt import WAIT
+from handsight.messages.clocks import CLOCKS
+from handsight.messages.topics import OwnTopic
 from handsight.viewer import view
 
 PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
-UNHEARD, UNHEARD_EQUAL = 100, 2000
-"""Messages of a topic that wait to be taken."""
-QUIET = 0.1
-"""After so long without a message nothing waits for another one [s]."""
 LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
@@ -100,7 +96,7 @@ class Ears:
     def _subscribe(self, topic, kind):
         if topic in self._subscribed:
             self._node.destroy_subscription(self._subscribed.pop(topic)[1])
-        waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
+        waiting = NODE.max_messages_all if self._live.equal else NODE.max_messages
         passing = QoSProfile(depth=waiting, reliability=ReliabilityPolicy.BEST_EFFORT)
 
         def hear(data, info):
@@ -133,7 +129,7 @@ def publisher(node, live):
             found[topic] = node.create_publisher(message, topic, waiting)
         else:
             node.get_logger().warning(f"{topic} is not published: {kind.split('/')[0]} is not installed")
-    markers = found.get(MARKERS_TOPIC)
+    markers = found.get(OwnTopic.MARKERS)
     live.markers_wanted = lambda: markers is not None and markers.get_subscription_count() > 0
 
     def publish(answer):
@@ -157,8 +153,8 @@ class Worker:
 
     def step(self, timeout):
         """What is to be published now; waits at most `timeout` [s] for something to come."""
-        if time.monotonic() - self._ears.heard < QUIET:
-            timeout = min(timeout, WAIT)
+        if time.monotonic() - self._ears.heard < NODE.quiet:
+            timeout = min(timeout, CLOCKS.max_wait)
         self._executor.spin_once(timeout_sec=timeout)
         return self._live.step(0.0)
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import wraps
 from inspect import Parameter, Signature, signature
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,12 +15,9 @@ from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel, ObjectSpec
-    from handsight.recording import Recording
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
-MOST_WITHOUT_INFO = 1000
-"""Observations of a recording in which a camera is looked for."""
 Recorded = Annotated[Path, typer.Argument(help="MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")]
 RigFile = Annotated[
     Path | None,
@@ -217,14 +213,3 @@ def _rig_beside(recording: Path) -> Path:
     raise InvalidInput(
         f"--rig: expected, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
     )
-
-
-def with_intrinsics(rig: "Rig", recording: "Recording") -> "Rig":
-    """Returns the rig, its camera's intrinsics from the recording's first CameraInfo where it has none of its own."""
-    camera = rig.camera
-    if camera is None or camera.intrinsics is not None or None in (rig.topics.depth, rig.topics.camera_info):
-        return rig
-    for _ in islice(recording.observations(), MOST_WITHOUT_INFO):
-        if (info := recording.intrinsics) is not None:
-            return replace(rig, camera=camera.with_images_of(info))
-    return rig

@@ -12,7 +12,6 @@ from handsight.cli.options import (
     Recorded,
     RigFile,
     rig_and_object,
-    with_intrinsics,
     with_settings,
 )
 from handsight.cli.terminal import FAILED, announce_compiling, say
@@ -63,14 +62,14 @@ def view(
 
 def refuse_track(path: Path) -> None:
     """Raises InvalidInput for a `track.mcap`: what moved the hand, and what it touched, are not in it."""
+    from handsight.messages.topics import OwnTopic
     from handsight.recording.open import open_files
-    from handsight.recording.write import TRACK_TOPIC
 
     if path.suffix != ".mcap" or not path.is_file():
         return
     for file in open_files(path):
         with contextlib.closing(file):
-            if set(file.topics) == {TRACK_TOPIC}:
+            if set(file.topics) == {OwnTopic.POSE}:
                 raise InvalidInput(
                     f"{path}: expected the recording that was tracked, "
                     "got what `handsight track` made of it: poses alone"
@@ -88,7 +87,7 @@ def show(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSetting
     from handsight.viewer.replay_moments import follow
 
     with open_recording(path, rig) as recording:
-        rig = with_intrinsics(rig, recording)
+        rig = recording.calibrated_rig()
     tracker, timeline, tally = Tracker(rig, model, settings=settings), Timeline(), Tally()
     with open_recording(path, rig) as recording:
         player = Player(page, timeline, lambda: curves(timeline.moments, model, Truths(recording.truth)))

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from types import SimpleNamespace as Message
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,16 +11,11 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE, TF
-from handsight.recording.write import header, pose, split_stamp
-from handsight.tracking.tracker import State
+from handsight.messages.encode import Message, header, pose_with_covariance, split_stamp, transform
+from handsight.messages.topics import OwnTopic, RosType
 
-POSE_TOPIC, MARKERS_TOPIC, DIAGNOSTICS_TOPIC = "/handsight/pose", "/handsight/markers", "/diagnostics"
-DIAGNOSTICS, MARKERS = "diagnostic_msgs/msg/DiagnosticArray", "visualization_msgs/msg/MarkerArray"
 OBJECT_FRAME = "object"
-"""What the object is called in /tf, a child of the palm."""
-OK, WARN, ERROR = 0, 1, 2
-LEVELS: Mapping[State, int] = {"tracking": OK, "uncertain": WARN, "lost": ERROR}
+"""The object's frame id in /tf, a child of the palm's."""
 
 
 class Answer(NamedTuple):
@@ -32,26 +27,32 @@ class Answer(NamedTuple):
     data: bytes
 
 
+class Level(IntEnum):
+    """`Level` is how serious a status of the diagnostics is."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
 class Status(NamedTuple):
     """A `Status` is one part of the diagnostics."""
 
     name: str
-    level: int
+    level: Level
     text: str
     values: Mapping[str, object]
 
 
 class Template:
-    """A `Template` is a message that is written hundreds of times a second, of which only a stamp and the numbers at
-    its end change."""
+    """A `Template` is a message that is written very often: only its stamp and the numbers at its end change."""
 
     def __init__(self, example: Answer, stamp_at: int, count: int) -> None:
-        """`stamp_at`: where its stamp is, as bytes from the beginning; `count` of the numbers."""
+        """`stamp_at`: the first byte of the stamp in the example; `count` of the numbers."""
         self._example, self._stamp_at, self._numbers = example, stamp_at, struct.Struct(f"<{count}d")
 
     def answer(self, stamp: float, numbers: Sequence[float]) -> Answer:
-        """Returns the message of that time [s] and of those numbers; raises InvalidInput for a stamp that it cannot
-        hold."""
+        """Returns the message of a stamp [s] and of numbers; raises InvalidInput for a stamp that it cannot hold."""
         data = bytearray(self._example.data)
         struct.pack_into("<iI", data, self._stamp_at, *split_stamp(stamp))
         self._numbers.pack_into(data, len(data) - self._numbers.size, *numbers)
@@ -68,20 +69,23 @@ class Writer:
 
     def __init__(self, encoding: str, palm: str) -> None:
         """`palm`: its frame id. Raises MissingExtra."""
-        store = typestore(encoding)
+        store, T = typestore(encoding), np.eye(4)
         self._serialize = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
-        self._palm = palm
-        self._pose, self._transform = self._pose_template(), self._transform_template()
+        self.palm = palm
+        body = pose_with_covariance(T, None)
+        example = self.answer(OwnTopic.POSE, RosType.POSE_COVARIANCE, header=header(0.0, palm), pose=body)
+        self._pose = Template(example, 4, 7 + 36)
+        example = self.answer(OwnTopic.TF, RosType.TF, transforms=[transform(T, 0.0, palm, OBJECT_FRAME)])
+        self._transform = Template(example, 8, 7)
 
     def answer(self, topic: str, kind: str, **fields: Any) -> Answer:
-        """Returns a message of these fields."""
+        """Returns a message of that type and these fields."""
         return Answer(topic, kind, bytes(self._serialize(Message(**fields), kind)))
 
     def pose(self, stamp: float, estimate: PoseEstimate, numbers: Sequence[float]) -> Answer:
-        """Returns a PoseWithCovarianceStamped in the palm; directions that nothing tells of have a variance of 1 or
-        more.
+        """Returns a PoseWithCovarianceStamped in the palm; unobservable directions have a variance of 1 or more.
 
-        `numbers`: the estimate's, of `pose_numbers`.
+        `numbers`: the `pose_numbers` of the estimate.
         """
         return self._pose.answer(stamp, (*numbers, *estimate.bounded_covariance.ravel().tolist()))
 
@@ -89,25 +93,11 @@ class Writer:
         """Returns the transform from the palm to the object, whose pose has these `pose_numbers`, on /tf."""
         return self._transform.answer(stamp, numbers)
 
-    def _pose_template(self) -> "Template":
-        body = Message(pose=pose(np.eye(4)), covariance=np.zeros(36))
-        example = self.answer(POSE_TOPIC, POSE_COVARIANCE, header=self.header(0.0, self._palm), pose=body)
-        return Template(example, 4, 7 + 36)
-
-    def _transform_template(self) -> "Template":
-        at = pose(np.eye(4))
-        each = Message(
-            header=self.header(0.0, self._palm),
-            child_frame_id=OBJECT_FRAME,
-            transform=Message(translation=at.position, rotation=at.orientation),
-        )
-        return Template(self.answer("/tf", TF, transforms=[each]), 8, 7)
-
     def diagnostics(self, stamp: float, statuses: Iterable[Status]) -> Answer:
         """Returns a DiagnosticArray."""
         body = [
             Message(
-                level=each.level,
+                level=int(each.level),
                 name=f"handsight: {each.name}",
                 message=each.text,
                 hardware_id="",
@@ -115,11 +105,4 @@ class Writer:
             )
             for each in statuses
         ]
-        return self.answer(DIAGNOSTICS_TOPIC, DIAGNOSTICS, header=self.header(stamp), status=body)
-
-    @staticmethod
-    def header(stamp: float, frame: str = "") -> Message:
-        """Returns a header of either encoding; ROS 1 counts in it."""
-        top = header(stamp, frame)
-        top.seq = 0
-        return top
+        return self.answer(OwnTopic.DIAGNOSTICS, RosType.DIAGNOSTICS, header=header(stamp), status=body)

@@ -46,7 +46,7 @@ def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
         for observation in recording.observations():
             if observation.depth is None:
                 continue
-            camera = camera or recording.intrinsics or Camera.of(rig.camera)
+            camera = camera or recording.camera()
             if observation.depth.shape != camera.size[::-1]:
                 (width, height), (h, w) = camera.size, observation.depth.shape
                 message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
