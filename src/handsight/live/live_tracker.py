@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
-from handsight.live.answers import Answer, Writer, pose_numbers
+from handsight.live.answers import Answer, Writer
 from handsight.live.health import Health
 from handsight.live.inbox import Inbox
 from handsight.live.markers import Markers
@@ -209,10 +209,9 @@ class LiveTracker:
         self.show(observation, tracker)
         if estimate is None or tracker.late > late:
             return []
-        numbers = pose_numbers(estimate.T_palm_object)
-        answers = [self._writer.pose(tracker.stamp, estimate, numbers)]
+        answers = [self._writer.pose(tracker.stamp, estimate)]
         if tracker.state != "lost":
-            answers.append(self._writer.transform(tracker.stamp, numbers))
+            answers.append(self._writer.transform(tracker.stamp, estimate.T_palm_object))
         now = time.monotonic()
         if now - self._markers_at >= LIVE.marker_period and self.markers_wanted():
             self._markers_at = now

@@ -1,9 +1,9 @@
 """Observations out of measurements that are in order of stamp."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,10 +11,9 @@ from handsight import se3
 from handsight.checks import MAX_DISTANCE, Array
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report, Units
-from handsight.observation import ContactMeasurement, Observation
+from handsight.messages.topics import Role
+from handsight.observation import Observation
 from handsight.rig import Rig
-
-Value = TypeVar("Value")
 
 
 class AssemblyOptions(NamedTuple):
@@ -49,10 +48,8 @@ class ObservationAssembler:
         """Forgets all but the static transforms."""
         self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
         self._sensors: dict[str, WrenchSensor] = {}
-        # The newest that can be used, by the name of the finger or array, with their stamps.
-        self._wrenches: dict[str, tuple[float, Array]] = {}
-        self._contacts: dict[str, tuple[float, ContactMeasurement | None]] = {}
-        self._skin: dict[str, tuple[float, Array]] = {}
+        # The newest wrenches, contacts and readings with their stamps, by the finger or array.
+        self._touch: dict[Role, dict[str, tuple[float, Any]]] = {"wrench": {}, "contact": {}, "skin": {}}
         self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
         self.due: float | None = None
         """Stamp of the joint states that have no observation yet [s]; None: all have one."""
@@ -76,15 +73,13 @@ class ObservationAssembler:
             full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
             fault = sensor.read(measurement.value, stamp, full, self._sensors.values())
             if fault is None:
-                self._wrenches[finger] = stamp, measurement.value
+                self._touch["wrench"][finger] = stamp, measurement.value
             else:
-                self._wrenches.pop(finger, None)
+                self._touch["wrench"].pop(finger, None)
                 self._report.fingers[finger] = f"{fault}: a dead sensor? left out"
                 topic.used, topic.stuck = topic.used - 1, topic.stuck + 1
-        elif topic.role == "contact":
-            self._contacts[topic.finger] = stamp, measurement.value
-        elif topic.role == "skin":
-            self._skin[topic.finger] = stamp, measurement.value
+        elif topic.role in self._touch:
+            self._touch[topic.role][topic.finger] = stamp, measurement.value
         elif topic.role == "tf":
             self.tree.put(measurement.value, stamp)
         elif topic.role == "truth":
@@ -120,28 +115,25 @@ class ObservationAssembler:
         observation = Observation(
             stamp,
             positions,
-            wrenches=_fresh(self._wrenches, stamp, topics.wrenches, report.without),
+            wrenches=self._fresh("wrench", stamp, topics.wrenches, report.without),
             T_world_palm=T_world_palm,
             image_stamp=image_stamps.get("depth", image_stamps.get("color")),
-            contacts=_fresh(self._contacts, stamp, topics.contacts, report.without),
-            skin=_fresh(self._skin, stamp, topics.skin, report.without_skin),
+            contacts=self._fresh("contact", stamp, topics.contacts, report.without),
+            skin=self._fresh("skin", stamp, topics.skin, report.without_skin),
             **vision,
         )
         self._units.put(observation)
         return observation
 
-
-def _fresh(
-    newest: Mapping[str, tuple[float, Value]], stamp: float, names: Iterable[str], without: Counter[str]
-) -> dict[str, Value]:
-    """Returns the values that are new enough at the stamp [s], by name; names without one are counted in `without`."""
-    found = dict[str, Value]()
-    for name in names:
-        if name in newest and stamp - newest[name][0] <= ASSEMBLY.max_age_wrench:
-            found[name] = newest[name][1]
-        else:
-            without[name] += 1
-    return found
+    def _fresh(self, role: Role, stamp: float, names: Iterable[str], without: Counter[str]) -> dict[str, Any]:
+        """Returns what is new enough at the stamp [s], by name, and counts the names without it in `without`."""
+        found, newest = dict[str, Any](), self._touch[role]
+        for name in names:
+            if name in newest and stamp - newest[name][0] <= ASSEMBLY.max_age_wrench:
+                found[name] = newest[name][1]
+            else:
+                without[name] += 1
+        return found
 
 
 @dataclass(slots=True)

@@ -1,7 +1,7 @@
 """The base of all kinds of recording files: raw messages, and the chunks in which they are stored.
 
-A file may be damaged, or not be what it seems: no length in it is trusted beyond the file's own, and there are bounds for
-what it unpacks to.
+A file may be damaged, or not be what it seems: no length in it is trusted beyond the file's own, and what it may unpack
+to is bounded.
 """
 
 import math
