@@ -15,6 +15,7 @@ from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel, ObjectSpec
+    from handsight.recording import Recording
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
@@ -213,3 +214,8 @@ def _rig_beside(recording: Path) -> Path:
     raise InvalidInput(
         f"--rig: expected, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
     )
+
+
+def with_intrinsics(rig: "Rig", recording: "Recording") -> "Rig":
+    """Returns the rig, its camera's intrinsics from the recording's first CameraInfo where it has none of its own."""
+    return recording.calibrated_rig()

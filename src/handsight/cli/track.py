@@ -13,6 +13,7 @@ from handsight.cli.options import (
     RigFile,
     renamed,
     rig_and_object,
+    with_intrinsics,
     with_settings,
 )
 from handsight.cli.terminal import announce_compiling, live_rows, say
@@ -114,7 +115,7 @@ def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings
     from handsight.tracking.replay import Tally, replay
 
     with open_recording(path, rig) as recording:
-        rig = recording.calibrated_rig()
+        rig = with_intrinsics(rig, recording)
     tracker = Tracker(rig, model, settings=settings)
     with open_recording(path, rig) as recording:
         ended = Run(printable(path.name), Tally(), Truths([]))

@@ -12,6 +12,7 @@ from handsight.cli.options import (
     Recorded,
     RigFile,
     rig_and_object,
+    with_intrinsics,
     with_settings,
 )
 from handsight.cli.terminal import FAILED, announce_compiling, say
@@ -87,7 +88,7 @@ def show(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSetting
     from handsight.viewer.replay_moments import follow
 
     with open_recording(path, rig) as recording:
-        rig = recording.calibrated_rig()
+        rig = with_intrinsics(rig, recording)
     tracker, timeline, tally = Tracker(rig, model, settings=settings), Timeline(), Tally()
     with open_recording(path, rig) as recording:
         player = Player(page, timeline, lambda: curves(timeline.moments, model, Truths(recording.truth)))

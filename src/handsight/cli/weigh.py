@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from handsight.cli.options import Recorded, RigFile, rig_of_recording
+from handsight.cli.options import Recorded, RigFile, rig_of_recording, with_intrinsics
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 
@@ -40,7 +40,7 @@ def weigh(
     opened, robot = Library(library), rig_of_recording(recording, rig)
     model = opened.model(name)
     with open_recording(recording, robot) as opened_once:
-        robot = opened_once.calibrated_rig()
+        robot = with_intrinsics(robot, opened_once)
     # What is known already must not come out again as if it had been measured.
     tracker = Tracker(robot, replace(model, mass=None, center_of_mass=None))
     with open_recording(recording, robot) as read:

@@ -26,9 +26,7 @@ class AssemblyOptions(NamedTuple):
     stuck: float = 0.5  # a sensor that reads the same for longer, while another's changes, is dead [s]
     min_stuck_readings: int = 5  # a slow topic says little about itself
     full_scale_share: float = 0.999  # share of a sensor's full scale from which on a reading is none
-    max_depth: int = 64  # transforms from world to palm; beyond it the tree is a circle
     max_frames: int = 10_000  # frames of /tf that are kept
-    max_publishers: int = 1000  # sets of joints published together that are kept
 
 
 ASSEMBLY = AssemblyOptions()
@@ -63,8 +61,6 @@ class ObservationAssembler:
         if measurement.restarts:
             self._restart()
         if topic.role == "joints":
-            if len(self._joints) >= ASSEMBLY.max_publishers:
-                self._joints.clear()
             self._joints[tuple(measurement.value)] = measurement
             self.due = stamp
         elif topic.role == "wrench":
@@ -215,9 +211,9 @@ class TransformTree:
         """Returns `T_ancestor_frame` (4, 4) for the frame itself and its ancestors, nearest first."""
         T = np.eye(4)
         found = {frame: T}
-        while frame in self._to_child and len(found) < ASSEMBLY.max_depth:
+        while frame in self._to_child:
             parent, T_parent_frame, measured = self._to_child[frame]
-            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:
+            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:  # too old, or a circle
                 break
             frame, T = parent, T_parent_frame if len(found) == 1 else T_parent_frame @ T
             found[frame] = T

@@ -31,7 +31,6 @@ class ClockOptions(NamedTuple):
     confirming: int = 3  # joint states in a row that are back and say that the clock is
     max_waiting: int = 50_000  # measurements that are kept
     max_waiting_bytes: int = 1 << 28  # bytes that are kept
-    max_publishers: int = 1000  # publishers whose stamps are known
 
 
 CLOCKS = ClockOptions()
@@ -239,8 +238,6 @@ class ReorderBuffer:
                 if self._last_stamps.get(publisher) == self._released:
                     measurement.topic.duplicated += 1
                     continue
-                if len(self._last_stamps) > CLOCKS.max_publishers:
-                    self._last_stamps.clear()
                 self._last_stamps[publisher] = self._released
             measurement.topic.use(self._released)
             measurement.restarts, self._restarted = self._restarted, False

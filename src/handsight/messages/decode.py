@@ -6,7 +6,7 @@ from functools import lru_cache
 from importlib import import_module
 from math import hypot, isfinite
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,17 +20,6 @@ from handsight.observation import VISION_FRAMES, ContactMeasurement, PoseMeasure
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-
-class DecodeLimits(NamedTuple):
-    """`DecodeLimits` say how much a message may hold."""
-
-    max_joints: int = 1000  # of one message
-    max_transforms: int = 10_000  # of one message
-    min_bytes: int = 4  # the shortest message holds only a count
-    max_position: float = 1e6  # of a joint; wheels turn far [rad or m]
-
-
-DECODE = DecodeLimits()
 
 SHADOW_CONTACT = """\
 std_msgs/Header header
@@ -103,11 +92,9 @@ def decode(
 
 def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
     """Returns the transforms of a TFMessage, each read by itself: one that is rejected does not spoil the others."""
-    transforms = reader.transforms(raw.data, DECODE.max_transforms) if reader else None
+    transforms = reader.transforms(raw.data) if reader else None
     if not transforms:
         parts = _deserialized(raw).transforms
-        if len(parts) > DECODE.max_transforms:
-            raise MessageRejected(f"expected at most {DECODE.max_transforms} transforms, got {len(parts)}")
         transforms = [
             StampedTransform(
                 _seconds(part), part.header.frame_id, part.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
@@ -131,7 +118,9 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     store = typestore(raw.encoding)
     kind = RosType.TF if raw.type == RosType.TF_ROS1 else raw.type
     expected = f"expected a {kind}, got {len(raw.data)} bytes that are none"
-    if len(raw.data) < DECODE.min_bytes:  # a file may have millions of them, and errors of rosbags are slow
+    if (
+        len(raw.data) < 4
+    ):  # the shortest message holds a count; many may be empty, and errors of rosbags are slow
         raise MessageRejected(expected)
     try:
         message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
@@ -179,16 +168,13 @@ def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, fl
     found = dict(zip(names, positions, strict=True))
     if len(found) != len(names):
         raise MessageRejected("expected each joint once, got one name twice")
-    if len(found) > DECODE.max_joints:
-        raise MessageRejected(f"expected at most {DECODE.max_joints} joints, got {len(found)}")
-    if not hypot(*positions) <= DECODE.max_position:
+    limit = 1e6  # wheels turn far [rad or m]
+    if not hypot(*positions) <= limit:
         if bad := [name for name, position in found.items() if not isfinite(position)]:
             raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
         name = max(found, key=lambda name: abs(found[name]))
-        if abs(found[name]) > DECODE.max_position:
-            raise MessageRejected(
-                f"joint {name}: expected a position within {DECODE.max_position:g}, got {found[name]:g}"
-            )
+        if abs(found[name]) > limit:
+            raise MessageRejected(f"joint {name}: expected a position within {limit:g}, got {found[name]:g}")
     return found
 
 

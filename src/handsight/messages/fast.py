@@ -49,8 +49,6 @@ class FastReader:
             if not self._named or not data.startswith(self._named, 12):
                 at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 4)
                 (count,) = _COUNT.unpack_from(data, at)
-                if count > 1000:  # more than any robot has
-                    return None
                 at, names = at + 4, []
                 for _ in range(count):
                     at, name = self._text(data, at)
@@ -65,12 +63,12 @@ class FastReader:
         except (struct.error, UnicodeDecodeError):
             return None
 
-    def transforms(self, data: bytes, most: int) -> list[StampedTransform] | None:
-        """Returns the transforms of a TFMessage; None: rosbags must read it, for there are more than `most`."""
+    def transforms(self, data: bytes) -> list[StampedTransform] | None:
+        """Returns the transforms of a TFMessage; None: rosbags must read it."""
         try:
             at = 4 if self._cdr else 0
             (count,) = _COUNT.unpack_from(data, at)
-            if self._is_other(data) or count > most:
+            if self._is_other(data):
                 return None
             at, found = at + 4, list[StampedTransform]()
             for _ in range(count):

@@ -76,7 +76,7 @@ class ObservationStream:
             else:
                 if topic.role == "depth":
                     self._depth_size = measurement.value.shape[1::-1]
-                if topic.role == "joints" and len(self._joint_names) < 10_000:  # bounded
+                if topic.role == "joints":
                     self._joint_names.update(measurement.value)
                 found += self._assembled(self.order.put(measurement))
         return found

@@ -37,7 +37,6 @@ class ChunkLimits(NamedTuple):
     max_expansion: int = 200  # for each byte of the file; robots' data packs to a half or a tenth
     piece: int = 1 << 16  # unpacked at a time; what came before a fault is kept
     spare_records: int = 100_000  # number of records that any file may hold, however short
-    max_topics: int = 100_000  # number of topics in a file; more are left out
 
 
 CHUNKS = ChunkLimits()
@@ -72,9 +71,6 @@ class Source(ABC):
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
         """Adds a topic and its type, as ROS 1 or ROS 2 writes it, under the file's key for them."""
-        if topic not in self.topics and len(self.topics) >= CHUNKS.max_topics:
-            self.damage[-1] = f"expected at most {CHUNKS.max_topics} topics, got more, which were left out"
-            return
         package, _, rest = kind.partition("/")
         self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
         self.channels[key] = topic, self.topics[topic], encoding
