@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Follows the object in a robot's hand: messages of ROS 2 in, its pose out. No estimation is done here.
+"""Tracks the object in a robot's hand: messages of ROS 2 in, its pose out. No estimation is done here.
 
 Parameters: rig (the rig file), object (its name in the rig, in the library, or a mesh file; may be left out where the
-rig knows one), rate (corrections a second; 0: when something changed), images (look at depth images, true), equal (wait
-as for a recording, false), view (port of a page that shows it in the browser; 0: none). Topics are the rig's: see
-docs/ros2.md.
+rig knows one), rate (corrections a second; 0: one when something changed), images (use depth images, true), equal
+(answer as `handsight track` does with a recording, 0.2 s later, false), view (port of a page that shows it in the
+browser; 0: none). Topics are the rig's: see docs/ros2.md.
 """
 
 import signal
@@ -31,11 +31,11 @@ PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": Fal
 LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
-"""Of what is said once, for whoever comes later."""
+"""The quality of service of topics that are published once, for whoever subscribes later."""
 
 
 def made(package, room, name):
-    """The class of a message or service; None: it is not installed."""
+    """Returns the class of a message or service; None: its package is not installed."""
     try:
         return getattr(import_module(f"{package}.{room}"), name)
     except (ImportError, AttributeError):
@@ -43,7 +43,7 @@ def made(package, room, name):
 
 
 def tracker(node):
-    """What the parameters describe."""
+    """Returns the tracker that the parameters describe."""
     as_it_comes = ParameterDescriptor(dynamic_typing=True)
     given = {
         name: node.declare_parameter(name, value, as_it_comes).value for name, value in PARAMETERS.items()
@@ -66,7 +66,7 @@ def tracker(node):
 
 
 class Ears:
-    """Subscriptions to all that a tracker listens to; of a topic that may have several types, to the published one."""
+    """Subscriptions to a tracker's topics; of a topic that may have several types, to the one that is published."""
 
     def __init__(self, node, live):
         self._node, self._live, self._types = node, live, PublishedTypes(live)
@@ -83,7 +83,7 @@ class Ears:
         return len(self._subscribed)
 
     def look(self):
-        """Looks who publishes: subscribes anew where it is another type that is expected, and has others named."""
+        """Subscribes anew where a topic is published with another type that is expected, and reports other types."""
         for topic, kinds in self._live.subscriptions.items():
             published = [each.topic_type for each in self._node.get_publishers_info_by_topic(topic)]
             for kind in published:
@@ -107,9 +107,9 @@ class Ears:
         self._subscribed[topic] = kind, subscription
 
     def _hear(self, topic, kind, data, info):
-        """Hands over a message and what else has come, in the order that it came in.
+        """Hands over a message and all others that have come, in the order of their arrival.
 
-        The executor would look at everything anew for each message, and hand over one topic's after another's.
+        The executor would wait anew for each message, and hand over those of one topic after those of another.
         """
         taken = [(info["received_timestamp"], topic, kind, data)]
         for topic, (kind, subscription) in self._subscribed.items():
@@ -122,7 +122,7 @@ class Ears:
 
 
 def publisher(node, live):
-    """What publishes an answer; one that never reads costs nothing."""
+    """Returns a function that publishes an answer; a subscriber that never reads blocks nothing."""
     found, waiting = {}, NODE.max_answers_all if live.equal else NODE.max_answers
     for topic, kind in live.publications.items():
         if (message := made(*kind.split("/"))) is not None:
@@ -140,7 +140,7 @@ def publisher(node, live):
 
 
 class Worker:
-    """Hears and works in one thread: two would wait for each other's hold on Python."""
+    """Receives and works in one thread: two would wait for each other's hold on Python."""
 
     def __init__(self, node, live, ears):
         self._live, self._ears, self._executor = live, ears, SingleThreadedExecutor()
@@ -148,11 +148,11 @@ class Worker:
 
     @property
     def tracker(self):
-        """Of the object that is followed now."""
+        """The tracker of the present object."""
         return self._live.tracker
 
     def step(self, timeout):
-        """What is to be published now; waits at most `timeout` [s] for something to come."""
+        """Returns what is to be published now; waits at most `timeout` [s] for something to come."""
         if time.monotonic() - self._ears.heard < NODE.quiet:
             timeout = min(timeout, CLOCKS.max_wait)
         self._executor.spin_once(timeout_sec=timeout)
@@ -160,7 +160,7 @@ class Worker:
 
 
 def serve(node, live, publish):
-    """Services: begin anew from vision, and with the object that the parameter names now."""
+    """Offers services that start a new track: from vision, or of the object that the parameter names now."""
     trigger = made("std_srvs", "srv", "Trigger")
     if trigger is None:
         node.get_logger().warning("there are no services: std_srvs is not installed")
@@ -169,7 +169,7 @@ def serve(node, live, publish):
     def answer(ask):
         def asked():
             future = ask()
-            for each in live.step(0.0):  # nobody else does what is asked for
+            for each in live.step(0.0):  # this thread does the work
                 publish(each)
             return future
 
