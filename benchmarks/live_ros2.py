@@ -29,9 +29,9 @@ from benchmarks.live import POSE, recording
 from handsight.bridge.bridge import carried
 from handsight.bridge.message_types import message_type
 from handsight.bridge.network import Network
-from handsight.messages import RawMessage
+from handsight.messages import OwnTopic, RawMessage, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import OwnTopic, RosType, rig_topics
+from handsight.messages.topics import rig_topics
 from handsight.recording.mcap import McapSource
 from handsight.rig import Rig
 from tests.ros.ros2 import ALONE, BOTH_WAYS, Processes, processes

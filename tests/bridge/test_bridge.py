@@ -18,7 +18,7 @@ from handsight.bridge.bridge import carried
 from handsight.bridge.message_types import dds_name, message_type, ros_name
 from handsight.bridge.network import FAST_DDS_3, LOOPBACK, configuration, domain_id
 from handsight.errors import InvalidInput
-from handsight.messages.topics import OwnTopic, RosType
+from handsight.messages import OwnTopic, RosType
 
 ROS2 = [kind for name, kind in vars(RosType).items() if name.isupper() and name != "TF_ROS1"]
 

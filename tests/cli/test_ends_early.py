@@ -9,8 +9,8 @@ import pytest
 from cli.commands import called
 from cli.tracks import assert_results_agree, observations, recorded
 from handsight import se3
+from handsight.messages import RosType
 from handsight.messages.encode import Message, header, pose, pose_with_covariance
-from handsight.messages.topics import RosType
 from handsight.recording import Recording, RecordingWriter
 from handsight.rig.save import write as write_rig
 from handsight.tracking import Tracker

@@ -6,9 +6,9 @@ import numpy as np
 
 from handsight.cli.demo import DATA
 from handsight.live import LiveTracker
-from handsight.messages import ObservationStream
+from handsight.messages import ObservationStream, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import RosType, rig_topics
+from handsight.messages.topics import rig_topics
 from handsight.recording.mcap import McapSource
 from handsight.rig import Rig
 from handsight.tracking import Tracker

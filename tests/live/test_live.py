@@ -11,10 +11,9 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 
 from handsight.live import LiveTracker
 from handsight.live.inbox import Inbox
-from handsight.messages import RawMessage, clocks
+from handsight.messages import RawMessage, RosType, clocks
 from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, pose_with_covariance
-from handsight.messages.topics import RosType
 from handsight.tracking import TrackerSettings
 from tests.live.recorded import START, answered, in_ros1, live, model, poses, read, rig, said, tracked
 

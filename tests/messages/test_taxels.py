@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from handsight.contact import TaxelArray
-from handsight.messages import ObservationStream, RawMessage
+from handsight.messages import ObservationStream, RawMessage, RosType
 from handsight.messages.decode import typestore
 from handsight.messages.encode import header, taxel_fields
-from handsight.messages.topics import RosType
 from messages.ros import START, Messages, raw, rig
 
 M = Messages()

@@ -18,8 +18,8 @@ from handsight.bridge.bridge import carried
 from handsight.bridge.message_types import message_type
 from handsight.bridge.network import Network
 from handsight.live import Answer
+from handsight.messages import OwnTopic, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import OwnTopic, RosType
 from tests.live.recorded import poses
 from tests.ros.ros1 import Graph
 

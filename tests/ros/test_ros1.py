@@ -14,8 +14,8 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 from rosbags import rosbag1
 
 from handsight.cli.demo import DATA
+from handsight.messages import RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import RosType
 from tests.live.recorded import in_ros1, said, tracked
 from tests.ros.pages import free_port, gone, served
 from tests.ros.ros1 import PACKAGE, graph, messages_of, needs_ros1, poses_of, read_until

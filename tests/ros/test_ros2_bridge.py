@@ -11,7 +11,7 @@ pytest.importorskip("cyclonedds", reason="the bridge needs cyclonedds")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.cli.demo import DATA
-from handsight.messages.topics import RosType
+from handsight.messages import RosType
 from tests.live.recorded import poses, read, said, tracked
 from tests.ros.pages import free_port, gone, served
 from tests.ros.ros2 import KNOWN_AFTER, Robot, network, processes, same

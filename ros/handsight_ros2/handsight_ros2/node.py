@@ -22,9 +22,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
 from handsight.live.node import NODE, PublishedTypes, done, live_tracker, work
-from handsight.messages import RawMessage
+from handsight.messages import OwnTopic, RawMessage
 from handsight.messages.clocks import CLOCKS
-from handsight.messages.topics import OwnTopic
 from handsight.viewer import view
 
 PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}

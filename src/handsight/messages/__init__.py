@@ -26,6 +26,6 @@ Every message on a topic of the rig is in exactly one count of `report.topics[na
 
 from handsight.messages.report import Report
 from handsight.messages.stream import ObservationStream
-from handsight.messages.topics import RawMessage, TopicReport
+from handsight.messages.topics import OwnTopic, RawMessage, RosType, TopicReport
 
-__all__ = ["ObservationStream", "RawMessage", "Report", "TopicReport"]
+__all__ = ["ObservationStream", "OwnTopic", "RawMessage", "Report", "RosType", "TopicReport"]
