@@ -10,7 +10,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.live import LiveTracker
-from handsight.live.inbox import Inbox
+from handsight.live.live_tracker import Inbox
 from handsight.messages import RawMessage, RosType, clocks
 from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, pose_with_covariance
