@@ -21,9 +21,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
-from handsight.live.node import NODE, PublishedTypes, done, live_tracker, work
+from handsight.live.node import PublishedTypes, done, live_tracker, queue_lengths, time_to_wait, work
 from handsight.messages import OwnTopic, RawMessage
-from handsight.messages.clocks import CLOCKS
 from handsight.viewer import view
 
 PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
@@ -95,7 +94,7 @@ class Ears:
     def _subscribe(self, topic, kind):
         if topic in self._subscribed:
             self._node.destroy_subscription(self._subscribed.pop(topic)[1])
-        waiting = NODE.max_messages_all if self._live.equal else NODE.max_messages
+        waiting, _ = queue_lengths(self._live)
         passing = QoSProfile(depth=waiting, reliability=ReliabilityPolicy.BEST_EFFORT)
 
         def hear(data, info):
@@ -122,7 +121,7 @@ class Ears:
 
 def publisher(node, live):
     """Returns a function that publishes an answer; a subscriber that never reads blocks nothing."""
-    found, waiting = {}, NODE.max_answers_all if live.equal else NODE.max_answers
+    found, (_, waiting) = {}, queue_lengths(live)
     for topic, kind in live.publications.items():
         if (message := made(*kind.split("/"))) is not None:
             found[topic] = node.create_publisher(message, topic, waiting)
@@ -152,9 +151,7 @@ class Worker:
 
     def step(self, timeout):
         """Returns what is to be published now; waits at most `timeout` [s] for something to come."""
-        if time.monotonic() - self._ears.heard < NODE.quiet:
-            timeout = min(timeout, CLOCKS.max_wait)
-        self._executor.spin_once(timeout_sec=timeout)
+        self._executor.spin_once(timeout_sec=time_to_wait(timeout, self._ears.heard))
         return self._live.step(0.0)
 
 

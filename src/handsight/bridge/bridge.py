@@ -16,9 +16,8 @@ from handsight.bridge.message_types import message_type, ros_name
 from handsight.bridge.network import Network
 from handsight.live import LiveTracker
 from handsight.live.answers import Answer
-from handsight.live.node import NODE, PublishedTypes
+from handsight.live.node import PublishedTypes, queue_lengths, time_to_wait
 from handsight.messages import RawMessage
-from handsight.messages.clocks import CLOCKS
 from handsight.messages.decode import typestore
 from handsight.messages.topics import OwnTopic
 from handsight.tracking import Tracker
@@ -43,9 +42,8 @@ class Bridge:
         reliable = Policy.Reliability.Reliable(
             10_000_000
         )  # the longest that a slow subscriber blocks an answer [ns]
-        answers = Qos(
-            reliable, Policy.History.KeepLast(NODE.max_answers_all if live.equal else NODE.max_answers)
-        )
+        max_messages, max_answers = queue_lengths(live)
+        answers = Qos(reliable, Policy.History.KeepLast(max_answers))
         self._writers: dict[str, Any] = {
             topic: DataWriter(network.participant, self._topic(topic, kind), qos=answers)
             for topic, kind in live.publications.items()
@@ -53,7 +51,7 @@ class Bridge:
         live.markers_wanted = lambda: bool(self._writers[OwnTopic.MARKERS].get_matched_subscriptions())
         passing = Qos(
             Policy.Reliability.BestEffort,  # which every publisher can give
-            Policy.History.KeepLast(NODE.max_messages_all if live.equal else NODE.max_messages),
+            Policy.History.KeepLast(max_messages),
             Policy.IgnoreLocal.Participant,  # its own /tf
         )
         lasting = Qos(reliable, Policy.Durability.TransientLocal, Policy.History.KeepLast(100))
@@ -81,12 +79,9 @@ class Bridge:
         One thread receives and works: two would wait for each other's hold on Python, and a thread of DDS that called
         into Python would wait for it with a lock of DDS held.
         """
-        now = time.monotonic()
-        if now - self._received < NODE.quiet:
-            timeout = min(timeout, CLOCKS.max_wait)
-        self._filled.wait(round(1e9 * timeout))
+        self._filled.wait(round(1e9 * time_to_wait(timeout, self._received)))
         if self._take():
-            self._received = now
+            self._received = time.monotonic()
         return self._live.step(0.0)
 
     def _take(self) -> bool:

@@ -5,29 +5,16 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
 from handsight.live.requests import REQUESTS, model_named
 from handsight.messages import RawMessage
+from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
-
-
-class NodeOptions(NamedTuple):
-    """`NodeOptions` say how many messages wait in a node, and for how long."""
-
-    max_messages: int = 100  # of a topic, until they are taken
-    max_messages_all: int = 2000  # the same where every message is answered
-    max_answers: int = 10  # for a subscriber that is slow
-    max_answers_all: int = 2000  # the same where every message is answered: seconds of them come at once
-    quiet: float = 0.1  # time without a message after which no other one is expected soon [s]
-    request_timeout: float = 60.0  # how long a service waits for the worker [s]
-
-
-NODE = NodeOptions()
 
 
 class Stepped(Protocol):
@@ -63,6 +50,23 @@ def live_tracker(
     return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
 
 
+def queue_lengths(live: LiveTracker) -> tuple[int, int]:
+    """Returns how many messages of a topic wait to be received, and how many answers wait for a slow subscriber.
+
+    Where every message is answered, seconds of them may come at once.
+    """
+    return (2000, 2000) if live.equal else (100, 10)
+
+
+def time_to_wait(timeout: float, received: float) -> float:
+    """Returns how long to wait for a message, of at most `timeout` [s].
+
+    Soon after the last one was `received`, by `time.monotonic`, joint states may be waiting for others.
+    """
+    recently = time.monotonic() - received < 0.1
+    return min(timeout, CLOCKS.max_wait) if recently else timeout
+
+
 def work(
     live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
 ) -> None:
@@ -82,7 +86,7 @@ def work(
 def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
     """Returns whether a request was fulfilled, and a sentence of the outcome."""
     try:
-        return True, ask().result(NODE.request_timeout)
+        return True, ask().result(timeout=60.0)
     except (HandsightError, TimeoutError) as error:
         return False, str(error) or "the worker does not answer"
 
