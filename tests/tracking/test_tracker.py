@@ -15,8 +15,8 @@ from handsight.evaluation import Truths, pose_errors, track_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.tracking import Tracker, TrackerSettings
-from handsight.tracking.propagation import point_covariance
 from handsight.tracking.replay import Tally, replay
+from handsight.tracking.track_state import point_uncertainty
 
 
 def tracked(grasp, **settings):
@@ -90,7 +90,7 @@ def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
         np.repeat(narrow.T_palm_object[None], 20_000, axis=0), rng.normal(size=(20_000, 6)) @ root.T
     )
     places = se3.apply(drawn, point[None])[:, 0]
-    expected = point_covariance(narrow, box.model, point)
+    expected = point_uncertainty(narrow, box.model, point)[0]
     np.testing.assert_allclose(np.cov(places.T), expected, atol=0.05 * np.trace(expected))
 
 

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from handsight.checks import Array
     from handsight.observation import Observation
     from handsight.rig import MountedCamera, Rig
-    from handsight.tracking.camera_calibration import CameraCalibration
-    from handsight.tracking.hand_eye_calibration import HandCalibration
+    from handsight.tracking.camera_calibration import CameraCalibration, HandCalibration
 
 rig_app = typer.Typer(help="What describes a robot: hand, fingertips, camera.", no_args_is_help=True)
 calibrate_app = typer.Typer(help="What is constantly wrong, from a recording.", no_args_is_help=True)
@@ -115,8 +114,7 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     """
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
-    from handsight.tracking.camera_calibration import calibrations
-    from handsight.tracking.hand_eye_calibration import HandViews
+    from handsight.tracking.camera_calibration import HandViews, calibrations
     from handsight.tracking.replay import Tally
 
     announce_compiling()

@@ -34,7 +34,7 @@ def weigh(
     from handsight.objects import Library
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
-    from handsight.tracking.best_weighing import best_weight, center_of
+    from handsight.tracking.replay import best_weight
 
     announce_compiling()
     opened, robot = Library(library), rig_of_recording(recording, rig)
@@ -49,7 +49,7 @@ def weigh(
         raise InvalidInput(
             f"{recording.name}: expected an object that is weighed in the air, got none: {reason}"
         )
-    center, sigma = center_of(found, model)
+    center, sigma = found.kept_by_symmetries(model)
     place = ", ".join(f"{1e3 * x:.1f}" for x in center)
     text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
     say(f"{model.name}: {text}, by {found.directions} directions of gravity")

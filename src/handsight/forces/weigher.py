@@ -8,9 +8,8 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.forces.loads import LoadSum, lacking, load_sum
-from handsight.forces.odometry import moved_with_tips
-from handsight.forces.tare import read_in_air
+from handsight.forces.loads import LoadSum, lacking, load_sum, read_in_air
+from handsight.forces.object_motion import moved_with_tips
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -28,10 +27,13 @@ class WeigherOptions(NamedTuple):
     same_direction: float = np.deg2rad(1.5)
     """A kept instant is renewed where gravity is within this angle of where it was [rad]."""
     max_kept: int = 8  # instants that are kept
+    max_acceleration: float = 0.3
+    """Only instants below this [m/s²] and `max_turning` are kept: errors of others would have a common cause."""
+    max_turning: float = 0.5  # angular acceleration [rad/s²]
     creep: float = 5e-4  # how fast contacts creep: sigma [m/(N s)]
     object_creep: float = 1.5e-4
-    """Motion of the object that neither the tips' motion nor creep tells, per axis after a second [m], where at least
-    two tips hold it; it grows with the root of time.
+    """Motion of the object that neither the tips' motion nor creep explains, per axis after a second [m], where two
+    or more tips hold it; it grows with the root of time.
     """
     loose_object_creep: float = 2e-3  # the same where fewer do
     sigma_gravity: float = float(np.deg2rad(1.0))  # how far a world is off plumb, about each axis [rad]
@@ -40,47 +42,46 @@ class WeigherOptions(NamedTuple):
     restart_after: float = 3.0
     """How long loads may contradict what was kept before all of that is dropped [s]."""
     trusted_directions: int = 3
-    """Directions that must fit then before any is believed: one fits whatever presses."""
+    """Directions that must fit then before any is believed: a single one fits whatever presses."""
 
 
 WEIGHER = WeigherOptions()
 
-STILL = 0.3, 0.5
-"""Only instants with smaller accelerations [m/s²], [rad/s²] are kept: what is wrong with others has one cause."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """A `Kept` is an instant of earlier."""
+    """A `Kept` is an earlier instant with a direction of gravity of its own."""
 
     carried: Carried
     direction: Array
-    """(3,) unit, gravity in the palm as it was when this was begun."""
+    """(3,) unit, of gravity in the palm when this direction was first kept."""
 
 
 class Weigher:
-    """A `Weigher` estimates the weight of one object in one hand, over time; what changes is bound anew, never
-    changed in place."""
+    """A `Weigher` estimates the weight of one object in one hand over time.
+
+    Its methods bind its attributes anew and change none in place, so that a shallow copy evolves apart from it.
+    """
 
     def __init__(self, rig: Rig, mass: float | None = None, sigma_mass: float = 0.0) -> None:
-        """`mass` of the object [kg], where it is known, and its sigma."""
+        """`mass`: that of the object [kg], where it is known, with its standard deviation."""
         self.rig, self.mass, self.sigma_mass = rig, mass, sigma_mass
         self.weighing: Weighing | None = None
-        """The last; None before there was one, and since the object was let go."""
+        """The last one; None before the first, and after the object was released."""
         self.reason = "nothing is lifted"
-        """Why it is not believed, or there is none; empty where it is."""
+        """Why there is no weighing, or why it is not believed; empty where it is."""
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
         self._biases = np.array(sensors).reshape(-1)
-        """(6 t,) sigmas: what a calibration has left is about as much as a reading's noise."""
+        """(6 t,) sigmas: a calibration leaves about as much as a reading's noise."""
         self.tare = np.zeros((len(rig.fingers), 6))
-        """(t, 6) what the tips have read while they touched nothing, in their sensors' frames [N], [N m]."""
+        """(t, 6) what the tips read while they touch nothing, in their sensors' frames [N], [N m]."""
         self._lifted = False
         self._window: tuple[Observation, ...] = ()
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
         self._doubted = False
-        """Whether what was kept has been dropped because loads contradicted it, and nothing has told another yet."""
+        """Whether all that was kept was dropped because loads contradicted it, and no weight was believed since."""
 
     @property
     def believed(self) -> Weighing | None:
@@ -88,23 +89,22 @@ class Weigher:
         return None if self.reason else self.weighing
 
     def forget(self, reason: str) -> None:
-        """Forgets what is no longer true: the object has been let go, put down, or has slipped: what was weighed says
-        nothing more of where it is."""
+        """Drops all weighings, because the object was released, put down or has slipped: it may be elsewhere."""
         if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
             self._doubted = False
 
     @property
     def biased(self) -> tuple[str, ...]:
-        """Fingers whose sensors read more than their calibration leaves, which is taken off."""
+        """Fingers whose sensors read more than their calibration leaves, which is subtracted."""
         sizes = np.linalg.norm(self.tare[:, :3], axis=1)
         named = zip(self.rig.fingers.items(), sizes, strict=True)
         return tuple(name for (name, finger), size in named if size > WEIGHER.biased * finger.sigma_force)
 
     def listen(self, observation: Observation) -> None:
-        """Takes note of what tips read in the air, while nothing is lifted."""
+        """Measures the tips' biases in the air, while nothing is lifted."""
         self._lifted = False
-        window = self._full(observation)
+        window = self._full_window(observation)
         if window and not lacking(self.rig, window):
             read = read_in_air(self.rig, window)
             self.tare = np.where(np.isnan(read), self.tare, read)
@@ -118,12 +118,12 @@ class Weigher:
     ) -> bool:
         """Returns whether there is a new weighing, after an observation of an object in the air.
 
-        `fingers` that touch it, and in their order their contacts in the palm. `joints`: what is known of the joints'
-        constant errors, their mean (j,) and L (j, j), L Lᵀ their covariance [rad].
+        `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: what is known of the
+        joints' constant errors, their mean (j,) and L (j, j), L Lᵀ their covariance [rad].
         """
         if not self._lifted:
             self._lifted, self._window = True, ()
-        window = self._full(observation)
+        window = self._full_window(observation)
         if not window:
             return False
         if why := lacking(self.rig, window):
@@ -135,49 +135,35 @@ class Weigher:
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
             return False
-        self._carry(load)
+        if self._last is not None:
+            self._kept = _carried_on(self._kept, self._last, load)
+        self._last = load
         self._weigh(load, joints[1])
-        self._keep(load)
+        if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
+            self._keep(load)
         return True
 
-    def _full(self, observation: Observation) -> tuple[Observation, ...]:
-        """Returns the observations of a window that this one completes; none as long as it does not."""
+    def _full_window(self, observation: Observation) -> tuple[Observation, ...]:
+        """Returns the observations of a window that this one completes, else an empty tuple."""
         if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
             return ()
         window = self._window
         if window and not 0 < observation.stamp - window[-1].stamp <= WEIGHER.max_gap:
             window = ()
         self._window = window = (*window, observation)
-        if (
-            observation.stamp - window[0].stamp < WEIGHER.window - 1e-9
-            or len(window) < WEIGHER.min_observations
-        ):
+        lasts = observation.stamp - window[0].stamp
+        if lasts < WEIGHER.window - 1e-9 or len(window) < WEIGHER.min_observations:
             return ()
         self._window = ()
         return window
 
-    def _carry(self, load: LoadSum) -> None:
-        """Brings what is kept through what the grip has done since the last."""
-        last, self._last = self._last, load
-        if last is None or not self._kept:
-            return
-        found, passed = moved_with_tips(last, load), max(load.stamp - last.stamp, 0.0)
-        T, creep = (np.eye(4), np.zeros(6)) if found is None else found
-        creep_sigma = (WEIGHER.loose_object_creep if found is None else WEIGHER.object_creep) * np.sqrt(
-            passed
-        )
-        self._kept = tuple(
-            replace(kept, carried=_moved(kept.carried, T, creep, float(creep_sigma))) for kept in self._kept
-        )
-
     def _weigh(self, load: LoadSum, root: Array) -> None:
-        """Weighs by what is kept and what is new, and judges it."""
+        """Weighs by the kept instants and a new one, and decides whether the result is believed."""
         direction = load.gravity / np.linalg.norm(load.gravity)
-        now = Carried(load, np.eye(4), np.zeros(6), 0.0)
         others = [
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
-        instants = [*others, now]
+        instants = [*others, Carried(load)]
         unknowns = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
         found = weigh(instants, unknowns, self.weighing)
         self.reason = ""
@@ -204,30 +190,27 @@ class Weigher:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
 
     def _keep(self, load: LoadSum) -> None:
-        """Keeps a still instant if gravity is as at none that is, or in place of the one where it is the same."""
-        if load.acceleration > STILL[0] or load.turning > STILL[1]:
-            return
+        """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
         direction = load.gravity / np.linalg.norm(load.gravity)
-        carried = Carried(load, np.eye(4), np.zeros(6), 0.0)
         angles = [_angle(kept.direction, direction) for kept in self._kept]
         near = int(np.argmin(angles)) if angles else -1
         if near < 0 or angles[near] > WEIGHER.new_direction:
             kept = self._kept if len(self._kept) < WEIGHER.max_kept else self._kept[1:]
-            self._kept = (*kept, Kept(carried, direction))
+            self._kept = (*kept, Kept(Carried(load), direction))
         elif angles[near] < WEIGHER.same_direction:
-            new = replace(self._kept[near], carried=carried)
+            new = replace(self._kept[near], carried=Carried(load))
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _moved(carried: Carried, T: Array, creep: Array, creep_sigma: float) -> Carried:
-    """Returns an instant after another step: T (4, 4) as the tips tell, the creep (6,), and the sigma of what they do
-    not."""
-    return Carried(
-        carried.load,
-        T @ carried.T_now_then,
-        carried.creep + creep,
-        float(np.hypot(carried.sigma, creep_sigma)),
-    )
+def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum) -> tuple[Kept, ...]:
+    """Returns the kept instants after what the grip has done between two loads."""
+    if not kept:
+        return kept
+    motion = moved_with_tips(last, load)
+    T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
+    sigma = WEIGHER.loose_object_creep if motion is None else WEIGHER.object_creep
+    sigma *= float(np.sqrt(max(load.stamp - last.stamp, 0.0)))
+    return tuple(replace(each, carried=each.carried.moved(T, creep, sigma)) for each in kept)
 
 
 def _angle(gravity: Array, direction: Array) -> float:

@@ -6,18 +6,18 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.tracking.propagation import process_variance
+from handsight.forces.object_weight import LIFTED
+from handsight.tracking.smoother import process_variance
 
 GraspChange = Literal["grasped", "regrasped", "released"]
 
 
 class GraspDetection(NamedTuple):
-    """A `GraspDetection` says when an object is grasped, lifted and released."""
+    """A `GraspDetection` says when an object is grasped and released."""
 
     release_after: float = 0.2
     """Nothing may be touched for so long before the object counts as released [s]: contacts flicker as fingers close.
     """
-    lifted: float = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
     min_fingers: int = 2  # so many fingers that stay keep an object where it is while others come and go
 
 
@@ -56,7 +56,7 @@ class GraspState:
         [m]."""
         if self._height is None:
             self._height = height
-        return height < self._height + GRASP.lifted
+        return height < self._height + LIFTED
 
 
 class ContactMemory:

@@ -10,7 +10,7 @@ from handsight._kernels.runtime.warm import warm_tracker
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
-from handsight.forces import Slip
+from handsight.forces import ObjectWeight, Slip
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, check_observation
 from handsight.rig import Rig
@@ -22,9 +22,7 @@ from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseBiasSmoother
-from handsight.tracking.status import State
-from handsight.tracking.track_state import TrackState
-from handsight.tracking.weight_update import ObjectWeight
+from handsight.tracking.track_state import State, TrackState
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
 
