@@ -25,7 +25,9 @@ class FrictionOptions(NamedTuple):
     band: int = 5  # neighbouring bins that make a heap
     spread: int = 2  # bins below a heap into which noise spreads its limit
     min_turns: int = 5  # turns in a heap at least
-    min_share: float = 0.1  # the same, as a part of the turns in the largest heap up to `max_below` bins below
+    min_share: float = (
+        0.1  # the same, as a part of the turns in the largest heap up to `max_below` bins below
+    )
     max_below: int = 20
     certain_turns: int = 20
     """A heap of so many turns is the limit, if no ratio of two fingers is above it by more than `near_heap`."""

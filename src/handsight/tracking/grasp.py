@@ -1,4 +1,4 @@
-"""The fingers over time: whether the hand grasps something, and where those that have let go felt it last."""
+"""The fingers over time: whether the hand grasps the object, and the last contacts of fingers that have let go."""
 
 from typing import Literal, NamedTuple
 
@@ -16,27 +16,25 @@ class GraspDetection(NamedTuple):
     """A `GraspDetection` says when an object is grasped and released."""
 
     release_after: float = 0.2
-    """Nothing may be touched for so long before the object counts as released [s]: contacts flicker as fingers close.
-    """
-    min_fingers: int = 2  # so many fingers that stay keep an object where it is while others come and go
+    """The object is released after nothing was touched for so long [s]: contacts flicker as fingers close."""
+    min_fingers: int = 2  # fingers that stay and hold the object in place while others come and go
 
 
 GRASP = GraspDetection()
 
 
 class GraspState:
-    """A `GraspState` says whether one object is grasped, over time."""
+    """A `GraspState` says whether the object is grasped, over time."""
 
     def __init__(self) -> None:
-        """Starts with nothing grasped at first."""
+        """Starts with nothing grasped."""
         self.grasped = False
         self._fingers: frozenset[str] = frozenset()
         self._touched_at = -float("inf")
         self._height: float | None = None
 
     def update(self, fingers: tuple[str, ...], stamp: float) -> GraspChange | None:
-        """Returns what has changed: a grasp begun, ended, or its fingers so different that the object may have
-        moved."""
+        """Returns whether a grasp has begun or ended, or has changed fingers so that the object may have moved."""
         now = frozenset(fingers)
         if now:
             self._touched_at = stamp
@@ -52,7 +50,7 @@ class GraspState:
         return change
 
     def on_table(self, height: float) -> bool:
-        """Returns whether an object that stood when it was grasped still does; `height` of the palm in the world
+        """Returns whether an object that stood when it was grasped still does, by the palm's `height` in the world
         [m]."""
         if self._height is None:
             self._height = height
@@ -60,30 +58,32 @@ class GraspState:
 
 
 class ContactMemory:
-    """A `ContactMemory` is the last contact of each finger that touches no more: the object is still there, for a
-    while."""
+    """A `ContactMemory` keeps the last contact of each finger that has let go: the object stays there for a while.
+
+    Its methods bind its attributes anew and change none in place, so that a shallow copy evolves apart from it.
+    """
 
     def __init__(self, seconds: float, process_noise: Array) -> None:
-        """How long a contact is kept, 0: not at all; `process_noise` (6,): variance of the object's motion a second."""
+        """`seconds`: how long a contact is kept; `process_noise` (6,): variance of the object's motion per second."""
         self._seconds, self._process_noise = seconds, process_noise
         self._last: dict[str, tuple[Contacts, int, float]] = {}
-        """By finger: the contacts its last one was among, in the palm frame, which of them it is, and when [s]. Bound
-        anew with each change: a tracker may come back to it."""
+        """By finger: the contacts among which its last one was, in the palm frame, its row, and the stamp [s]."""
 
     def update(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> None:
-        """Takes note of what is touched now; a finger's new contact replaces its old one, and the old expire."""
+        """Keeps the contacts of now in place of their fingers' old ones, and drops those that are too old."""
         if not self._seconds:
             return
         if contacts is not None:
             self._last = self._last | {finger: (contacts, row, stamp) for row, finger in enumerate(fingers)}
         if any(stamp - last[2] > self._seconds for last in self._last.values()):
-            kept = ((finger, last) for finger, last in self._last.items() if stamp - last[2] <= self._seconds)
-            self._last = dict(kept)
+            self._last = {
+                finger: last for finger, last in self._last.items() if stamp - last[2] <= self._seconds
+            }
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
-        """Returns the contacts of now and, after them, those of other fingers, whose names come too.
+        """Returns the contacts of now followed by those of other fingers, and the names of these.
 
-        Remembered ones are less certain by what the object has moved since.
+        To the covariance of a remembered contact that of the object's motion since then is added.
         """
         others = {finger: last for finger, last in self._last.items() if finger not in fingers}
         if not others:
@@ -102,5 +102,5 @@ class ContactMemory:
         self._last = {other: last for other, last in self._last.items() if other != finger}
 
     def only(self, fingers: tuple[str, ...]) -> None:
-        """Drops all contacts but those of some fingers: a new grasp."""
+        """Drops all contacts but those of some fingers, such as those of a new grasp."""
         self._last = {finger: last for finger, last in self._last.items() if finger in fingers}
