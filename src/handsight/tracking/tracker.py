@@ -97,9 +97,9 @@ class Tracker:
         """Returns the pose in the palm now; None before there was a start or a pose from vision.
 
         `state` and `reason` say how far to trust it. The object is also lost once `MAX_LEFT_OUT` observations in a
-        row, or all of `lost_after`, were left out. An observation older than the last one is counted in `late` and changes
-        nothing else; the class says what a jump of the clock does. Raises InvalidInput for an observation that is wrong
-        in itself, which is counted in `refused` and changes nothing else.
+        row, or all of `lost_after`, were left out. An observation older than the last one is counted in `late` and
+        changes nothing else; the class says what a jump of the clock does. Raises InvalidInput for an observation that
+        is wrong in itself, which is counted in `refused` and changes nothing else.
         """
         before = self.track_state, self._clock, self.late, self.undone, self.state, self.reason
         try:
