@@ -16,9 +16,6 @@ from handsight.objects.weight import kept_center
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-LIFTED = 0.005
-"""A palm that rose by so much since the grasp has lifted the object [m]."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectWeight:
@@ -59,9 +56,7 @@ class WeightSensor:
         self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
         self.model = model
         self._used: Weighing | None = None
-        """By the last correction."""
-        self._height: float | None = None
-        """The palm's lowest in the world since the object was grasped [m]."""
+        """The weighing that the last correction used."""
 
     def copied(self) -> "WeightSensor":
         """Returns a copy that evolves apart from this one."""
@@ -76,21 +71,19 @@ class WeightSensor:
         joints: tuple[Array, Array],
         *,
         grasped: bool,
+        lifted: bool,
         finger_on_table: bool,
     ) -> None:
         """Weighs an object that is grasped and in the air; of one that is not, measures the tips' biases.
 
         `touch` (fingers and their contacts) and `joints` are as `Weigher.update` takes them.
         """
-        T, reason = observation.T_world_palm, ""
+        reason = ""
         if not grasped:
-            self._height, reason = None, "nothing is grasped"
-        elif T is not None:
-            height = float(T[2, 3])
-            self._height = height if self._height is None else min(self._height, height)
-            if height < self._height + LIFTED:
-                reason = "the palm has not risen since the grasp"
-        if not reason and finger_on_table:
+            reason = "nothing is grasped"
+        elif not lifted and observation.T_world_palm is not None:
+            reason = "the palm has not risen since the grasp"
+        elif finger_on_table:
             reason = "a finger is on the table"
         if reason:
             self.weigher.forget(reason)
@@ -116,8 +109,8 @@ class WeightSensor:
         own = self.model.sigma_center_of_mass**2 * np.eye(3)
         return WeightEvidence(center, found.center_palm, found.covariance_center + own)
 
-    def use(self) -> Weighing | None:
-        """Returns the weighing that a correction uses, from which `news` is told afterwards."""
+    def used(self) -> Weighing | None:
+        """Returns the weighing that is believed, with which later ones are compared by `news`: a correction uses it."""
         self._used = self.weigher.believed
         return self._used
 

@@ -153,6 +153,7 @@ class Follower:
                 (touch.fingers, touch.contacts),
                 (state.offsets.mean, state.offsets.root),
                 grasped=state.grasp.grasped,
+                lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
             )
         before = state.smoother
@@ -194,7 +195,7 @@ class Follower:
             state.T_world_palm = T_world_palm
         state.stamp, fingers = stamp, state.fingertips.fingers
         state.memory.update(fingers, state.fingertips.contacts, stamp)
-        change = state.grasp.update(fingers, stamp)
+        change = state.grasp.update(fingers, stamp, state.T_world_palm)
         if change == "grasped":
             state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
@@ -214,7 +215,7 @@ class Follower:
             pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
             state.correction = None
         pose = pose.inflated(self.regrasp_noise)
-        if change != "released" and table is not None and T is not None and state.grasp.on_table(T[2, 3]):
+        if change != "released" and table is not None and T is not None and not state.grasp.lifted:
             pose = on_table(pose, self.model, table, T) or pose
         return smoother.restarted(pose)
 
@@ -293,7 +294,7 @@ class Follower:
             state.recovered_at = now
             estimate, smoother = self._recovered(state, estimate, smoother, correct)
             state.smoother, prior = smoother, smoother.without_touch
-        weighing = state.weight.use()
+        weighing = state.weight.used()
         by_error = None if remembered or pressed is not None else touch.by_error
         if estimate.weight_fits and weighing is not None and evidence is not None and by_error is not None:
             weight = weighing, evidence

@@ -6,17 +6,17 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.forces.object_weight import LIFTED
 from handsight.tracking.smoother import process_variance
 
 GraspChange = Literal["grasped", "regrasped", "released"]
 
 
 class GraspDetection(NamedTuple):
-    """A `GraspDetection` says when an object is grasped and released."""
+    """A `GraspDetection` says when an object is grasped, lifted and released."""
 
     release_after: float = 0.2
     """The object is released after nothing was touched for so long [s]: contacts flicker as fingers close."""
+    lifted: float = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
     min_fingers: int = 2  # fingers that stay and hold the object in place while others come and go
 
 
@@ -24,37 +24,38 @@ GRASP = GraspDetection()
 
 
 class GraspState:
-    """A `GraspState` says whether the object is grasped, over time."""
+    """A `GraspState` says whether the object is grasped and lifted, over time."""
 
     def __init__(self) -> None:
         """Starts with nothing grasped."""
-        self.grasped = False
+        self.grasped = self.lifted = False
         self._fingers: frozenset[str] = frozenset()
         self._touched_at = -float("inf")
-        self._height: float | None = None
+        self._lowest: float | None = None
+        """Height of the palm in the world, its lowest since the grasp [m]."""
 
-    def update(self, fingers: tuple[str, ...], stamp: float) -> GraspChange | None:
+    def update(
+        self, fingers: tuple[str, ...], stamp: float, T_world_palm: Array | None
+    ) -> GraspChange | None:
         """Returns whether a grasp has begun or ended, or has changed fingers so that the object may have moved."""
         now = frozenset(fingers)
         if now:
             self._touched_at = stamp
         change: GraspChange | None = None
         if self.grasped and stamp - self._touched_at > GRASP.release_after:
-            self.grasped, self._height, change = False, None, "released"
+            self.grasped = self.lifted = False
+            self._lowest, change = None, "released"
         elif now and not self.grasped:
             self.grasped, change = True, "grasped"
         elif now and now != self._fingers and len(now & self._fingers) < GRASP.min_fingers:
             change = "regrasped"
         if now or change == "released":
             self._fingers = now
+        if self.grasped and T_world_palm is not None:
+            height = float(T_world_palm[2, 3])
+            self._lowest = height if self._lowest is None else min(self._lowest, height)
+            self.lifted = height >= self._lowest + GRASP.lifted
         return change
-
-    def on_table(self, height: float) -> bool:
-        """Returns whether an object that stood when it was grasped still does, by the palm's `height` in the world
-        [m]."""
-        if self._height is None:
-            self._height = height
-        return height < self._height + LIFTED
 
 
 class ContactMemory:

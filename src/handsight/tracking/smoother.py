@@ -67,10 +67,6 @@ class PoseAndBias:
         """Returns the state after a step (12,); the covariance stays."""
         return PoseAndBias(se3.moved(self.Ts, step.reshape(2, 6)), self.covariance)
 
-    def difference(self, reference: "PoseAndBias") -> Array:
-        """Returns (12,) the step δ with `reference.moved(δ) = self`."""
-        return se3.difference(self.Ts, reference.Ts).reshape(12)
-
     def updated(self, H: Array, residual: Array, noise: Array) -> "PoseAndBias":
         """Returns the state after a linear measurement, whose arguments are those of `kalman_update` (n = 12)."""
         step, covariance = kalman_update(self.covariance, H, residual, noise)
@@ -184,10 +180,6 @@ class PoseBiasSmoother:
         count = pose_bias.merge(measurements, MOST_MEASUREMENTS, SAME_PALM, self.solved.Ts, self.pivot)
         return self._solved(measurements[:count])
 
-    def _measurement(self, pose: GaussianPose, T_mount_palm: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns the fields of a MEASUREMENT."""
-        return T_mount_palm, pose.T_a_b, pose.covariance, self.process_noise
-
     def informed(self, bias: GaussianPose) -> "PoseBiasSmoother":
         """Returns the smoother after the bias itself was measured, as `PoseAndBias.T_measured_true` defines it."""
         residual = se3.difference(bias.T_a_b, self.prior.T_measured_true)
@@ -207,6 +199,10 @@ class PoseBiasSmoother:
         T = np.empty((4, 4))
         pose_bias.expect(self.solved.Ts, self.pivot, np.array(T_mount_palm), T)
         return T
+
+    def _measurement(self, pose: GaussianPose, T_mount_palm: Array) -> tuple[Array, Array, Array, Array]:
+        """Returns the fields of a MEASUREMENT."""
+        return T_mount_palm, pose.T_a_b, pose.covariance, self.process_noise
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """Returns the smoother at the maximum a posteriori of its prior and these measurements."""
