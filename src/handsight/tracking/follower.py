@@ -142,6 +142,8 @@ class Follower:
             T = self.rig.hand.T_world_palm(joints)
             T = se3.check(T, "observation.joint_positions: palm in the world")
             observation = replace(observation, T_world_palm=T)
+
+        # What is touched, and where the object would be by now.
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets)
         state.skin = state.skin_sensors.observed(observation, touched=touch.contacts is not None)
         self._predict(state, observation.T_world_palm, stamp)
@@ -156,6 +158,8 @@ class Follower:
                 lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
             )
+
+        # What vision measures.
         before = state.smoother
         self._measure_by_vision(state, observation)
         vision = state.smoother is not before
@@ -167,10 +171,12 @@ class Follower:
         if state.smoother is None:
             state.label, state.reason = "lost", NO_POSE
             return None
+
+        # The answer: corrected, or propagated from the last correction, or vision's alone.
         if touch.contacts is not None and self._due(state, touch.contacts, vision=vision):
             self._correct(state, touch.contacts, state.smoother, joints, vision=vision)
         last = state.correction
-        if state.estimate is None or last is None:  # the smoother's alone: touch leaves every direction open
+        if state.estimate is None or last is None:  # without touch every direction is open to it
             now = state.smoother.now
             state.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
         elif stamp - state.propagated_to > FOLLOWER.renew_after:
@@ -272,28 +278,33 @@ class Follower:
                 self.model, contacts, vision=prior, outside=outside, weight=evidence, answer=answer, samples=samples
             )  # fmt: skip
 
+        # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum; but
+        # beside a pressed array, whose search takes long, vision says little.
         estimate = None
-        # Vision may lead to another minimum; but beside a pressed array it says little, and a search takes long.
-        near = None if last is None or (vision and pressed is None) else last.estimate
-        same = last is not None and touch.fingers == last.fingers
-        if near is not None and same and near.consistent and not near.outliers and not samples:
-            start = near.T_palm_object_maximum
-            estimate = refine_pose(
-                self.model, contacts, prior, start, outside=outside, weight=evidence, answer=answer
-            )
+        if last is not None and touch.fingers == last.fingers and not (vision and pressed is None):
+            near = last.estimate
+            if near.consistent and not near.outliers and not samples:
+                start = near.T_palm_object_maximum
+                estimate = refine_pose(
+                    self.model, contacts, prior, start, outside=outside, weight=evidence, answer=answer
+                )
         if estimate is None:
             estimate = correct(prior)
+
+        # Links of the hand may be smaller than their shapes, and contacts may be those of another pose.
         fits = estimate.consistent and not estimate.outliers
         if links is not None and not (fits and now - state.links_checked_at < HAND_OUTSIDE.check_period):
             state.links_checked_at = now
             estimate, inside = self.hand.reconciled(
-                estimate, links, lambda margins: correct(prior, skin.beside(margins))
+                estimate, links, lambda weaker: correct(prior, skin.beside(weaker))
             )
             state.margins = state.margins.noted(inside, now)
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
             estimate, smoother = self._recovered(state, estimate, smoother, correct)
             state.smoother, prior = smoother, smoother.without_touch
+
+        # Contacts and weight are wrong by the same joints.
         weighing = state.weight.used()
         by_error = None if remembered or pressed is not None else touch.by_error
         if estimate.weight_fits and weighing is not None and evidence is not None and by_error is not None:

@@ -74,7 +74,8 @@ class Tracker:
             came = checks.brief(", ".join(offsets.joints))
             raise InvalidInput(f"joint_offsets: expected those of this hand's joints, got those of {came}")
         warm_tracker()
-        self.follower = Follower(rig, model, settings or TrackerSettings())
+        self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
+        self.follower = Follower(rig, model, self.settings)
         """Takes one state to the next."""
         self.track_state = self.follower.initial(start, offsets)
         """All that is known of the object, as a value."""
@@ -101,25 +102,36 @@ class Tracker:
         changes nothing else; the class says what a jump of the clock does. Raises InvalidInput for an observation that
         is wrong in itself, which is counted in `refused` and changes nothing else.
         """
-        before = self.track_state, self._clock, self.late, self.undone, self.state, self.reason
+        last = self.track_state
         try:
             clean = check_observation(observation)
-            if not self._is_next(clean.stamp):
-                self.late += 1
-                self._leave_out(clean.stamp, "older than the last one")
-                return self.estimate
-            self.track_state, estimate = self.follower.step(self.track_state, clean)
-        except BaseException as error:
-            self.track_state, self._clock, self.late, self.undone, self.state, self.reason = before
-            if isinstance(error, Exception):
-                self.refused += 1
-                self._leave_out(getattr(observation, "stamp", None), str(error))
+            clock, known, undone = self._clock.at(clean.stamp, last)
+            if known is None:  # a new track, for which what was learnt of the robot is kept
+                known = replace(
+                    self.follower.initial(last.start, last.offsets),
+                    corrections=last.corrections,
+                    learnt_from=last.learnt_from,
+                    margins=last.margins,
+                )
+            late = clean.stamp < known.stamp
+            state, estimate = (known, known.estimate) if late else self.follower.step(known, clean)
+        except Exception as error:
+            self.refused += 1
+            self._leave_out(getattr(observation, "stamp", None), str(error))
             raise
+        self._clock, self.track_state = clock, state
+        if undone:
+            self.undone, self._left_out_in_a_row = self.undone + undone, 0
+        if state is not last:
+            self.state, self.reason = state.label, state.reason
+        if late:
+            self.late += 1
+            self._leave_out(clean.stamp, "older than the last one")
+            return estimate
         self._left_out_in_a_row = 0
-        self.state, self.reason = self.track_state.label, self.track_state.reason
-        if self._clock.message and (estimate is None or clean.stamp - self._clock.restarted_at <= MAX_JUMP):
+        if clock.message and (estimate is None or clean.stamp - clock.restarted_at <= MAX_JUMP):
             self.state = "lost" if self.state == "lost" else "uncertain"
-            self.reason = "; ".join(filter(None, (self._clock.message, self.reason)))
+            self.reason = "; ".join(filter(None, (clock.message, self.reason)))
         return estimate
 
     def resume(self, track_state: TrackState) -> None:
@@ -140,21 +152,6 @@ class Tracker:
         estimate = known.correction.estimate
         state = known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
         return state.vision_bias, state.covariance[6:, 6:]
-
-    @property
-    def rig(self) -> Rig:
-        """The robot."""
-        return self.follower.rig
-
-    @property
-    def model(self) -> ObjectModel:
-        """The object."""
-        return self.follower.model
-
-    @property
-    def settings(self) -> TrackerSettings:
-        """When it corrects the pose, and what motions it expects."""
-        return self.follower.settings
 
     @property
     def stamp(self) -> float:
@@ -245,23 +242,6 @@ class Tracker:
     def unconfirmed(self) -> int:
         """How many of the last observations were jumps ahead that the next one may still undo."""
         return len(self._clock.unconfirmed)
-
-    def _is_next(self, stamp: float) -> bool:
-        """Returns whether an observation is not late, after going back to the state that its stamp continues."""
-        last = self.track_state
-        self._clock, known, undone = self._clock.at(stamp, last)
-        if undone:
-            self.undone, self._left_out_in_a_row = self.undone + undone, 0
-        if known is None:  # a new track, for which what was learnt of the robot is kept
-            known = replace(
-                self.follower.initial(last.start, last.offsets),
-                corrections=last.corrections,
-                learnt_from=last.learnt_from,
-                margins=last.margins,
-            )
-        if known is not last:
-            self.track_state, self.state, self.reason = known, known.label, known.reason
-        return stamp >= known.stamp
 
     def _leave_out(self, stamp: object, reason: str) -> None:
         """Counts an observation that was left out; the object is lost after too many."""
