@@ -1,9 +1,8 @@
 """Forces: what the loads on the fingertips tell of a held object: its weight, its centre of mass, whether it slips."""
 
 from handsight.forces.object_motion import slip_twist
-from handsight.forces.object_weight import ObjectWeight, WeightSensor
 from handsight.forces.slip import Slip, SlipDetector
-from handsight.forces.weigher import Weigher
+from handsight.forces.weigher import ObjectWeight, Weigher, WeightSensor
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 
 __all__ = [
