@@ -92,7 +92,7 @@ def test_a_correction_is_asked_for_when_a_slip_begins_while_it_lasts_and_when_it
     for k in range(200):
         stamp = (k + 1) * PERIOD
         part.update(stamp, felt(1.0 if 0.2 < stamp <= 0.4 else 0.2), smoother())
-        if part.asks(corrected):
+        if part.news(corrected):
             asked.append(stamp)
             corrected = stamp
     assert asked[0] == part.now.began

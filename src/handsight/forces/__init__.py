@@ -1,4 +1,4 @@
-"""Forces: what the loads on the fingertips tell of a held object: its weight, its centre of mass, whether it slips."""
+"""Forces: weight, centre of mass and slip of the object in the hand, from the loads on the fingertips."""
 
 from handsight.forces.object_motion import slip_twist
 from handsight.forces.slip import Slip, SlipDetector

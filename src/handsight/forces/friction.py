@@ -44,7 +44,7 @@ Vector = tuple[float, float, float, float]
 
 
 class Friction:
-    """A `Friction` is what the loads so far have told of μ; its methods bind its attributes anew."""
+    """A `Friction` is an estimate of μ from all loads so far; `update` binds its attributes anew."""
 
     def __init__(self) -> None:
         """Starts without any load."""
@@ -61,7 +61,7 @@ class Friction:
         """By finger, its highest ratio."""
 
     def update(self, vectors: Mapping[str, Vector]) -> None:
-        """Learns from the ratio vectors of now, by finger; a finger that is not among them starts anew next time."""
+        """Learns from the current ratio vectors, by finger; a finger that is not among them starts anew next time."""
         load = {name: math.hypot(*vector) for name, vector in vectors.items()}
         higher = {name: ratio for name, ratio in load.items() if ratio > self._highest.get(name, 0.0)}
         if higher:

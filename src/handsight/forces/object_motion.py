@@ -38,8 +38,8 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
 def small_motion(points: Array, displacements: Array) -> tuple[Array, Array]:
     """Returns v, ω (3,) with v + ω × p nearest to the displacements (n, 3) of points p (n, 3), by least squares.
 
-    A turn that the points hardly tell, such as about the line through two of them, stays small: they count as at least
-    2 mm away from any axis.
+    A turn that the points hardly determine, such as about the line through two of them, stays small: they count as
+    2 mm away from any axis, or more.
     """
     middle = points.mean(axis=0)
     arms, shift = points - middle, displacements.mean(axis=0)

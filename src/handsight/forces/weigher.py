@@ -1,7 +1,7 @@
 """The weight of the object in a hand over time, and as a sensor of its pose.
 
 Instants with different directions of gravity are kept, carried through the grip, and weighed together; a weighing that
-something contradicts is not believed. A believed one tells where the centre of mass is.
+something contradicts is not believed. A believed one measures where the centre of mass is.
 """
 
 from dataclasses import dataclass, replace
@@ -258,10 +258,10 @@ class ObjectWeight:
 
 
 class WeightSensor:
-    """A `WeightSensor` weighs the object while it is in the air, and tells where its known centre of mass is."""
+    """A `WeightSensor` weighs the object in the air, and measures where its centre of mass is in the palm."""
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
-        """A model without a centre of mass is weighed too, but its weight tells nothing of its pose."""
+        """A model without a centre of mass is weighed too, but its weight says nothing of its pose."""
         mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a part of the mass
         self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
         self.model = model

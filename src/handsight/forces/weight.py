@@ -72,7 +72,7 @@ class Weighing:
     errors."""
 
     mean: Array
-    """(4 + j,) mass [kg], centre [m], and by how much the joints read too much, as far as the loads tell [rad]."""
+    """(4 + j,) mass [kg], centre [m], and by how much the joints read too much [rad]."""
     joint_covariance: Array
     """(4 + j, 4 + j)"""
     chi2: float
@@ -124,7 +124,7 @@ class Weighing:
 
     @property
     def consistent(self) -> bool:
-        """Whether the loads are those of a weight, as far as can be told."""
+        """Whether no test rejects that the loads are those of a weight."""
         return self.mass > 0 and self.p_value > WEIGHT_FIT.min_p and self.p_fixed > WEIGHT_FIT.min_p_fixed
 
 

@@ -39,7 +39,7 @@ class CalibratedCamera:
     covariance: Array
     """(6, 6) of the correction."""
     pivot: Array
-    """(3,) in the mount's frame [m], where object or hand were seen: there the correction is known best."""
+    """(3,) where object or hand were, in the mount's frame [m]: there the correction is known best."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

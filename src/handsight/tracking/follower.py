@@ -246,7 +246,7 @@ class Follower:
         age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (FOLLOWER.retry_period if regrasped else FOLLOWER.recovery_period)
-        news = state.weight.news or state.skin.news(last.skin) or state.slip.asks(last.stamp)
+        news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
         if vision or regrasped or news:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:

@@ -71,7 +71,7 @@ class ContactMemory:
         """By finger: the contacts among which its last one was, in the palm frame, its row, and the stamp [s]."""
 
     def update(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> None:
-        """Keeps the contacts of now in place of their fingers' old ones, and drops those that are too old."""
+        """Replaces the contacts of fingers that touch, and drops those that are too old."""
         if not self._seconds:
             return
         if contacts is not None:
@@ -82,7 +82,7 @@ class ContactMemory:
             }
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
-        """Returns the contacts of now followed by those of other fingers, and the names of these.
+        """Returns the given contacts followed by those of other fingers, and the names of these fingers.
 
         To the covariance of a remembered contact that of the object's motion since then is added.
         """

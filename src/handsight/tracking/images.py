@@ -27,7 +27,7 @@ class ImageOptions(NamedTuple):
     correlation_time: float = 1.0
     """Images within this time of each other share their errors: smoothing, bias, the visible side [s]."""
     palm_period: float = 0.5
-    """Between two searches for a palm that was detected; in between, the joints tell where it is [s]."""
+    """Between two searches for a palm that was detected; in between, the joints say where it is [s]."""
     sigma_palm_position: float = 0.01
     """How far the palm may be off in the next image, once it was detected, per axis [m]."""
     sigma_palm_rotation: float = float(np.deg2rad(3.0))  # [rad]
@@ -181,10 +181,10 @@ class ObjectInImages:
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
             return None, view
         self._count("object_seen")
-        # n images that share their errors are worth one, so each has n times the covariance.
-        alike = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
+        # n images that share their errors measure as much as one, so each has n times the covariance.
+        sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
         self._detected_at = stamp
-        return PoseMeasurement(found.T_camera_object, "camera", alike * found.covariance, stamp), view
+        return PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp), view
 
     def _observe_hand(
         self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm

@@ -4,7 +4,7 @@ A joint reads too much by the same angle until somebody calibrates it again. Wit
 pose. But contacts say more than the six numbers of a pose: their residuals say which offsets are impossible, and grips
 with the fingers bent otherwise say the rest.
 
-A joint that reads too much displaces every contact beyond it, and the centre of mass that the loads tell as well. If
+A joint that reads too much displaces every contact beyond it, and the measured centre of mass as well. If
 each were given errors of its own, a part of what they say of the pose would be lost. So pose and offsets δq are solved
 for together, to first order: if the pose moves by x and the joints read δq more than believed, contact i is off the
 surface by r + A (M x - K δq), with M the effect of the object's motion on a contact that stays in the palm, and K that
@@ -47,7 +47,7 @@ class JointOffsets:
 
     @classmethod
     def of(cls, rig: Rig) -> "JointOffsets":
-        """Returns the offsets as the rig says: none, give or take `sigma_joint_offset`."""
+        """Returns the offsets before any grip: zero, with the rig's `sigma_joint_offset`."""
         joints, sigma = rig.hand.moving, rig.sigma_joint_offset
         covariance = sigma**2 * np.eye(len(joints))
         return cls(joints, np.zeros(len(joints)), covariance, sigma, rig.sigma_joint)

@@ -93,7 +93,7 @@ class VisionUpdate:
         return smoother.informed(view.bias(smoother.pivot))
 
     def afresh(self) -> PoseBiasSmoother | None:
-        """Returns a smoother from the last measurement alone, in the palm of then; None where there was none."""
+        """Returns a smoother from the last measurement alone, in the palm at that time; None where there was none."""
         if self._last is None:
             return None
         pose, T_mount_palm = self._last

@@ -70,8 +70,8 @@ class SlipUpdate:
             along = np.outer(twist, twist) + SLIP_UPDATE.lateral_share**2 * ISOTROPIC
         return smoother.restarted(state.spread(max(self._sigma**2 - before**2, 0.0) * along))
 
-    def asks(self, corrected: float) -> bool:
-        """Returns whether a correction of that stamp [s] is outdated: a slip has begun or ended since, or goes on."""
+    def news(self, corrected: float) -> bool:
+        """Returns whether a slip has begun or ended since a correction of that stamp [s], or goes on."""
         now = self.now
         if now.slipping and self.detector.stamp - corrected >= SLIP_UPDATE.period - 1e-9:
             return True

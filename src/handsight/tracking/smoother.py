@@ -158,7 +158,7 @@ class PoseBiasSmoother:
         )
 
     def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
-        """Returns a smoother without measurements, from a prior that holds what they have told."""
+        """Returns a smoother without measurements, from a prior that holds their information."""
         return PoseBiasSmoother(prior, self.pivot, solved=prior)
 
     def transformed(self, T_new_old: Array) -> "PoseBiasSmoother":

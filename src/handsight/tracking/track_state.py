@@ -54,7 +54,7 @@ class TrackState:
     """
 
     start: PosePrior | None = None
-    """Where the user has said that the object is at first, or goes back to when it is in no hand; None: unknown."""
+    """Where the object is before the first grasp, given by the user, and again once no hand holds it; None: unknown."""
     stamp: float = -math.inf
     """Of the last observation [s]."""
     label: State = "lost"
@@ -84,6 +84,7 @@ class TrackState:
     slip: SlipUpdate
     weight: WeightSensor
     skin_sensors: SkinSensors
+    """These seven estimate over time; a step updates copies of them."""
     offsets: JointOffsets
     """The joints' constant errors, by all grips before this one."""
     learnt_from: Correction | None = None
