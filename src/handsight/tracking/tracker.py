@@ -225,7 +225,7 @@ class Tracker:
 
     @property
     def images(self) -> dict[str, int]:
-        """Counts of depth images: how many were `looked_at`, in how many the object was seen, ...; empty without images."""
+        """How many depth images were `looked_at`, in how many the object was seen, ...; empty without images."""
         return self.track_state.images.counts
 
     @property
