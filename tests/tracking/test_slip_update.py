@@ -157,9 +157,9 @@ def test_contacts_of_fingers_that_let_go_are_forgotten(box, held):
     calibration = box.rig.fingers[finger].calibration
     lifted[finger] = np.concatenate([calibration.bias_force, calibration.bias_torque])
     slippery(held, replace(seen, wrenches=lifted), 3, 50.0)
-    assert finger in held.track_state.memory._last
+    assert finger in held.track_state.memory.last
     slippery(held, replace(seen, wrenches=lifted), 3, 1e-3)
-    assert finger not in held.track_state.memory._last
+    assert finger not in held.track_state.memory.last
 
 
 def test_a_jump_that_is_taken_back_takes_the_slip_back(box, held):

@@ -58,7 +58,7 @@ class _Next(TrackState):
         )  # not field by field: at each observation, a frozen dataclass takes three times as long
         fields.update(vars(state))
         # These change in place, so the step changes copies.
-        for name in ("grasp", "memory", "vision", "skin_sensors"):
+        for name in ("vision", "skin_sensors"):
             fields[name] = shallow_copy(fields[name])
         for name in ("images", "slip", "weight"):
             fields[name] = fields[name].copied()
@@ -200,15 +200,15 @@ class Follower:
         if T_world_palm is not None:
             state.T_world_palm = T_world_palm
         state.stamp, fingers = stamp, state.fingertips.fingers
-        state.memory.update(fingers, state.fingertips.contacts, stamp)
-        change = state.grasp.update(fingers, stamp, state.T_world_palm)
+        state.memory = state.memory.after(fingers, state.fingertips.contacts, stamp)
+        state.grasp, change = state.grasp.after(fingers, stamp, state.T_world_palm)
         if change == "grasped":
-            state.memory.only(fingers)
+            state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
             state.smoother = state.slip.update(stamp, state.fingertips, smoother)
         if state.slip.now.slipping:
-            state.memory.only(fingers)
+            state.memory = state.memory.only(fingers)
             state.weight.weigher.forget("the object slips")
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
@@ -310,9 +310,11 @@ class Follower:
         if estimate.weight_fits and weighing is not None and evidence is not None and by_error is not None:
             weight = weighing, evidence
             estimate = state.offsets.shared(self.model, estimate, (touched, by_error), prior, weight)
-        for i in estimate.outliers:
-            if len(touched) <= i < len(touched) + len(remembered):
-                state.memory.forget(remembered[i - len(touched)])
+        wrong = [
+            remembered[i - len(touched)] for i in estimate.outliers if 0 <= i - len(touched) < len(remembered)
+        ]
+        if wrong:
+            state.memory = state.memory.only(state.memory.last.keys() - wrong)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
             estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin

@@ -84,7 +84,7 @@ class TrackState:
     slip: SlipUpdate
     weight: WeightSensor
     skin_sensors: SkinSensors
-    """These seven estimate over time; a step updates copies of them."""
+    """As the four before, from `vision` on: an estimator that changes in place, of which a step updates a copy."""
     offsets: JointOffsets
     """The joints' constant errors, by all grips before this one."""
     learnt_from: Correction | None = None
