@@ -9,7 +9,7 @@ import numpy as np
 from handsight import checks
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
-from handsight.contact.taxels import SkinTouch, TaxelArray
+from handsight.contact.taxels import SkinTouch
 from handsight.correction import Outside
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
@@ -32,11 +32,49 @@ Place = tuple[Array, Array | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Untouched:
+    """An `Untouched` sums up an array's readings while nothing was touched."""
+
+    count: int
+    total: Array
+    """(rows, columns) their sum."""
+    varied: Mask
+    """(rows, columns) which taxels have ever changed."""
+    last: Array
+    """(rows, columns) the last reading."""
+
+    @classmethod
+    def first(cls, reading: Array) -> "Untouched":
+        """Returns the sum of one reading (rows, columns)."""
+        return cls(1, reading, np.zeros(reading.shape, dtype=bool), reading)
+
+    def after(self, reading: Array) -> "Untouched":
+        """Returns the sum with one more reading (rows, columns)."""
+        varied = self.varied | (reading != self.last)
+        return Untouched(self.count + 1, self.total + reading, varied, reading)
+
+    def baseline(self, full_scale: float | None) -> Array | float:
+        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 of too few readings.
+
+        Those are taxels at full scale, and those that never change where most do.
+        """
+        if self.count < SKIN.min_baseline:
+            return 0.0
+        mean = self.total / self.count
+        dead = ~self.varied if self.varied.mean() > 0.5 else np.zeros_like(self.varied)
+        if full_scale is not None:
+            dead |= mean >= full_scale
+        return np.where(dead, np.nan, mean)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SkinContacts:
     """A `SkinContacts` is what all tactile arrays measure at one instant."""
 
     touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
     """By array that has a reading and whose link's place is known."""
+    untouched: Mapping[str, Untouched] = field(default_factory=dict)
+    """By array, its readings so far while nothing was touched."""
 
     @property
     def pressed(self) -> bool:
@@ -76,75 +114,42 @@ class SkinContacts:
 NOTHING = SkinContacts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Untouched:
-    """An `Untouched` sums up an array's readings while nothing was touched."""
-
-    count: int
-    total: Array
-    """(rows, columns) their sum."""
-    varied: Mask
-    """(rows, columns) which taxels have ever changed."""
-    last: Array
-    """(rows, columns) the last reading."""
-
-    def baseline(self, full_scale: float | None) -> Array | float:
-        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 of too few readings.
-
-        Those are taxels at full scale, and those that never change where most do.
-        """
-        if self.count < SKIN.min_baseline:
-            return 0.0
-        mean = self.total / self.count
-        dead = ~self.varied if self.varied.mean() > 0.5 else np.zeros_like(self.varied)
-        if full_scale is not None:
-            dead |= mean >= full_scale
-        return np.where(dead, np.nan, mean)
-
-
 class SkinSensors:
-    """A `SkinSensors` is a rig's tactile arrays with their baselines; `observed` binds its attributes anew."""
+    """A `SkinSensors` is a rig's tactile arrays."""
 
     def __init__(self, rig: Rig) -> None:
-        """Starts without baselines."""
+        """The frame of each array must be a body of the rig's hand."""
         self.rig = rig
         self._chains = {
             name: rig.hand.chains_to({f"skin[{name!r}].frame": array.frame})
             for name, array in rig.skin.items()
         }
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
-        self._untouched: Mapping[str, Untouched] = {}
 
-    def observed(self, observation: Observation, *, touched: bool) -> SkinContacts:
+    def observed(
+        self, observation: Observation, before: SkinContacts = NOTHING, *, touched: bool
+    ) -> SkinContacts:
         """Returns what the arrays measure now; those on links whose joints are missing are left out.
 
-        `touched`: a fingertip touches something, so an array may, too, and its reading is no baseline. Raises
-        InvalidInput.
+        `before` is what they measured at the last observation. `touched`: a fingertip touches something, so an array
+        may, too, and its reading is not added to its baseline. Raises InvalidInput.
         """
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
-        found = dict[str, tuple[SkinTouch, Place]]()
+        touches, untouched = dict[str, tuple[SkinTouch, Place]](), dict(before.untouched)
         for name, array in self.rig.skin.items():
-            if name in observation.skin:
-                reading = array.reading(observation.skin[name], f"observation.skin[{name!r}]")
-                touch = self._touch(name, array, reading, touched=touched)
-                if (place := self._place(name, observation.joint_positions)) is not None:
-                    found[name] = touch, place
-        return SkinContacts(found)
-
-    def _touch(self, name: str, array: TaxelArray, reading: Array, *, touched: bool) -> SkinTouch:
-        """Returns a reading above its baseline, to which it is added where nothing is touched."""
-        known = self._untouched.get(name)
-        if not touched and (known is None or known.count < SKIN.max_baseline):
-            clean = np.where(np.isfinite(reading), reading, 0.0)
-            if known is None:
-                known = Untouched(1, clean, np.zeros(array.shape, dtype=bool), clean)
-            else:
-                varied = known.varied | (clean != known.last)
-                known = Untouched(known.count + 1, known.total + clean, varied, clean)
-            self._untouched = {**self._untouched, name: known}
-        return array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
+            if name not in observation.skin:
+                continue
+            reading = array.reading(observation.skin[name], f"observation.skin[{name!r}]")
+            known = untouched.get(name)
+            if not touched and (known is None or known.count < SKIN.max_baseline):
+                clean = np.where(np.isfinite(reading), reading, 0.0)
+                untouched[name] = known = Untouched.first(clean) if known is None else known.after(clean)
+            touch = array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
+            if (place := self._place(name, observation.joint_positions)) is not None:
+                touches[name] = touch, place
+        return SkinContacts(touches, untouched)
 
     def _place(self, name: str, joint_positions: Mapping[str, float] | None) -> Place | None:
         """Returns the place of an array's link; None where joints are missing."""

@@ -19,7 +19,7 @@ from handsight.tracking.hand_outside import LinkMargins
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
-from handsight.tracking.skin import NOTHING, SkinContacts, SkinSensors
+from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
 
@@ -83,8 +83,7 @@ class TrackState:
     images: ImageVision
     slip: SlipUpdate
     weight: WeightSensor
-    skin_sensors: SkinSensors
-    """As the four before, from `vision` on: an estimator that changes in place, of which a step updates a copy."""
+    """`vision`, `images`, `slip` and `weight` change in place: a step updates copies of them."""
     offsets: JointOffsets
     """The joints' constant errors, by all grips before this one."""
     learnt_from: Correction | None = None
