@@ -13,7 +13,6 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.copies import shallow_copy
 from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
@@ -55,8 +54,11 @@ class _Next(TrackState):
     def __init__(self, state: TrackState) -> None:
         # All fields at once: a frozen dataclass sets one after the other, in three times as long at each observation.
         vars(self).update(vars(state))
-        self.vision, self.images = shallow_copy(state.vision), state.images.copied()
-        self.slip, self.weight = state.slip.copied(), state.weight.copied()
+        self.images, self.slip, self.weight = (
+            state.images.copied(),
+            state.slip.copied(),
+            state.weight.copied(),
+        )
 
     def __setattr__(self, name: str, value: object) -> None:
         vars(self)[name] = value
@@ -228,11 +230,11 @@ class Follower:
         result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
         state.processed = result.observation
         if result.hand is not None:
-            state.smoother = state.vision.palm_detected(result.hand, state.smoother)
+            state.vision, state.smoother = state.vision.palm_detected(result.hand, state.smoother)
         # An object in the hand has moved with the palm since the image, another one has stayed in the world.
         T = result.then.T_world_palm if result.then is not None and grasped else None
         T_world_palm = state.T_world_palm if T is None else T
-        state.smoother = state.vision.update(result.observation, state.smoother, T_world_palm)
+        state.vision, state.smoother = state.vision.updated(result.observation, state.smoother, T_world_palm)
 
     def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
         """Returns whether vision, touch, weight or a slip has something new to say, or the set rate demands it."""

@@ -1,5 +1,6 @@
 """Vision and the table as measurements of the object's pose, each behind a gate."""
 
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -34,72 +35,80 @@ UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
 EYE, EYE_6 = np.eye(4), np.eye(6)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class VisionUpdate:
-    """A `VisionUpdate` takes a rig's poses from vision into the smoother, and counts those that it rejects.
+    """A `VisionUpdate` takes a rig's poses from vision into a smoother, and counts those that it rejects.
 
     They are transformed to what the camera is fixed to, its mount, because vision's bias is constant there.
     """
 
-    def __init__(self, rig: Rig, model: ObjectModel) -> None:
-        """`rig.camera` may be None: then poses come in the world or the palm."""
-        self._rig, self._model = rig, model
-        self.camera = c = rig.camera or MountedCamera()
-        self._usual_covariance = invertible(np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3))
-        """That of a measurement which comes without one."""
-        self.mount: Mount | None = None
-        """The frame in which vision's bias is constant; that of the first measurement."""
-        self.unplaced = self.rejected = 0
-        """How many measurements had no T_world_palm to place them, and how many were beyond the gate."""
-        self.camera_from_palm = CameraFromPalm()
-        """The camera's constant error, by the hand in its images."""
-        self._rejected_in_a_row = 0
-        self._last: tuple[GaussianPose, Array] | None = None
-        """The last measured pose in the mount, and T_mount_palm (4, 4) then."""
+    rig: Rig
+    """Its camera may be None: then poses come in the world or the palm."""
+    model: ObjectModel
+    mount: Mount | None = None
+    """The frame in which vision's bias is constant: that of the first measurement."""
+    unplaced: int = 0
+    """How many measurements had no T_world_palm to place them."""
+    rejected: int = 0
+    """How many measurements were beyond the gate."""
+    rejected_in_a_row: int = 0
+    camera_from_palm: CameraFromPalm = field(default_factory=CameraFromPalm)
+    """The camera's constant error, by the hand in its images."""
+    last: tuple[GaussianPose, Array] | None = None
+    """The last measured pose in the mount, and T_mount_palm (4, 4) then."""
 
-    def update(
+    @property
+    def camera(self) -> MountedCamera:
+        """The rig's, or one with the usual errors."""
+        return self.rig.camera or MountedCamera()
+
+    def updated(
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
-    ) -> PoseBiasSmoother | None:
-        """Returns the smoother after an observation; the same one, or None, where that has no pose that can be placed.
+    ) -> tuple["VisionUpdate", PoseBiasSmoother | None]:
+        """Returns this and the smoother after an observation, the same ones where that has no pose.
 
         Raises InvalidInput for a pose in the frame of a camera that the rig does not have, or far from any hand.
         """
         measured = observation.vision
         if measured is None:
-            return smoother
+            return self, smoother
         mount = self._mount_of(measured)
-        if self.mount is None:
-            self.mount = mount
+        after = self if self.mount is not None else replace(self, mount=mount)
         T_mount_palm = EYE if mount == "palm" else T_world_palm
-        if mount != self.mount or T_mount_palm is None:
-            self.unplaced += 1
-            return smoother
+        if mount != after.mount or T_mount_palm is None:
+            return replace(after, unplaced=self.unplaced + 1), smoother
         pose = self._in_mount(measured)
         position_palm = (se3.inverse(T_mount_palm) @ pose.T_a_b)[:3, 3]
         if not np.abs(position_palm).max() <= checks.MAX_DISTANCE:
             checks.position(position_palm, "vision: the object's place in the palm", (3,))
-        self._last = pose, T_mount_palm
+        after = replace(after, last=(pose, T_mount_palm))
         if smoother is not None:
-            smoother = self._gated(smoother, pose, T_mount_palm)
-        return smoother if smoother is not None and smoother.is_near else self.afresh()
+            after, smoother = after._gated(smoother, pose, T_mount_palm)
+            if smoother.is_near:
+                return after, smoother
+        return replace(after, rejected_in_a_row=0), after.afresh()
 
-    def palm_detected(self, view: HandView, smoother: PoseBiasSmoother | None) -> PoseBiasSmoother | None:
-        """Returns the smoother after the palm was detected; the same one where that adds no information."""
-        before, after = self.camera_from_palm.believed, self.camera_from_palm.updated(view)
-        self.camera_from_palm = after
-        if after.believed == before or smoother is None:
-            return smoother
-        if after.believed[:-1] != before:  # the view contradicts what was believed
-            return self.afresh() or smoother
-        return smoother.informed(view.bias(smoother.pivot))
+    def palm_detected(
+        self, view: HandView, smoother: PoseBiasSmoother | None
+    ) -> tuple["VisionUpdate", PoseBiasSmoother | None]:
+        """Returns this and the smoother after the palm was detected, the same one where that adds no information."""
+        known = self.camera_from_palm.believed
+        after = replace(self, camera_from_palm=self.camera_from_palm.updated(view))
+        believed = after.camera_from_palm.believed
+        if believed == known or smoother is None:
+            return after, smoother
+        if believed[:-1] != known:  # the view contradicts what was believed
+            return after, after.afresh() or smoother
+        return after, smoother.informed(view.bias(smoother.pivot))
 
     def afresh(self) -> PoseBiasSmoother | None:
         """Returns a smoother from the last measurement alone, in the palm at that time; None where there was none."""
-        if self._last is None:
+        if self.last is None:
             return None
-        pose, T_mount_palm = self._last
+        pose, T_mount_palm = self.last
         T_palm_object = se3.inverse(T_mount_palm) @ pose.T_a_b
         started = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), pose.T_a_b[:3, 3])
-        return self._gated(started, pose, T_mount_palm)
+        return self._gated(started, pose, T_mount_palm)[1]
 
     def in_palm(self, observation: Observation | None, T_world_palm: Array | None) -> Array | None:
         """Returns (4, 4) the measured pose in the palm, with vision's bias; None without one, or where it cannot be
@@ -124,32 +133,38 @@ class VisionUpdate:
     def _mount_of(self, measured: PoseMeasurement) -> Mount:
         if measured.frame != "camera":
             return measured.frame
-        if self._rig.camera is None:
+        if self.rig.camera is None:
             raise InvalidInput("vision.frame: expected world or palm (the rig has no camera), got 'camera'")
-        return self._rig.camera.on
+        return self.rig.camera.on
 
     def _in_mount(self, measured: PoseMeasurement) -> GaussianPose:
         """Returns the measured pose in the mount's frame."""
-        T_mount_frame = self.camera.T_mount_camera if measured.frame == "camera" else EYE
-        if measured.covariance is None:
-            return GaussianPose(T_mount_frame @ measured.T_frame_object, self._usual_covariance)
-        pose = GaussianPose(measured.T_frame_object, measured.covariance).transformed(T_mount_frame)
+        c, covariance = self.camera, measured.covariance
+        T_mount_frame = c.T_mount_camera if measured.frame == "camera" else EYE
+        if covariance is None:  # the camera's sigmas are the same along all axes
+            usual = np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3)
+            return GaussianPose(T_mount_frame @ measured.T_frame_object, invertible(usual))
+        pose = GaussianPose(measured.T_frame_object, covariance).transformed(T_mount_frame)
         return GaussianPose(pose.T_a_b, invertible(pose.covariance))
 
     def _gated(
         self, smoother: PoseBiasSmoother, pose_mount_object: GaussianPose, T_mount_palm: Array
-    ) -> PoseBiasSmoother:
-        """Returns the smoother after a measurement; beyond the gate it is left out, until several in a row are."""
-        T = self._model.nearest(pose_mount_object.T_a_b, smoother.expected(T_mount_palm))
-        nearest = GaussianPose(T, pose_mount_object.covariance)
+    ) -> tuple["VisionUpdate", PoseBiasSmoother]:
+        """Returns this and the smoother after a measurement.
+
+        Beyond the gate it is left out; several such in a row say that the object has moved.
+        """
+        T = self.model.nearest(pose_mount_object.T_a_b, smoother.expected(T_mount_palm))
+        nearest, after = GaussianPose(T, pose_mount_object.covariance), self
         if smoother.mahalanobis2(nearest, T_mount_palm) > GATES.chi2:
-            self._rejected_in_a_row += 1
-            self.rejected += 1
-            if self._rejected_in_a_row < GATES.max_rejected:
-                return smoother
+            in_a_row = self.rejected_in_a_row + 1
+            after = replace(self, rejected=self.rejected + 1, rejected_in_a_row=in_a_row)
+            if in_a_row < GATES.max_rejected:
+                return after, smoother
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
-        self._rejected_in_a_row = 0
-        return smoother.updated(nearest, T_mount_palm)
+        if after.rejected_in_a_row:
+            after = replace(after, rejected_in_a_row=0)
+        return after, smoother.updated(nearest, T_mount_palm)
 
 
 def invertible(covariance: Array) -> Array:

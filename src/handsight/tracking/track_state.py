@@ -83,7 +83,7 @@ class TrackState:
     images: ImageVision
     slip: SlipUpdate
     weight: WeightSensor
-    """`vision`, `images`, `slip` and `weight` change in place: a step updates copies of them."""
+    """`images`, `slip` and `weight` change in place: a step updates copies of them."""
     offsets: JointOffsets
     """The joints' constant errors, by all grips before this one."""
     learnt_from: Correction | None = None
