@@ -101,9 +101,10 @@ def test_a_table_may_be_longer_than_a_chunk():
     )
     for chunk in (1, 7, 25, 100):
         rows = list(read_wrenches(io.StringIO(text), chunk=chunk))
-        assert max(len(some.forces) for some in rows) <= chunk
-        np.testing.assert_array_equal(np.concatenate([some.forces for some in rows]), truth.forces)
-        np.testing.assert_array_equal(np.concatenate([some.torques for some in rows]), truth.torques)
+        assert max(len(numbers) for _, numbers in rows) <= chunk
+        assert [len(labels) for labels, _ in rows] == [len(numbers) for _, numbers in rows]
+        together = np.concatenate([numbers for _, numbers in rows])
+        np.testing.assert_array_equal(together, np.hstack([truth.forces, truth.torques]))
     twenty_thousand = "fx,fy,fz,tx,ty,tz\n" + "0,0,-1,0,0,0\n" * 20_000
     counts, out = converted(twenty_thousand)
     assert counts["contact"] == 20_000
