@@ -10,7 +10,6 @@ import trimesh
 from handsight._kernels.math.spreading import snapped, spread_out
 from handsight._kernels.mesh.connected_nodes import linked
 from handsight._kernels.mesh.nearest_triangle import closest_points
-from handsight._kernels.runtime import warm
 from handsight.objects import ObjectModel
 from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding, box_tree
 from objects.object_shapes import box_mesh, divided, prism, triangles
@@ -295,27 +294,3 @@ def test_closest_points_and_winding_numbers_take_any_layout_of_points(rng):
     for same in (np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], still):
         np.testing.assert_array_equal(search.closest(same)[0].distance, search.closest(points)[0].distance)
         np.testing.assert_array_equal(winding.at(same), winding.at(points))
-
-
-def test_warming_compiles_what_building_an_object_calls(rng):
-    from handsight._kernels.math import spreading
-    from handsight._kernels.mesh import connected_nodes, field, nearest_triangle, winding
-
-    told = []
-    warm.warm(lambda name, seconds: told.append((name, seconds)))
-    assert [name for name, _ in told] == list(warm.GROUPS)
-    kernels = (
-        nearest_triangle.closest,
-        winding.winding,
-        connected_nodes.linked,
-        spreading.spread_out,
-        spreading.snapped,
-        field.evaluate,
-    )
-    before = [len(kernel.signatures) for kernel in kernels]
-    size = 0.05 + 0.001 * rng.random()  # of its own: nothing is remembered
-    model = ObjectModel.from_mesh(*bumpy(size=size))
-    model.evaluate(np.zeros((3, 3)))
-    ObjectModel.box((size, size, size)).evaluate(np.zeros((3, 3)))
-    ObjectModel.from_points(*model.sample(500))
-    assert [len(kernel.signatures) for kernel in kernels] == before

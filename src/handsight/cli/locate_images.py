@@ -123,14 +123,14 @@ def run(frames: "Frames", sought: Sought, output: Path | None) -> Run:
 
 def warmed(sought: Sought) -> "Callable[[Frame], Located]":
     """Returns a call that looks for it in a picture; what is compiled or worked out once is no picture's time."""
-    from handsight._kernels.runtime import warm_vision
     from handsight.recording.detections import Located
+    from handsight.tracking.warm import find_object
     from handsight.vision import locate, recognise
     from handsight.vision.object.appearance import appearance_of
 
     models = sought.models
     first = next(iter(models.values()))
-    warm_vision.warm(*first.record[:2])
+    find_object()
     for model in models.values():
         appearance_of(model)
 

@@ -75,8 +75,8 @@ def warmup() -> None:
 
     Without it the first command that computes does so. `HANDSIGHT_CACHE` names another folder.
     """
-    from handsight._kernels.runtime.compilation import folder
-    from handsight._kernels.runtime.warm import warm
+    from handsight._kernels.runtime.kernel_cache import folder
+    from handsight.tracking.warm import warm
 
     began = time.monotonic()
     warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))

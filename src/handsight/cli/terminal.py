@@ -86,7 +86,7 @@ def announce_compiling() -> None:
     """On a terminal, has it said when a kernel is about to be compiled, once: nothing else would be for long."""
     if not sys.stderr.isatty():
         return
-    from handsight._kernels.runtime.compilation import on_compile
+    from handsight._kernels.runtime.kernel_cache import on_compile
 
     on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
 

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 from handsight import checks
-from handsight._kernels.runtime.warm import warm_tracker
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
@@ -24,6 +23,7 @@ from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.status import State
 from handsight.tracking.track_state import TrackState
+from handsight.tracking.warm import warm_tracker
 from handsight.tracking.weight_update import ObjectWeight
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
