@@ -1,7 +1,7 @@
-"""Three-vectors as tuples, 3x3 matrices as tuples of three rows, for kernels that read like their formula.
+"""Three-vectors as tuples and 3x3 matrices as tuples of three rows, so that kernels read like their formulas.
 
-Tuples live in registers: none of this allocates. No function calls another, so that each may be compiled otherwise
-(rounded as written, in `sensing_steps`).
+Tuples are kept in registers, and nothing is allocated. No function calls another one, so that `sensing_steps` can
+compile each of them in its own way (rounded as written).
 """
 
 from typing import TypeAlias
@@ -28,7 +28,7 @@ def matrix(x: np.ndarray) -> Mat33:
 
 @inner
 def block(x: np.ndarray, i: int, j: int) -> Mat33:
-    """Returns the 3x3 of an array that begins at row i and column j."""
+    """Returns the 3x3 of an array whose first entry is at row i and column j."""
     return (
         (x[i, j], x[i, j + 1], x[i, j + 2]),
         (x[i + 1, j], x[i + 1, j + 1], x[i + 1, j + 2]),
@@ -142,7 +142,7 @@ def transpose(M: Mat33) -> Mat33:
 
 @inner
 def matmul(A: Mat33, B: Mat33) -> Mat33:
-    """Returns a B."""
+    """A B."""
     a, b, c = A
     return (
         (
@@ -165,7 +165,7 @@ def matmul(A: Mat33, B: Mat33) -> Mat33:
 
 @inner
 def add33(A: Mat33, B: Mat33) -> Mat33:
-    """Returns a + B."""
+    """A + B."""
     a, b, c = A
     d, e, f = B
     return (
@@ -177,7 +177,7 @@ def add33(A: Mat33, B: Mat33) -> Mat33:
 
 @inner
 def sub33(A: Mat33, B: Mat33) -> Mat33:
-    """Returns a - B."""
+    """A - B."""
     a, b, c = A
     d, e, f = B
     return (
@@ -189,7 +189,7 @@ def sub33(A: Mat33, B: Mat33) -> Mat33:
 
 @inner
 def scale33(A: Mat33, s: float) -> Mat33:
-    """Returns a s."""
+    """A s."""
     a, b, c = A
     return (
         (a[0] * s, a[1] * s, a[2] * s),
