@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight.checks import MAX_LOAD, Array
-from handsight.contact.contact import Reason, symmetric
-from handsight.contact.fingertips import Fingertip
+from handsight.contact import Fingertip, Reason
 
 GRAZING = 1e-6
 """A push counts as one from this cosine (on the sphere) on; below, the wrench's axis misses the surface."""
@@ -131,7 +130,7 @@ def _covariances(push: _Push, fingertip: Fingertip, sigmas: Array) -> Array:
     flat = np.eye(3) - normals[:, :, None] * normals[:, None, :]
     normal_by_q = -flat * W / steepness[:, None, None]
     spread = np.concatenate([by_reading / W[:, None], normal_by_q @ by_reading], axis=1)
-    return symmetric(spread @ spread.swapaxes(-1, -2))
+    return spread @ spread.swapaxes(-1, -2)
 
 
 def _normals(q: Array, fingertip: Fingertip) -> Array:

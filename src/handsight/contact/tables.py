@@ -68,8 +68,8 @@ of point and normal).
 """
 
 
-def read_wrenches(source: Place, *, chunk: int = 8192) -> Iterator[tuple[list[Labels], Array]]:
-    """Yields the rows of a table of wrenches, `chunk` at a time; its first character tells CSV from JSON lines.
+def read_wrenches(source: Place) -> Iterator[tuple[list[Labels], Array]]:
+    """Yields the rows of a table of wrenches, 8192 at a time; its first character tells CSV from JSON lines.
 
     Of each row its labels, `stamp` and `finger` if the table has them (text, from CSV), and of all rows forces [N] and
     torques [N m] (n, 6), NaN where there is no number. Blank lines are skipped. Raises an InvalidFile that names the
@@ -86,7 +86,7 @@ def read_wrenches(source: Place, *, chunk: int = 8192) -> Iterator[tuple[list[La
                 head.append(source.readline())
             parse = _json_rows if head[-1].lstrip().startswith("{") else _csv_rows
             rows = parse(chain(head, source), name)
-            while some := list(islice(rows, chunk)):
+            while some := list(islice(rows, 8192)):
                 empty = False
                 labels, numbers = zip(*some, strict=True)
                 yield list(labels), np.array(numbers, dtype=np.float64)
