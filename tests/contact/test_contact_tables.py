@@ -113,7 +113,7 @@ def test_a_stamp_from_csv_keeps_all_its_digits_as_a_json_number():
 
 
 def test_a_table_may_be_longer_than_what_is_read_at_once():
-    truth = touches(np.random.default_rng(1), TIP, 20_000)
+    truth = touches(np.random.default_rng(1), TIP, 9000)
     text = "fx,fy,fz,tx,ty,tz\n" + "".join(
         ",".join(map(repr, row)) + "\n" for row in np.hstack([truth.forces, truth.torques]).tolist()
     )
@@ -122,7 +122,7 @@ def test_a_table_may_be_longer_than_what_is_read_at_once():
         [json.loads(line) for line in out.splitlines()],
         contacts_from_wrenches(truth.forces, truth.torques, TIP),
     )
-    assert len(rows) == sum(counts.values()) == 20_000
+    assert len(rows) == sum(counts.values()) == 9000
     points = np.array([row["point"] for row in rows if row["reason"] == "contact"])
     np.testing.assert_array_equal(points, batch.points)
     assert [i for i, row in enumerate(rows) if row["reason"] == "contact"] == batch.rows.tolist()

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 
@@ -155,11 +156,20 @@ def test_processes_that_compile_at_once_keep_what_each_compiled(started, ran, tm
     assert len(list((tmp_path / "kept").rglob("*.*"))) == 6
 
 
-WARMED = """
+SIGNATURES = """
 from importlib import import_module
+from pathlib import Path
 from pkgutil import walk_packages
+import handsight as hs
 from handsight import _kernels
 from handsight._kernels.runtime.kernel_cache import KernelCache
+
+def signatures():
+    modules = [import_module(module.name) for module in walk_packages(_kernels.__path__, "handsight._kernels.")]
+    found = [v for module in modules for v in vars(module).values() if isinstance(getattr(v, "_cache", None), KernelCache)]
+    return {kernel._cache.name: tuple(kernel.nopython_signatures) for kernel in found}
+"""
+WARMED = """
 from handsight.tracking.warm import GROUPS, warm
 
 reported = []
@@ -167,18 +177,12 @@ warm(lambda name, seconds: reported.append((name, seconds)))
 assert [name for name, _ in reported] == list(GROUPS)
 assert all(seconds > 0 for _, seconds in reported)
 
-def signatures():
-    modules = [import_module(module.name) for module in walk_packages(_kernels.__path__, "handsight._kernels.")]
-    found = [v for module in modules for v in vars(module).values() if isinstance(getattr(v, "_cache", None), KernelCache)]
-    return {kernel._cache.name: tuple(kernel.nopython_signatures) for kernel in found}
-
 warmed = signatures()
 assert len(warmed) > 50, warmed
 missing = [name for name, kinds in warmed.items() if not kinds]
 assert missing == ["handsight._kernels.solve.batch.two_phases"], missing  # which benchmarks call
 
 import numpy as np
-import handsight as hs
 contacts = hs.Contacts(np.array([[0.03, 0, 0.02], [-0.03, 0.01, 0], [0, 0.045, 0.01]]),
                        np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0]]), sigma_point=5e-4, sigma_normal=0.03)
 T = np.eye(4); T[:3, 3] = 0.004
@@ -199,29 +203,41 @@ mesh.evaluate(mesh.points_object)
 model.evaluate(model.points_object)
 hs.contacts_from_wrenches(np.eye(3), np.eye(3), hs.Ellipsoid((0.01, 0.01, 0.012)))
 hs.contact_from_wrench([0, 0, -1], [0, 0, 0], hs.Sphere(0.01))
-from handsight.camera import Camera
-from handsight.vision.object.first_pose import first_pose
-from handsight.vision.palm.hand_mask import hand_mask
-from handsight.vision.object.region import scene_of
-camera = Camera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
-wall = np.full((48, 64), 0.5, dtype=np.float32)
-hand_mask(camera, wall, model.sample(3)[0], np.array([[0, 1, 2]]), T)
+from handsight.vision import DepthTracker, hand_mask
+camera = hs.Camera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
+depth = np.full((48, 64), 0.6, dtype=np.float32)
+depth[14:34, 20:44] = 0.5
+hand_mask(camera, depth, model.sample(3)[0], np.array([[0, 1, 2]]), T)
 camera.project([[0, 0, 1.0]])
-assert len(first_pose(model, scene_of(camera, wall, wanted=wall > 0)).candidates)
-from handsight.vision import DepthTracker
+hs.locate(model, camera, depth, table=np.array([0, 0, -1.0, 0.6]))
 T[2, 3] = 0.5
-follower = DepthTracker(model, camera, start=T)
-follower.update(0.0, wall, hand=wall < 0, table=np.array([0, 0, -1.0, 0.6]))
+DepthTracker(model, camera, start=T).update(0.0, depth, hand=depth < 0, table=np.array([0, 0, -1.0, 0.6]))
 later = {key: set(found) - set(warmed[key]) for key, found in signatures().items()}
 later = {key: found for key, found in later.items() if found}
 assert not later, later
 """
+TRACKED = """
+from handsight.recording import open_recording
+
+data = Path(hs.__file__).parent / "data"
+rig = hs.Rig.from_file(data / "can.rig.yaml")
+tracker = hs.Tracker(rig, rig.objects["can"].model())
+warmed = signatures()
+with open_recording(data / "can.mcap", rig) as recording:
+    for observation in recording.observations():
+        tracker.update(observation)
+assert tracker.corrections > 100
+assert signatures() == warmed
+"""
 
 
 @pytest.mark.slow
-def test_warming_up_compiles_every_kernel_and_leaves_nothing_to_compile(tmp_path):
+@pytest.mark.parametrize("program", [WARMED, TRACKED], ids=["warmup", "tracker"])
+def test_what_warms_up_leaves_nothing_to_compile(program, tmp_path):
+    if program is TRACKED and find_spec("gymnasium_robotics") is None:
+        pytest.skip("the recorded hand needs handsight[sim]")
     environment = {**os.environ, "HANDSIGHT_CACHE": str(tmp_path)}  # so that the mesh's field is built
-    command = [sys.executable, "-c", WARMED]
+    command = [sys.executable, "-c", SIGNATURES + program]
     done = subprocess.run(command, capture_output=True, timeout=500, text=True, env=environment)
     assert done.returncode == 0, done.stderr
 
