@@ -103,7 +103,7 @@ def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
 
 @entry
 def closest(points: Any, within: float, tree: Any, out: Any) -> None:
-    """Writes the closest points of points (n, 3) to `out` (n, 8), see RESULT; beyond `within` [m] it is at infinity.
+    """Writes the closest points of points (n, 3) to `out` (n, 8), see RESULT; a distance above `within` [m] is infinite.
 
     `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 3, 3) of p leaves; in the leaves' frames `triangles`
     (m, 3, 3) and the box `around` each (m, 6).

@@ -28,7 +28,7 @@ on_compile: list[Callable[[], object]] = []
 
 
 class KernelWarning(UserWarning):
-    """Compiled kernels cannot be kept on disk; this costs time and nothing else."""
+    """Warns that compiled kernels cannot be kept on disk, which costs time and nothing else."""
 
 
 def _stamp() -> str:
@@ -83,7 +83,7 @@ class KernelCache:
                 *self._file(signature, compiled.codegen), serialize.dumps(compiled._reduce())
             )
         except OSError as error:
-            _warn_once(f"{folder().parent}", f"{error.strerror or error}")
+            _warn_once(str(folder().parent), error.strerror or str(error))
         else:
             _remove_oldest()
 
