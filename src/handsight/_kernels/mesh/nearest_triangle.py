@@ -105,8 +105,8 @@ def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
 def closest(points: Any, within: float, tree: Any, out: Any) -> None:
     """Writes the closest points of points (n, 3) to `out` (n, 8), see RESULT; a distance above `within` is infinite.
 
-    `within` [m]. `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 3, 3) of p leaves; in their frames `triangles`
-    (m, 3, 3) and the box `around` each (m, 6).
+    `within` [m]. `tree`: `starts` (p + 1), `boxes` (2p - 1, 6) and `frames` (p, 3, 3) of p leaves; in their frames
+    `triangles` (m, 3, 3) and the box `around` each (m, 6).
     """
     starts, boxes, frames, _, _ = tree
     leaves = len(starts) - 1
