@@ -114,7 +114,7 @@ def find_object() -> None:
     DepthTracker(model, camera, start=T).update(0.0, depth, hand=depth < 0, table=np.array([0, 0, -1, 0.6]))
     surface = Reconstruction(camera, np.array([[-0.1] * 3, [0.1] * 3]))
     surface.grow(View(depth, T))
-    surface.laid_on(View(depth, T))
+    surface.grow(View(depth, T))
 
 
 def find_hand() -> None:
