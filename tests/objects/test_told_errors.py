@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from handsight.objects.files.ply import ply_sigmas
-from handsight.objects.files.read import Shape, read_shape
-from handsight.objects.files.write import ply_bytes
+from handsight.objects.files import Shape, ply_bytes, read_shape
 
 
 def cloud():
@@ -22,7 +20,8 @@ def test_sigmas_are_read_back_in_the_unit_of_the_points(tmp_path, normals):
     back = read_shape(tmp_path / "box.ply")
     np.testing.assert_allclose(back.sigmas, 1000 * sigmas)
     np.testing.assert_allclose(back.vertices, 1000 * points)
-    assert ply_sigmas(ply_bytes(Shape(points), 1.0)) is None
+    (tmp_path / "plain.ply").write_bytes(ply_bytes(Shape(points), 1.0))
+    assert read_shape(tmp_path / "plain.ply").sigmas is None
 
 
 def test_a_contact_weighs_less_where_the_model_is_said_to_be_off(tmp_path):

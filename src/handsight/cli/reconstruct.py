@@ -167,8 +167,7 @@ def write(run: Run, output: Path) -> list[str]:
     """Writes the model, and says what it is made of."""
     import numpy as np
 
-    from handsight.objects.files.read import Shape
-    from handsight.objects.files.write import ply_bytes
+    from handsight.objects.files import Shape, ply_bytes
 
     model = run.model()
     content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)

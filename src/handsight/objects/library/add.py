@@ -11,9 +11,8 @@ import numpy as np
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.msgspec_errors import decode_object
-from handsight.objects.files import read_shape
+from handsight.objects.files import ply_bytes, read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
-from handsight.objects.files.write import ply_bytes
 from handsight.objects.library.bop import BOP_SYMMETRIES, info_of
 from handsight.objects.library.facts import FACTS_LIMITS, Facts
 from handsight.objects.library.folder import Folder
