@@ -12,7 +12,7 @@ import trimesh
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject
 from handsight.objects import Facts, Library, ObjectModel
 from handsight.objects.files import Shape, ply_bytes, read_shape
-from handsight.objects.library.symmetry_notation import declared
+from handsight.objects.symmetry_search import declared
 from objects.libraries import block, bop, off_text
 from objects.object_shapes import box_mesh, data_file, prism
 
