@@ -11,10 +11,9 @@ from handsight._kernels.mesh.patches import blended
 from handsight.objects import ObjectModel
 from handsight.objects.cloud import cloud_geometry
 from handsight.objects.meshes.mesh_geometry import mesh_geometry
-from handsight.objects.scans.noise import measured_noise
+from handsight.objects.scans.noise import Noise, Points, measured_noise, spacing_of, started, widened
 from handsight.objects.scans.patches import fitted
 from handsight.objects.scans.scan import scanned, smoothed
-from handsight.objects.scans.windows import Noise, Points, spacing_of, started, widened
 from handsight.objects.surface import Triangles, diameter
 from oracles import fields
 

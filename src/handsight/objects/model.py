@@ -242,7 +242,7 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
 
 
 def _with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
-    from handsight.objects.scans.declared_noise import with_declared_noise
+    from handsight.objects.scans.roughness import with_declared_noise
 
     return with_declared_noise(geometry, points, sigmas)
 

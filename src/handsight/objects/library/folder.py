@@ -118,7 +118,7 @@ class Folder:
         return Documents(info, read_bytes(models / FACTS, LARGEST_DOCUMENT))
 
     def file(self, entry: Entry) -> Path:
-        """Returns the path of the model's file; raises InvalidFile where it is missing or was changed since it was added."""
+        """Returns the path of the model's file; raises InvalidFile where it is missing or has changed since the add."""
         path, facts = self.models / entry.file, entry.facts
         check_content(path, facts.sha256 if facts else None, facts.bytes if facts else None)
         return path
