@@ -6,7 +6,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.objects.weight import kept_center
+from handsight.objects.symmetry import kept_center
 from handsight.observation import Observation
 from handsight.tracking.replay import Tally, replay
 from handsight.tracking.tracker import Tracker
