@@ -51,7 +51,7 @@ def box(sides: Array) -> tuple[Geometry, Symmetries]:
 
 
 def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
-    """Returns a cylinder about z, `radius` and `height` [m]; its symmetries: any turn about z, and a half turn across."""
+    """Returns a cylinder about z, `radius` and `height` [m]; its symmetries: turns about z, half turns across."""
     half_height, segments = height / 2, 96
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)

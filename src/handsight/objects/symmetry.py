@@ -4,9 +4,8 @@ A symmetry is a transform S = `T_object_object`: neither touch nor a camera can 
 object has continuous rotation axes (a can has one) and a finite group of other rotations (half turns of a box).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,19 +14,9 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 
-
-class SymmetryOptions(NamedTuple):
-    """`SymmetryOptions` are limits of symmetries, and how poses are compared modulo a continuous axis."""
-
-    max_rotations: int = 120
-    """More than the icosahedron's 60: a larger group is a continuous axis, or a mistake."""
-    spin_samples: int = 33  # angles tried about a continuous axis
-    spin_steps: int = 6  # Newton steps from the best of them
-
-
-SYMMETRY_LIMITS = SymmetryOptions()
-
-_SAME = 1e-6
+MAX_ROTATIONS = 120
+"""More than the icosahedron's 60: a larger group is a continuous axis, or a mistake."""
+SAME = 1e-6
 """Transforms whose entries differ by less are one."""
 
 
@@ -56,7 +45,11 @@ class Symmetries:
             lines.append((base, checks.unit(direction, f"axes[{k}].direction", (3,))))
         object.__setattr__(self, "axes", _merged(lines))
         group = [] if rotations is None else [se3.check(T, "rotations") for T in np.asarray(rotations)]
-        object.__setattr__(self, "rotations", _closed(group))
+
+        def distance(T: Array, others: Array) -> Array:
+            return np.asarray(np.abs(others - T).max(axis=(1, 2)) / SAME)
+
+        object.__setattr__(self, "rotations", closed_group(group, distance, "rotations"))
         for T in self.rotations if self.axes else ():
             point, axis = self.axes[0]
             gap = se3.apply(T, point[None])[0] - point
@@ -133,6 +126,22 @@ def check_kept(kept: Array, center: Array, limit: float, name: str) -> None:
         )
 
 
+def closed_group(generators: Sequence[Array], distance: Callable[[Array, Array], Array], name: str) -> Array:
+    """Returns all products (k, 4, 4) of the generators (4, 4), the identity first; raises InvalidInput for too many.
+
+    `distance(T, others)`: of T from others (k, 4, 4), up to 1 where they are one (k,); `name` of the argument.
+    """
+    group = [np.eye(4)]
+    for T in group:  # which grows in the loop
+        for generator in generators:
+            product = T @ generator
+            if distance(product, np.stack(group)).min() > 1:
+                group.append(product)
+        if len(group) > MAX_ROTATIONS:
+            raise InvalidInput(f"{name}: expected a finite group, got over {MAX_ROTATIONS} products")
+    return np.stack(group)
+
+
 def _nearest_about_axis(T: Array, T_reference: Array, line: tuple[Array, Array], radius: float) -> Array:
     """Returns `T` (..., 4, 4) turned about the object's axis, so that it is nearest to the reference."""
     point, axis = line
@@ -180,10 +189,10 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
     """
     arc = np.mod(by_place - by_rotation + np.pi, 2 * np.pi) - np.pi
     # From here on φ is counted from `by_rotation`, and the second term is least at `arc`.
-    trial = arc[..., None] * np.linspace(0.0, 1.0, SYMMETRY_LIMITS.spin_samples)
-    cost = _remaining_rotation(trial, share[..., None]) ** 2 - 2 * pull[..., None] * np.cos(
-        trial - arc[..., None]
-    )
+    samples = 33
+    trial = arc[..., None] * np.linspace(0.0, 1.0, samples)
+    place_cost = -2 * pull[..., None] * np.cos(trial - arc[..., None])
+    cost = _remaining_rotation(trial, share[..., None]) ** 2 + place_cost
     angle = np.take_along_axis(trial, cost.argmin(axis=-1)[..., None], axis=-1)[..., 0]
 
     def slope(angle: Array) -> Array:
@@ -193,8 +202,8 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
         return np.asarray(ratio * share * np.sin(angle / 2) + pull * np.sin(angle - arc))
 
     difference = 1e-5  # of angles [rad], for the second derivative
-    widest = np.abs(arc) / (SYMMETRY_LIMITS.spin_samples - 1)
-    for _ in range(SYMMETRY_LIMITS.spin_steps):
+    widest = np.abs(arc) / (samples - 1)
+    for _ in range(6):
         here = slope(angle)
         bend = (slope(angle + difference) - here) / difference
         step = np.where(bend > 0, -here / np.where(bend > 0, bend, 1.0), 0.0)
@@ -219,7 +228,7 @@ def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]
     for other, direction in lines[1:]:
         normal = np.cross(first, direction)
         gap = other - point
-        if np.linalg.norm(normal) < _SAME:
+        if np.linalg.norm(normal) < SAME:
             if np.linalg.norm(np.cross(gap, first)) > 1e-6 * size:
                 raise InvalidInput("axes: expected axes that cross, got two that are parallel")
             continue
@@ -232,17 +241,3 @@ def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]
     if crossing is None:
         return ((point, first),)
     return tuple((crossing, axis) for axis in np.eye(3))
-
-
-def _closed(generators: list[Array]) -> Array:
-    """Returns all products (k, 4, 4) of the generators, the identity first; raises InvalidInput for too many."""
-    group = [np.eye(4)]
-    for T in group:  # which grows in the loop
-        for product in (T @ generator for generator in generators):
-            if np.abs(np.stack(group) - product).max(axis=(1, 2)).min() >= _SAME:
-                group.append(product)
-        if len(group) > SYMMETRY_LIMITS.max_rotations:
-            raise InvalidInput(
-                f"rotations: expected a finite group, got over {SYMMETRY_LIMITS.max_rotations} products"
-            )
-    return np.stack(group)

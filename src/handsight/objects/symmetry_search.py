@@ -14,7 +14,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
 from handsight.objects.surface import Triangles
-from handsight.objects.symmetry import SYMMETRY_LIMITS, Symmetries, about
+from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about
 
 ORDERS = (8, 6, 5, 4, 3, 2)
 """Of the axes that are tried; the highest is tried first."""
@@ -97,7 +97,7 @@ def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
     points = model.sample(SEARCH.declared_samples)[0]
     for word in words:
         found = re.fullmatch(r"([xyz])(?:/([1-9]\d{0,2}))?", word)
-        if found is None or int(found[2] or 1) > SYMMETRY_LIMITS.max_rotations:
+        if found is None or int(found[2] or 1) > MAX_ROTATIONS:
             expected = "find, an axis (z: any turn about it), or an axis and a number (z/4: quarter turns)"
             raise InvalidInput(f"symmetry: expected {expected}, got {word!r}")
         axis = np.eye(3)["xyz".index(found[1])]

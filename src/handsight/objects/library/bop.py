@@ -12,7 +12,7 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
-from handsight.objects.symmetry import SYMMETRY_LIMITS, Symmetries, about
+from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about, closed_group
 
 METRES = 1e-3
 """Metres in the unit of a BOP library's files."""
@@ -82,9 +82,8 @@ def symmetries_of(info: Info) -> Symmetries:
         )
         for k, line in enumerate(info.symmetries_continuous)
     ]
-    most = SYMMETRY_LIMITS.max_rotations
-    if len(turns) > most:
-        raise InvalidInput(f"symmetries_discrete: expected at most {most}, got {len(turns)}")
+    if len(turns) > MAX_ROTATIONS:
+        raise InvalidInput(f"symmetries_discrete: expected at most {MAX_ROTATIONS}, got {len(turns)}")
     if not lines:
         return Symmetries(rotations=_exact_group(turns, near))
     symmetries = Symmetries(lines)
@@ -125,31 +124,20 @@ def _exact_group(turns: list[Array], near: float) -> Array:
     R(gh) R(h)⁻¹ over all h is then nearer to a group's R(g) than R(g) itself, by a square each time (Grove, Karcher,
     Ruh 1974). The point that all turns leave in place is the mean of the points to which they take the origin.
     """
-    group, done = np.eye(4)[None], 0
-    most = SYMMETRY_LIMITS.max_rotations
-    while done < len(group):
-        for turn in turns:
-            product = group[done] @ turn
-            if _gap(product, group, near).min() > 1:
-                group = np.vstack([group, product[None]])
-        if len(group) > most:
-            message = f"expected a finite group, got over {most} products"
-            raise InvalidInput(f"symmetries_discrete: {message}")
-        done += 1
+
+    def distance(T: Array, others: Array) -> Array:
+        differences = np.abs(others - T)
+        rotation = differences[:, :3, :3].max(axis=(1, 2)) / TOLERANCE
+        return np.asarray(np.maximum(rotation, differences[:, :3, 3].max(axis=1) / near))
+
+    group = closed_group(turns, distance, "symmetries_discrete")
     products = group[:, None] @ group
-    gaps = np.array([[_gap(product, group, near) for product in row] for row in products])
+    gaps = np.array([[distance(product, group) for product in row] for row in products])
     table, R = gaps.argmin(axis=-1), group[:, :3, :3]
     for _ in range(6):
         R = _nearest_rotations(np.einsum("ghij,hkj->gik", R[table], R))
     center = group[:, :3, 3].mean(axis=0)
     exact = se3.compose(R, center - R @ center)
-    if max(_gap(T, one[None], near)[0] for T, one in zip(group, exact, strict=True)) > 1:
+    if max(distance(T, one[None])[0] for T, one in zip(group, exact, strict=True)) > 1:
         raise InvalidInput("symmetries_discrete: expected turns about one point, got others")
     return exact
-
-
-def _gap(T: Array, others: Array, near: float) -> Array:
-    """Returns how far a transform is from each of others (k, 4, 4), in parts of what rounding explains."""
-    differences = np.abs(others - T)
-    rotation = differences[:, :3, :3].max(axis=(1, 2)) / TOLERANCE
-    return np.asarray(np.maximum(rotation, differences[:, :3, 3].max(axis=1) / near))

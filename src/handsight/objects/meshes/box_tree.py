@@ -115,10 +115,10 @@ class Winding:
     def __init__(
         self, centers: Array, area_vectors: Array, corners: Array | None = None, tree: BoxTree | None = None
     ) -> None:
-        """Builds the patches of a surface: `centers` (m, 3) [m], outward `area_vectors` (m, 3) [m²] of elements.
+        """Builds the patches of a surface from `centers` (m, 3) [m] and outward `area_vectors` (m, 3) [m²].
 
-        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree` over the centers, where it exists already; its
-        leaves are the patches.
+        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree` over the centers, where it exists already;
+        its leaves are the patches.
         """
         tree = tree or box_tree(centers)
         starts = tree.starts

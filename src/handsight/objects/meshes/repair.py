@@ -142,11 +142,11 @@ def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
-    """Returns which of `size` triangles or normals to turn over so that linked ones agree, and whether all do then.
+    """Returns which of `size` triangles or normals to turn over so that linked ones agree, and whether all do.
 
-    i (l,) and j (l,) are linked; `agree` (l,): whether they agree as they are. In a graph each item has two nodes, as it
-    is and turned over. Items that agree are linked side to side, others crosswise, so that the nodes connected to an
-    item "as it is" say which of its neighbours must be turned.
+    i (l,) and j (l,) are linked; `agree` (l,): whether they agree as they are. In a graph each item has two nodes, as
+    it is and turned over. Items that agree are linked side to side, others crosswise, so that the nodes connected to
+    an item "as it is" say which of its neighbours must be turned.
     """
     row = np.concatenate([i, i + size])
     column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])
