@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
-from handsight.objects.fields import grids, sharpened
+from handsight.objects.fields import grid_fields, grids
 from handsight.objects.geometry import Geometry, measured, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.normals import estimated_normals
@@ -76,14 +76,12 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         distances, blur = closed_distances(cloud, tree, heights, winding), 0.0
     else:
         distances, blur = open_distances(cloud, tree, heights), cloud.spacing
-    values = distances(nodes)
-    sharp = sharpened(
-        coarse, values, fine, lambda index, _: (index, distances(fine.nodes_at(index))), sheet=not closed
-    )
-    smooth_field = coarse.field(values, sheet=not closed, blur=blur)
-    sharp_field = fine.field(sharp, sheet=not closed, blur=blur)
-    remarks = (*remarks, *coarser)
-    geometry = measured(cloud, smooth_field, sharp_field, diameter=size, closed=closed, remarks=remarks)
+
+    def exact(index: Indices, _: float) -> tuple[Indices, Array]:
+        return index, distances(fine.nodes_at(index))
+
+    fields = grid_fields(coarse, distances(nodes), fine, exact, sheet=not closed, blur=blur)
+    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     if scan is None:
         return geometry
     geometry = roughened(geometry, scan.roughness)

@@ -229,19 +229,21 @@ def centered_grid(vertices: Array, cell: float, shape: Array) -> Grid:
     return Grid(middle - (shape - 1) / 2 * cell, float(cell), (nx, ny, nz))
 
 
-def sharpened(
+def grid_fields(
     coarse: Grid,
     values: Array,
     fine: Grid,
     exact: Callable[[Indices, float], tuple[Indices, Array]],
     *,
-    sheet: bool = False,
-) -> Array:
-    """Returns distances at every fine node [m]: exact near the surface, elsewhere interpolated.
+    sheet: bool,
+    blur: float = 0.0,
+) -> tuple[GridField, GridField]:
+    """Returns the fields on the coarse and on the fine grid; on the fine one, distances far from the surface are
+    interpolated.
 
     `values` (n,): distances at the coarse nodes [m]. `exact`: takes indices of fine nodes and a distance [m], and
-    returns those within that distance of the surface, or more of them, with their distances. For a `sheet` size and
-    sign are interpolated separately, because the sign jumps where the size does not.
+    returns those within that distance of the surface, or more of them, with their distances. `sheet`, `blur`: as in
+    `GridField`. For a sheet, size and sign are interpolated separately, because the sign jumps where the size does not.
     """
     sharp = _interpolated(coarse, values, fine)
     band = FIELDS.band * fine.cell
@@ -250,7 +252,7 @@ def sharpened(
     # Near the surface the interpolation is off by a fraction of a coarse cell, so this contains the whole band.
     index, distance = exact(np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2), band)
     sharp[index] = distance
-    return sharp
+    return coarse.field(values, sheet=sheet, blur=blur), fine.field(sharp, sheet=sheet, blur=blur)
 
 
 def _interpolated(coarse: Grid, values: Array, fine: Grid) -> Array:

@@ -34,9 +34,7 @@ class SymmetrySearchOptions(NamedTuple):
     percentile: int = 98
     """Per cent of the samples that must be within the tolerance: the field rounds off corners, which few samples are
     on."""
-    declared_tolerance: float = (
-        0.04  # the same as `tolerance` for a symmetry that a person declares [diameters]
-    )
+    declared_tolerance: float = 0.04  # as `tolerance`, for a symmetry that a person declares [diameters]
     declared_samples: int = 1000  # and as `samples`
 
 

@@ -46,13 +46,10 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Where the model is from."""
 
     def __post_init__(self) -> None:
-        # A name must be nothing that a path or a terminal would obey, and no number, by which objects are found too.
+        # A path or a terminal must not obey a name, and it must not be a number, by which objects are found too.
         most, max_mass, max_text = checks.MAX_NAME_LENGTH, 100.0, 500
-        if (
-            not isinstance(self.name, str)
-            or len(self.name) > most
-            or not re.fullmatch(r"\w[\w .+-]*", self.name)
-        ):
+        is_text = isinstance(self.name, str) and len(self.name) <= most
+        if not is_text or not re.fullmatch(r"\w[\w .+-]*", self.name):
             expected = f"up to {most} letters, digits, blanks and _.+-, the first a letter or a digit"
             raise InvalidInput(f"name: expected {expected}, got {checks.brief(self.name)!r}")
         if self.name != self.name.strip() or re.fullmatch(r"\d+|obj_\d{6,}", self.name):

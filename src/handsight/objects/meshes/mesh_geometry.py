@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.fields import Grid, grids, sharpened
+from handsight.objects.fields import Grid, grid_fields, grids
 from handsight.objects.geometry import Geometry, measured, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
@@ -19,7 +19,7 @@ class MeshOptions(NamedTuple):
     """`MeshOptions` say when a mesh is closed, and how the side of a node is found."""
 
     closed_share: float = (
-        0.95  # least share of the samples whose two sides have the winding numbers of a closed mesh
+        0.95  # of the samples of a closed mesh whose two sides have the winding numbers 1 and 0
     )
     slit: float = 0.1
     """Distance from an edge at which winding numbers show whether it is a rim [fine cells]. Slits up to about half as
@@ -44,11 +44,10 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
     closed = _is_closed(mesh, winding, holes, size)
-    signed = (
-        partial(signed_by_winding, winding, holes)
-        if closed
-        else partial(signed_by_normal, _pseudonormals(mesh, rim))
-    )
+    if closed:
+        signed = partial(signed_by_winding, winding, holes)
+    else:
+        signed = partial(signed_by_normal, _pseudonormals(mesh, rim))
 
     def exact(index: Indices, within: float) -> tuple[Indices, Array]:
         closest, near = search.closest(fine.nodes_at(index), within)
@@ -56,10 +55,8 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
 
     nodes = coarse.nodes()
     values = signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
-    sharp = sharpened(coarse, values, fine, exact, sheet=not closed)
-    smooth, sharp_field = coarse.field(values, sheet=not closed), fine.field(sharp, sheet=not closed)
-    remarks = (*remarks, *coarser)
-    geometry = measured(mesh, smooth, sharp_field, diameter=size, closed=closed, remarks=remarks)
+    fields = grid_fields(coarse, values, fine, exact, sheet=not closed)
+    geometry = measured(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     return geometry if roughness is None else roughened(geometry, roughness)
 
 

@@ -21,23 +21,20 @@ class PatchOptions(NamedTuple):
     first: float = 3.0  # the least window [spacings]
     ratio: float = 1.35  # how much wider each is than the one before
     last: float = 0.3  # the widest [diameters]
-    max_widened: float = (
-        9.0  # of the points that share one noise: by their number the least window is widened
-    )
+    max_widened: float = 9.0  # points that share one noise, by whose number the least window is widened
     min_width: float = 3.0  # of a window, in deviations of the noise
     min_lever: float = 5.0
-    """Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
-    shape_error: float = 2e-4
-    """Of a quadric's residual, what an object's shape may add to the noise [diameters]."""
+    """Width of a window in geometric means of noise and spacing, from which its normal is known to a tenth."""
+    shape_error: float = 2e-4  # what the shape may add to the noise in a quadric's residual [diameters]
     sigma_curvature: float = 8.0  # of curvatures before anything is measured [1/diameters]
-    min_sigma: float = 1e-4  # no scan is taken for better [diameters]
-    rough_windows: int = 3  # windows that tell the faces of an object apart
-    min_noise: float = 0.5  # of a spacing: noise below which the way from a patch to the next has a direction
+    min_sigma: float = 1e-4  # no scan is assumed to be more exact [diameters]
+    rough_windows: int = 3  # windows that are enough to separate the faces of an object
+    min_noise: float = 0.5  # noise below which the way from a patch to the next has a direction [spacings]
     parallel: int = 4096  # nodes that are enough for another thread
     blended: int = 24  # patches that are averaged at a place
     similar: float = 0.05
-    """A patch counts by the inverse variance of its normal and of this part of the median one."""
-    min_trust: float = 0.02  # the least that a patch counts
+    """A patch has the weight of the inverse variance of its normal plus this part of the median variance."""
+    min_trust: float = 0.02  # the least weight of a patch, and the inverse of the largest
 
 
 PATCH_FIT = PatchOptions()
@@ -49,11 +46,11 @@ class ScannedSurface:
 
     patches: Patches
     tree: cKDTree
-    """Of their points (m, 3)."""
+    """Over the patches' points (m, 3)."""
     around: Indices
-    """(m, k) the patches nearest to each, itself first."""
+    """(m, k) indices of the patches nearest to each, itself first."""
     spacing: float
-    """Between them [m]."""
+    """Between neighbouring patches [m]."""
 
     @property
     def variances(self) -> Array:
@@ -67,11 +64,8 @@ class ScannedSurface:
         `nearest` (n,): index of the patch nearest to each node.
         """
         out = np.empty((len(nodes), 4))
-        in_parts(
-            partial(blended, self.patches, self.spacing, self.around),
-            (nearest, nodes, out),
-            PATCH_FIT.parallel,
-        )
+        kernel = partial(blended, self.patches, self.spacing, self.around)
+        in_parts(kernel, (nearest, nodes, out), PATCH_FIT.parallel)
         return out
 
     def heights(self, nodes: Array, nearest: Indices) -> Array:

@@ -25,9 +25,7 @@ class ScanOptions(NamedTuple):
     flat_share: float = 0.1
     """Where they do so at more than this share of the edges, the mesh was drawn: noise leaves no flat edges."""
     outlying: float = 5.0  # deviations of noise beyond which a point is an outlier
-    own_noise: float = (
-        0.7  # the least part of a scan's noise that each vertex has independently of its neighbours
-    )
+    own_noise: float = 0.7  # the least part of a scan's noise that neighbouring vertices do not share
     gaussian_quarter: float = 0.3186  # of a standard deviation: a quarter of a Gaussian's draws are smaller
 
 
