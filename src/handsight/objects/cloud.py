@@ -24,14 +24,14 @@ from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, di
 
 
 class CloudOptions(NamedTuple):
-    """`CloudOptions` say how a surface and its distances are read off points."""
+    """`CloudOptions` say how a surface and its distances are computed from points."""
 
     min_points: int = 20  # of a cloud
     planes: int = 10  # points whose planes are averaged
     area_neighbours: int = 8  # points by which a point's share of the area is measured
     near: float = 2.0  # spacings from a point below which the smooth surface counts alone
     far: float = 4.0  # spacings beyond which the point counts alone
-    neighbours: int = 25  # points whose middle shows whether a place is above them or beside them
+    neighbours: int = 25  # points by whose middle a place is above them or beside them
     opposite_cosine: float = -0.5  # points whose normals have a cosine below this are on two sides of a wall
     rim: float = 0.4  # spacings past the last points up to which the distance to their surface counts alone
     beside: float = 1.2  # spacings past the last points beyond which the distance to a point counts alone

@@ -26,7 +26,7 @@ SURFACE = SurfaceOptions()
 
 
 class ObjectWarning(UserWarning):
-    """Something about an object was repaired, or looks odd."""
+    """Something about an object was repaired, or is unusual."""
 
 
 @dataclass(frozen=True, eq=False)

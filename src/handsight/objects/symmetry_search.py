@@ -133,7 +133,7 @@ class _Search:
         return _distance(self.model, T, self.points)
 
     def directions(self) -> Array:
-        """Returns directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
+        """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
         sure = np.vstack([self.principal.T[::-1], np.eye(3)])
         low, middle, high = self.moments
         if low > (1 - SEARCH.equal_moments) * high:
@@ -152,7 +152,7 @@ class _Search:
         return sure
 
     def refined(self, T: Array) -> Array | None:
-        """Returns `T` moved to lay the samples best on the surface; None where they are far from it."""
+        """Returns `T` moved so that it brings the samples nearest to the surface; None where that is far."""
         for step in range(SEARCH.steps):
             moved = se3.apply(T, self.points)
             distance, gradient, _ = self.model.fine.evaluate(moved)
@@ -168,7 +168,7 @@ class _Search:
         return T
 
     def line(self, T: Array) -> tuple[Array, Array]:
-        """Returns the axis of a rotation: its point nearest to the centre, and its direction."""
+        """Returns the axis of a rotation `T`: its point nearest to the object's centre, and its direction."""
         vector = se3.rotation_log(T[:3, :3])
         direction = vector / np.linalg.norm(vector)
         offset = se3.apply(T, self.center[None])[0] - self.center
@@ -201,15 +201,15 @@ class _Search:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """Returns symmetries about a continuous axis: a ball's, or with the half turn that swaps its ends, or
-        without."""
+        """Returns the symmetries of a surface with a continuous axis: a ball's, or the axis with or without a half turn
+        that swaps its ends."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
         if self.continuous(side) is not None:
             return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))
         if T is not None:
-            # Only the height at which it swaps is free.
+            # Of the half turn, only the height of its axis is free.
             half = point + axis * ((T[:3, 3] + T[:3, :3] @ point - point) @ axis) / 2
             flip = about(half, np.pi * side)
             if self.worst(flip) < self.limit:
@@ -217,7 +217,7 @@ class _Search:
         return Symmetries([(point, axis)])
 
     def group(self, axes: list[_Axis]) -> Symmetries:
-        """Returns the largest group of these axes, set exactly at their proper angles, that keeps the surface."""
+        """Returns the largest group of these axes, at the exact angles of the group, that keeps the surface."""
         if not axes:
             return Symmetries()
         axes = sorted(axes, key=lambda a: -a.order)

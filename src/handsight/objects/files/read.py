@@ -145,12 +145,12 @@ def obj_shape(data: bytes) -> Shape:
                 # A corner is written vertex/texture/normal.
                 texts = [w.partition("/")[0] for w in words[1:]] if "/" in words[-1] else words[1:]
                 index = list(map(int, texts))
-                known = len(vertices) // 3
-                for place, i in enumerate(index if min(index) < 1 else ()):
-                    if i < -known or i == 0:
-                        message = f"expected vertices from 1, or from -1 to -{known} backwards, got {i}"
+                if min(index) < 1:  # -1 is the last vertex before this line
+                    known = len(vertices) // 3
+                    if (wrong := next((i for i in index if i < -known or i == 0), None)) is not None:
+                        message = f"expected vertices from 1, or from -1 to -{known} backwards, got {wrong}"
                         raise BadText(f"faces: {message}")
-                    index[place] = i if i > 0 else known + 1 + i  # -1 is the last vertex before this line
+                    index = [i if i > 0 else known + 1 + i for i in index]
                 corners.extend(index)
                 counts.append(len(index))
         except (ValueError, OverflowError):

@@ -32,7 +32,7 @@ WINDOWS = WindowOptions()
 
 
 class NoiseOptions(NamedTuple):
-    """`NoiseOptions` say how a scan's noise is told from its shape, by windows of growing size."""
+    """`NoiseOptions` say how a scan's noise is separated from its shape, by windows of growing size."""
 
     centres: int = 1000  # windows' centres
     first: float = 3.2  # the least window [spacings]

@@ -14,7 +14,7 @@ from handsight.objects.meshes.repair import agreeing, components
 class NormalOptions(NamedTuple):
     """`NormalOptions` say how normals are computed from a scan's points."""
 
-    neighbours: int = 12  # points through which a plane is laid, and among which normals are brought to agree
+    neighbours: int = 12  # points through which a plane is laid, and among which normals are made to agree
     max_neighbours: int = 60  # the same where noise is large
     min_width: float = 6.0  # deviations of noise that a plane must be wide to have a direction
 
