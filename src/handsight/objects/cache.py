@@ -71,6 +71,7 @@ def remembered_numbers(
     """
 
     def load(data: memoryview) -> NDArray[np.int32]:
+        """Returns the integers of a file; raises ValueError for impossible ones."""
         numbers = np.frombuffer(data, dtype=np.int32)
         if not fits(numbers):
             raise ValueError("other numbers than those that were kept")

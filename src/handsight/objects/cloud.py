@@ -125,6 +125,7 @@ def plane_heights(cloud: Cloud, tree: cKDTree) -> Heights:
     """Returns the heights above the smooth average of the planes through the points of a cloud."""
 
     def heights(nodes: Array, _: Indices) -> Array:
+        """Returns the mean height over the planes of the nearest points, by Gaussian weights of their distance."""
         gap, index = tree.query(nodes, k=min(CLOUD.planes, len(cloud.vertices)))
         near = gap[:, 0]
         # Wide enough for a few points, wherever they are.
@@ -145,6 +146,7 @@ def closed_distances(
     """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud with an inside, where they are negative."""
 
     def distances(nodes: Array) -> Array:
+        """Returns the height near the surface, blended into the distance to the nearest point far from it."""
         near, nearest = tree.query(nodes)
         share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)
         far = near.copy()
@@ -176,6 +178,7 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
     to_rim = 4 / (3 * np.pi) * np.sqrt(2 * count / np.pi) * spacing
 
     def distances(nodes: Array) -> Array:
+        """Returns the height above or below the points, blended into the distance to the nearest one beside them."""
         near, nearest = tree.query(nodes)
         height = np.einsum("ni,ni->n", nodes - points[nearest], normals[nearest])
         share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)

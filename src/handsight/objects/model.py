@@ -122,6 +122,7 @@ class ObjectModel(Geometry):
         file, data = Path(path), content(path)
 
         def build() -> Geometry:
+            """Returns the geometry of what the file holds, with remarks that begin with the file's name."""
             shape = shape_of(file, data)
             with np.errstate(over="ignore"):  # coordinates that are too large are refused below
                 points = scale * shape.vertices

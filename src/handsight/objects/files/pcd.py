@@ -87,6 +87,7 @@ def _header(data: bytes) -> _Header:
             entries[words[0].upper()] = words[1:]
 
     def integers(key: str, length: int) -> list[int]:
+        """Returns the whole numbers of an entry; raises BadText where these are not as many."""
         words = entries.get(key, [])
         if len(words) != length or not all(word.isdecimal() and len(word) < 19 for word in words):
             raise BadText(f"{key}: expected {length} whole numbers, got {' '.join(words)[:40]!r}")

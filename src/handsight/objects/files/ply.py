@@ -4,9 +4,8 @@ import codecs
 import struct
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,39 +22,30 @@ _TYPES = {
 _FLOATS = "efd"
 
 
-@dataclass(frozen=True, slots=True)
-class _Property:
+class _Property(NamedTuple):
     """One column of an element: a number in each row, or a list of numbers."""
 
     name: str
     kind: str
     """Letter of its numbers."""
-    count: str = ""
+    length: str = ""
     """Letter of the number that says how long a list is; empty for a property that is not a list."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Element:
+class _Element(NamedTuple):
     """A table of the file, such as that of the vertices."""
 
     name: str
     rows: int
-    properties: list[_Property] = field(default_factory=list)
+    properties: list[_Property]
 
     def cut(self, got: int) -> BadText:
         return BadText(f"expected {self.rows} rows of '{self.name}', got {got}: is it cut short?")
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """The values of a property, row after row."""
-
-    values: NDArray[np.generic]
-    counts: NDArray[np.generic] | None = None
-    """Of a list, how many values each row has."""
-
-
-Table = dict[str, _Column]
+Column = tuple[NDArray[np.generic], NDArray[np.generic] | None]
+"""The values of a property, row after row, and of a list how many of them each row has."""
+Table = dict[str, Column]
 
 
 def ply_shape(data: bytes) -> Shape:
@@ -76,9 +66,9 @@ def ply_shape(data: bytes) -> Shape:
     if "vertex" not in tables:
         raise BadText("expected an element 'vertex', got none")
     vertex = {
-        name: np.asarray(column.values, dtype=np.float64)
-        for name, column in tables["vertex"].items()
-        if column.counts is None
+        name: np.asarray(values, dtype=np.float64)
+        for name, (values, counts) in tables["vertex"].items()
+        if counts is None
     }
     points = _three(vertex, "x", "y", "z")
     if points is None:
@@ -105,7 +95,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
             case ["format", kind, *_]:
                 order = orders.get(kind)
             case ["element", name, count] if count.isdecimal() and len(count) < 19:
-                elements.append(_Element(name, int(count)))
+                elements.append(_Element(name, int(count), []))
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append(_Property(name, _TYPES[kind]))
             case ["property", "list", count, kind, name] if (
@@ -126,18 +116,19 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
 def _text_table(lines: Iterator[list[str]], element: _Element) -> Table:
     """Returns the next rows of a text body, a line each; raises BadText."""
     found, properties = islice(lines, element.rows), element.properties
-    if not any(each.count for each in properties):
+    if not any(each.length for each in properties):
         table = number_table(found, len(properties), element.name)
         if len(table) < element.rows:
             raise element.cut(len(table))
-        return {each.name: _Column(table[:, k]) for k, each in enumerate(properties)}
+        return {each.name: (table[:, k], None) for k, each in enumerate(properties)}
 
     def ragged() -> Iterator[list[list[float]]]:
+        """Yields the numbers of each property, row after row; raises BadText."""
         for words in found:
             left, row = iter(words), list[list[float]]()
             try:
                 for each in properties:
-                    n = int(next(left)) if each.count else 1
+                    n = int(next(left)) if each.length else 1
                     row.append(list(map(float if each.kind in _FLOATS else int, islice(left, n))))
                     if len(row[-1]) < n:
                         raise ValueError
@@ -153,12 +144,13 @@ def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[
     """Returns the rows of a binary body that begin at a byte, and where they end; raises BadText."""
 
     def row_at(at: int) -> tuple[list[tuple[Any, ...]], int]:
+        """Returns the numbers of each property in a row, and where it ends; raises struct.error beyond the file."""
         row = []
         for each in element.properties:
             n = 1
-            if each.count:
-                (n,) = struct.unpack_from(order + each.count, data, at)
-                at += struct.calcsize(order + each.count)
+            if each.length:
+                (n,) = struct.unpack_from(order + each.length, data, at)
+                at += struct.calcsize(order + each.length)
             row.append(struct.unpack_from(f"{order}{n}{each.kind}", data, at))
             at += struct.calcsize(f"{order}{n}{each.kind}")
         return row, at
@@ -171,18 +163,19 @@ def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[
     if element.rows <= (len(data) - at) // length:
         parts: list[Any] = []
         for k, (each, values) in enumerate(zip(element.properties, first, strict=True)):
-            parts += [(f"n{k}", order + each.count)] if each.count else []
+            parts += [(f"n{k}", order + each.length)] if each.length else []
             parts.append((f"v{k}", order + each.kind, (len(values),)))
         table = np.frombuffer(data, np.dtype(parts), element.rows, at)
-        counts = {k: table[f"n{k}"] for k, each in enumerate(element.properties) if each.count}
+        counts = {k: table[f"n{k}"] for k, each in enumerate(element.properties) if each.length}
         if all((count == len(first[k])).all() for k, count in counts.items()):
             columns = {
-                each.name: _Column(table[f"v{k}"].reshape(-1), counts.get(k))
+                each.name: (table[f"v{k}"].reshape(-1), counts.get(k))
                 for k, each in enumerate(element.properties)
             }
             return columns, at + element.rows * length
 
     def ragged() -> Iterator[list[tuple[Any, ...]]]:
+        """Yields the numbers of each property, row after row."""
         nonlocal at
         for _ in range(element.rows):
             row, at = row_at(at)
@@ -209,7 +202,7 @@ def _table_of_rows(element: _Element, found: Iterator[Sequence[Sequence[Any]]]) 
     if done < element.rows:
         raise element.cut(done)
     columns = zip(element.properties, values, counts, strict=True)
-    return {each.name: _Column(np.array(v), np.array(n) if each.count else None) for each, v, n in columns}
+    return {each.name: (np.array(v), np.array(n) if each.length else None) for each, v, n in columns}
 
 
 def _three(columns: dict[str, Array], *names: str) -> Array | None:
@@ -221,9 +214,9 @@ def _faces(table: Table) -> Indices:
     """Returns the triangles (m, 3) of the faces: their list `vertex_indices`, `vertex_index`, or their only one."""
     usual = ("vertex_indices", "vertex_index")
     lists = {
-        name: (column.values, column.counts)
-        for name, column in table.items()
-        if column.counts is not None and column.values.dtype.kind in "iu"
+        name: (values, counts)
+        for name, (values, counts) in table.items()
+        if counts is not None and values.dtype.kind in "iu"
     }
     name = next((name for name in (*usual, *lists) if name in lists), "")
     if not name or (name not in usual and len(lists) > 1):

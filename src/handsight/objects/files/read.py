@@ -89,6 +89,7 @@ def xyz_shape(data: bytes) -> Shape:
         raise BadText(f"expected 3 or 6 columns, got {width}")
 
     def checked() -> Iterator[list[str]]:
+        """Yields the rows; raises BadText for one of another width."""
         for k, words in enumerate(chain([first], found), start=1):
             if len(words) != width:
                 raise BadText(f"row {k}: expected {width} columns, got {len(words)}")

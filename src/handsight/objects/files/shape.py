@@ -71,6 +71,7 @@ def number_table(found: Iterable[list[str]], width: int, name: str) -> Array:
     """
 
     def checked() -> Iterator[list[str]]:
+        """Yields as many words of each row; raises BadText where there are fewer."""
         for k, words in enumerate(found):
             if len(words) < width:
                 raise BadText(f"{name} {k}: expected {width} numbers, got {len(words)}")

@@ -62,6 +62,7 @@ def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = Fa
     normals = normals.copy()
 
     def likeness(i: Indices, j: Indices) -> Array:
+        """Returns how well the normals of pairs of points (m,) agree: 1 for the same plane, -1 for opposite signs."""
         cosine = (normals[i] * normals[j]).sum(axis=1)
         if not turning:
             return np.asarray(cosine)
