@@ -36,7 +36,7 @@ def small() -> tuple[Geometry, bytes]:
     faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
     faces += [(0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
     geometry = making._of_mesh(Triangles(corners, np.array(faces)))
-    return geometry, cache._geometry_bytes(geometry)
+    return geometry, cache.geometry_bytes(geometry)
 
 
 def remembered(data: bytes) -> Geometry:
@@ -60,7 +60,7 @@ def damaged(rng: random.Random) -> None:
     geometry, content = small()
     data = sealed(content, rng.choice([NAME] * 9 + ["1" * 64]))
     found = remembered(spoilt_bytes(data, rng) if rng.random() < 0.8 else data)
-    assert cache._geometry_bytes(found) == content
+    assert cache.geometry_bytes(found) == content
     assert isinstance(found, type(geometry))
 
 

@@ -46,7 +46,7 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     or not at all. Where the folder cannot be written, there is one ObjectWarning and no error.
     """
     path = cache_folder() / f"field-{name}.msgpack"
-    return _remembered(path, name, "distance fields", _geometry, _geometry_bytes, compute)
+    return _remembered(path, name, "distance fields", _geometry, geometry_bytes, compute)
 
 
 def remembered_bits(
@@ -108,7 +108,9 @@ def _remembered(
     return built
 
 
-def _geometry_bytes(geometry: Geometry) -> bytes:
+def geometry_bytes(geometry: Geometry) -> bytes:
+    """Returns a geometry as MessagePack, its arrays in NumPy's own format."""
+
     def packed(array: NDArray[np.generic]) -> msgspec.msgpack.Ext:
         stream = io.BytesIO()
         np.save(stream, array, allow_pickle=False)
@@ -118,7 +120,7 @@ def _geometry_bytes(geometry: Geometry) -> bytes:
 
 
 def _geometry(data: memoryview) -> Geometry:
-    """Returns the geometry that `_geometry_bytes` wrote; raises an exception for other content."""
+    """Returns the geometry that `geometry_bytes` wrote; raises an exception for other content."""
 
     def unpacked(_: int, array: memoryview) -> NDArray[np.generic]:
         return frozen(np.load(io.BytesIO(array), allow_pickle=False))

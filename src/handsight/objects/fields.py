@@ -119,7 +119,7 @@ class GridField(Field):
         object.__setattr__(self, "values", values)
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
-        """Fills a FIELD record and returns the nodes, as `Field.fill` says."""
+        """Fills a FIELD record and returns the nodes; see `Field.fill`."""
         row["kind"], row["blur"] = records.SHEET if self.sheet else records.GRID, self.blur
         row["origin"], row["nodes"] = self.origin, first_node
         row["cell"], row["inverse_cell"], row["shape"] = self.cell, 1 / self.cell, self.values.shape
@@ -135,7 +135,7 @@ class ExactField(Field):
     """(3,) [m]: half the sides; or radius, half the height, 0; or radius, 0, 0. Its length is half the diameter."""
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
-        """Fills a FIELD record and returns no nodes, as `Field.fill` says."""
+        """Fills a FIELD record and returns no nodes; see `Field.fill`."""
         kinds = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
         row["kind"], row["origin"] = kinds[self.shape], self.sizes
         row["least_radius"] = 2 * np.linalg.norm(self.sizes) / FIELDS.max_curvature

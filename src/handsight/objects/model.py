@@ -208,7 +208,7 @@ class ObjectModel(Geometry):
     ) -> Self:
         """Returns the same object with its mass [kg], its centre of mass (3,) [m], and the standard deviation of that.
 
-        None stands for what is not known. Raises InvalidInput, also for a centre that the declared symmetries would
+        None means unknown. Raises InvalidInput, also for a centre that the declared symmetries would
         move: an object that is heavier on one side is not symmetric to a hand that weighs it.
         """
         sigma = USUAL_SIGMA if sigma_center_of_mass is None else sigma_center_of_mass

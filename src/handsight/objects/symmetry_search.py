@@ -1,6 +1,6 @@
 """Symmetries that the shape of an object suggests, and symmetries given in words, which the shape must have.
 
-Whether a print on the surface tells two poses apart is for a person to say.
+Only a person can decide whether a print on the surface distinguishes two poses of the same shape.
 """
 
 import re
@@ -41,7 +41,7 @@ class SymmetrySearchOptions(NamedTuple):
 SEARCH = SymmetrySearchOptions()
 
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
-"""Angles [rad] that no finite group contains, by which a continuous axis is told from one of high order."""
+"""Angles [rad] that no finite group contains, by which a continuous axis is distinguished from one of high order."""
 
 
 class _Axis(NamedTuple):

@@ -16,7 +16,7 @@ LONGEST_LINE = 1 << 20
 
 
 class BadText(Exception):
-    """The content is not what the format asks for; the message says what was expected and what came."""
+    """A file's content is not of its format; the message names what was expected and what came."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -146,7 +146,7 @@ def spacing_of(places: Array, least: float = 0.0) -> float:
     """Returns about how far points (n, 3) in a random order are from their neighbours [m], along their surface.
 
     It is measured on so few of the points that these are at least `least` [m] apart, because the distances of points
-    that are closer than their noise is thick say nothing of the surface.
+    that are closer than their noise is thick are not along the surface.
     """
     share = 1.0
     while True:
