@@ -9,7 +9,7 @@ import trimesh
 import handsight as hs
 from handsight._kernels.mesh.patches import blended
 from handsight.objects import ObjectModel
-from handsight.objects.scans.noise import Noise, Points, measured_noise, spacing_of, started, widened
+from handsight.objects.scans.noise import Noise, Points, flat_patches, measured_noise, spacing_of, widened
 from handsight.objects.scans.patches import fitted
 from handsight.objects.scans.scan import scanned, smoothed
 from handsight.objects.surface import Triangles, diameter
@@ -100,7 +100,7 @@ def test_a_quadric_is_exact_on_a_plane_a_cylinder_and_a_ball(name, window):
     inner &= np.abs(normals[:, 2]) < 0.5 if name == "can" else True
     centres, facing = points[inner][:200], normals[inner][:200]
     turned = facing + 0.1 * rng.normal(size=facing.shape)
-    patches = started(centres, turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    patches = flat_patches(centres, turned / np.linalg.norm(turned, axis=1, keepdims=True))
     given = as_points(points, normals)
     widened(given, patches, np.array([window] * 9), variance=1e-10, together=1.0, bend=1e6, free=True)
     expected = {"plane": (0.0, 0.0), "can": (1 / 0.033, 0.0), "ball": (1 / 0.035, 1 / 0.035)}[name]

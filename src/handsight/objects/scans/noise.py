@@ -102,7 +102,7 @@ def noise_of(points: Points, thickness: float) -> Noise:
     windows = widths(least, max(NOISE.last * points.diameter, 1.01 * NOISE.ratio * least), NOISE.ratio)
     centres = points.places[: NOISE.centres]
     count = enough_neighbours(thickness, points.spacing, NOISE.start_points)
-    patches = started(centres, planes(points.places, centres, count))
+    patches = flat_patches(centres, planes(points.places, centres, count))
     every_point: dict[str, Any] = {"variance": 1.0, "together": 1.0, "bend": np.inf, "free": True}
     # Two windows are enough to recognise white noise; the others are computed where it is not.
     for count in sorted({2, len(windows)}):
@@ -159,7 +159,7 @@ def spacing_of(places: Array, least: float = 0.0) -> float:
         share /= 2
 
 
-def started(places: Array, normals: Array) -> Patches:
+def flat_patches(places: Array, normals: Array) -> Patches:
     """Returns a flat patch at each place (m, 3) [m], with the normal (m, 3) there."""
     patches = np.zeros(len(places), dtype=PATCH)
     patches["point"], patches["normal"] = places, normals

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from handsight._kernels.mesh.patches import blended
 from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array, Indices
-from handsight.objects.scans.noise import Noise, Patches, Points, spacing_of, started, widened, widths
+from handsight.objects.scans.noise import Noise, Patches, Points, flat_patches, spacing_of, widened, widths
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
 
 
@@ -108,7 +108,7 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
 
 def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None) -> Patches:
     """Returns patches fitted about the first m points, whose normals (m, 3) are given; in at most `most` windows."""
-    patches = started(points.places[: len(normals)], normals)
+    patches = flat_patches(points.places[: len(normals)], normals)
     shared = min(noise.together, PATCH_FIT.max_widened)
     least = max(
         PATCH_FIT.first * points.spacing * np.sqrt(shared),
