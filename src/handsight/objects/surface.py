@@ -61,8 +61,12 @@ class Triangles:
 
     @cached_property
     def edges(self) -> tuple[Indices, Indices, Indices]:
-        """The edges as `edges_of` returns them."""
-        return edges_of(self.faces)
+        """The two vertices of each edge (e, 2), the smaller index first; the edges of each triangle (m, 3), from its
+        corner 0 to 1, 1 to 2 and 2 to 0; and how many triangles each edge has (e,)."""
+        ordered = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        keys = ordered[:, 0] * (int(self.faces.max()) + 1) + ordered[:, 1]
+        _, first, which, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+        return ordered[first], which.reshape(-1, 3), count
 
     @property
     def volume_centroid(self) -> Array:
@@ -130,20 +134,6 @@ def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
     # One draw in each n-th of the area is as uniform as n independent draws, and more even.
     at = (np.arange(n) + rng.random(n)) / max(n, 1)
     return np.asarray(np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1))
-
-
-def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
-    """Returns the edges of triangles (m, 3).
-
-    These are the two vertices of each edge (e, 2), the smaller index first; the edges of each triangle (m, 3), from its
-    corner 0 to 1, 1 to 2 and 2 to 0; and how many triangles each edge has (e,).
-    """
-    ordered = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    size = int(faces.max()) + 1
-    _, first, which, count = np.unique(
-        ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
-    )
-    return ordered[first], which.reshape(-1, 3), count
 
 
 def check_extent(points: Array, name: str) -> float:

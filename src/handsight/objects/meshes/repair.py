@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
-from handsight.objects.surface import Triangles, check_extent, distinct, edges_of
+from handsight.objects.surface import Triangles, check_extent, distinct
 
 
 class RepairOptions(NamedTuple):
@@ -39,7 +39,7 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     first, which = distinct(points, check_extent(points, "vertices"))
     points, triangles = points[first], which[triangles]
     triangles = _distinct(points, triangles, remarks)
-    edges = edges_of(triangles)
+    edges = Triangles(points, triangles).edges
     if (edges[2] == 1).any():
         used = np.unique(edges[0][edges[2] == 1])
         extent = float(np.ptp(points, axis=0).max())
@@ -52,7 +52,7 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
             # A triangle between two such corners has become a line.
             triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
             points, triangles = _referenced(points, _distinct(points, triangles, []), [])
-            edges = edges_of(triangles)
+            edges = Triangles(points, triangles).edges
     triangles, turned, orientable = _consistent(triangles, edges)
     if turned:
         remarks.append(f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours")
