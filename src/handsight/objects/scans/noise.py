@@ -18,22 +18,14 @@ Patches = NDArray[np.void]
 """(m,) quadrics about points, PATCH records."""
 
 
-class WindowOptions(NamedTuple):
-    """`WindowOptions` say how points are gathered in windows."""
+class NoiseOptions(NamedTuple):
+    """`NoiseOptions` say how a scan's noise is separated from its shape, by windows of growing size."""
 
     thinned: int = 300  # points to about which a window is thinned: more add little
     neighbours: int = 8  # points by which the spacing is measured
     sampled: int = 2000  # points at which it is
     max_windows: int = 20  # sizes of windows
     serial: int = 64  # patches that are not enough for another thread
-
-
-WINDOWS = WindowOptions()
-
-
-class NoiseOptions(NamedTuple):
-    """`NoiseOptions` say how a scan's noise is separated from its shape, by windows of growing size."""
-
     centres: int = 1000  # windows' centres
     first: float = 3.2  # the least window [spacings]
     ratio: float = 1.4  # how much wider each is than the one before
@@ -150,11 +142,11 @@ def spacing_of(places: Array, least: float = 0.0) -> float:
     """
     share = 1.0
     while True:
-        some = places[: max(int(share * len(places)), 4 * WINDOWS.neighbours)]
-        reach = cKDTree(some).query(some[: WINDOWS.sampled], k=WINDOWS.neighbours + 1)[0][:, -1]
+        some = places[: max(int(share * len(places)), 4 * NOISE.neighbours)]
+        reach = cKDTree(some).query(some[: NOISE.sampled], k=NOISE.neighbours + 1)[0][:, -1]
         # A disc holds its neighbours and half the one on its rim.
-        spacing = float(np.sqrt(np.median(np.pi * reach**2) / (WINDOWS.neighbours + 0.5)))
-        if spacing >= least or len(some) < 8 * WINDOWS.neighbours:
+        spacing = float(np.sqrt(np.median(np.pi * reach**2) / (NOISE.neighbours + 0.5)))
+        if spacing >= least or len(some) < 8 * NOISE.neighbours:
             return spacing * float(np.sqrt(len(some) / len(places)))
         share /= 2
 
@@ -173,7 +165,7 @@ def flat_patches(places: Array, normals: Array) -> Patches:
 def widths(least: float, most: float, ratio: float) -> Array:
     """Returns radii of windows [m] from the least to the most, each by `ratio` larger than the one before."""
     count = int(np.log(max(most / least, 1.0)) / np.log(ratio)) + 1
-    return np.asarray(least * ratio ** np.arange(max(count - WINDOWS.max_windows, 0), count))
+    return np.asarray(least * ratio ** np.arange(max(count - NOISE.max_windows, 0), count))
 
 
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
@@ -188,8 +180,8 @@ def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> A
         for name, value in {**level, "window": window, "place": place}.items():
             given[name] = value
         # As many of the points as a window needs, in the order of cells as wide as it.
-        share = WINDOWS.thinned / (np.pi * (window / points.spacing) ** 2)
-        count = max(int(min(share, 1.0) * len(points.places)), min(len(points.places), WINDOWS.thinned))
+        share = NOISE.thinned / (np.pi * (window / points.spacing) ** 2)
+        count = max(int(min(share, 1.0) * len(points.places)), min(len(points.places), NOISE.thinned))
         places = points.places[:count]
         low = np.minimum(places.min(axis=0), patches["point"].min(axis=0))
         high = np.maximum(places.max(axis=0), patches["point"].max(axis=0))
@@ -199,5 +191,5 @@ def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> A
         keys = np.ravel_multi_index(tuple(cell.T), tuple(given["shape"][0]))
         order = np.argsort(keys, kind="stable")
         cloud = np.hstack([places, points.normals[:count]])[order]
-        in_parts(partial(kernel.widen, cloud, keys[order], given), (patches, fitted), WINDOWS.serial)
+        in_parts(partial(kernel.widen, cloud, keys[order], given), (patches, fitted), NOISE.serial)
     return fitted

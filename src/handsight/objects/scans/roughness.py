@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from handsight._kernels.posterior.spurious_information import LEND
 from handsight.checks import Array
 from handsight.objects.geometry import Geometry, Roughness, with_error
-from handsight.objects.scans.noise import WINDOWS, Noise, Points
+from handsight.objects.scans.noise import NOISE, Noise, Points
 from handsight.objects.scans.patches import ScannedSurface
 
 
@@ -52,7 +52,7 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     by_height, by_slope = _oversmoothing(surface, points, noise)
     patches = surface.patches
     # Detail as fine as the points are apart is what a patch leaves of them beyond their noise.
-    count = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, WINDOWS.thinned)
+    count = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, NOISE.thinned)
     many = count * ROUGHNESS.effective - ROUGHNESS.fitted
     chance = 1 + ROUGHNESS.chance * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
     detail = np.maximum(patches["spread"] - (0.0 if noise.is_shape else noise.sigma**2 * chance), 0.0)
