@@ -13,12 +13,12 @@ from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.compilation import FAST
 from handsight._kernels.runtime.threads import alone
-from handsight._kernels.runtime.warm import warm
 from handsight._kernels.solve import batch
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start
+from handsight.tracking.warm import warm
 
 __all__ = ["Evaluation", "alone", "fits_at_once", "kernel_call", "stages", "warm"]
 

@@ -95,7 +95,7 @@ def add(
     ```
     """
     from handsight.objects import Facts, ObjectModel, Symmetries
-    from handsight.objects.library.symmetry_notation import declared
+    from handsight.objects.symmetry_search import declared
 
     facts = Facts(
         name=name,

@@ -174,8 +174,7 @@ def write(fusion: Fusion, output: Path) -> list[str]:
     """Writes the model, and returns sentences about it."""
     import numpy as np
 
-    from handsight.objects.files.read import Shape
-    from handsight.objects.files.write import ply_bytes
+    from handsight.objects.files import Shape, ply_bytes
 
     model = fusion.model()
     content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)

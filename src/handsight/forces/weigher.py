@@ -19,7 +19,7 @@ from handsight.forces.object_motion import moved_with_tips
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.objects.weight import kept_center
+from handsight.objects.symmetry import kept_center
 from handsight.observation import Observation
 from handsight.rig import Rig
 

@@ -15,7 +15,7 @@ from handsight.camera import Camera
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes
 from handsight.msgspec_errors import decode
-from handsight.objects.library.index import INFO
+from handsight.objects.library.documents import INFO
 from handsight.recording.frames import Beside, Frame, Frames, color_beside, read_each
 from handsight.vision import read_color, read_depth
 from handsight.vision.pixels import MILLIMETRE
