@@ -32,7 +32,7 @@ from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, simulate
 from handsight.simulation.motion import MOTION, WEIGH_LEGS
-from handsight.simulation.payload import Payload, center_of_mass
+from handsight.simulation.loads import Payload, center_of_mass
 from handsight.tracking import JointOffsets
 from handsight.tracking.shared_errors import together
 from shared import report, wrong_weights, ycb
