@@ -29,11 +29,10 @@ from handsight.rig import Rig
 from handsight.simulation import Scenario
 from handsight.tracking.replay import Tally
 from handsight.viewer import Viewer
-from handsight.viewer.curves import curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
-from handsight.viewer.player import PLAYER, Timeline
-from handsight.viewer.replay_moments import follow
+from handsight.viewer.player import PLAYER
+from handsight.viewer.timeline import TIMELINE, Timeline, curves, follow
 from handsight.viewer.viewer_process import Frame
 from shared import report
 
@@ -97,7 +96,7 @@ def frames(name: str, seen: Tracked) -> list[str]:
             if begin - plotted > PLAYER.plot_period:
                 plotted = begin
                 page.draw_curves(shown, moment.stamp)
-            time.sleep(max(0.0, PLAYER.frame - (time.monotonic() - begin)))
+            time.sleep(max(0.0, TIMELINE.frame - (time.monotonic() - begin)))
         count = len(seen.timeline.moments) - 1
         return [name, str(count), f"{1e3 * (time.process_time() - began) / count:.1f}"]
 

@@ -31,8 +31,8 @@ from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, simulate
-from handsight.simulation.motion import MOTION, WEIGH_LEGS
 from handsight.simulation.loads import Payload, center_of_mass
+from handsight.simulation.motion import MOTION, WEIGH_LEGS
 from handsight.tracking import JointOffsets
 from handsight.tracking.shared_errors import together
 from shared import report, wrong_weights, ycb

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from handsight.simulation import Nuisances, Scenario
-from handsight.simulation.motion import WEIGH_LEGS, palm_poses
 from handsight.simulation.loads import Payload, center_of_mass
+from handsight.simulation.motion import WEIGH_LEGS, palm_poses
 from handsight.simulation.scene import FINGERS
 from handsight.simulation.simulate import tip_biases
 from simulation.simulated import only

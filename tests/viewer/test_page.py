@@ -375,8 +375,8 @@ def test_a_port_that_is_none_is_said(tracked, pages, port):
 
 
 def test_the_states_strip_has_each_state_in_its_place(page):
-    from handsight.viewer.curves import Curves
     from handsight.viewer.panel import STATES
+    from handsight.viewer.timeline import Curves
 
     times = np.linspace(0, 10, 11)
     states = ["lost"] * 3 + ["tracking"] * 8
@@ -387,8 +387,8 @@ def test_the_states_strip_has_each_state_in_its_place(page):
 
 
 def test_slips_are_marked_under_the_states(page):
-    from handsight.viewer.curves import Curves
     from handsight.viewer.panel import SLIP
+    from handsight.viewer.timeline import Curves
 
     times = np.linspace(0, 10, 11)
     page.draw_curves(Curves(times, np.ones(11), None, ["tracking"] * 11), 5.0)

@@ -83,9 +83,8 @@ def show(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSetting
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
     from handsight.tracking.replay import Tally
-    from handsight.viewer.curves import curves
-    from handsight.viewer.player import Player, Timeline
-    from handsight.viewer.replay_moments import follow
+    from handsight.viewer.player import Player
+    from handsight.viewer.timeline import Timeline, curves, follow
 
     with open_recording(path, rig) as recording:
         rig = with_intrinsics(rig, recording)

@@ -22,8 +22,8 @@ class SkinOptions(NamedTuple):
 
     foam: float = 1e7  # stiffness of a skin of 5 mm of foam [N/m per m²]
     rubber: float = 6e7
-    """Stiffness of 1.5 mm of soft rubber, as on the simulated palm [N/m per m²]: in the physics engine the palm is hard,
-    so a softer skin would contradict the object's pose.
+    """Stiffness of 1.5 mm of soft rubber, as on the simulated palm [N/m per m²]. The palm is hard in the physics
+    engine, so a softer skin would contradict the object's pose.
     """
     springs: int = 3  # of a taxel, each way
     sigma: float = 0.002  # noise of a taxel without contact [N]
