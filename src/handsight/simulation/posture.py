@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from handsight import se3
-from handsight.checks import Array, Indices
+from handsight.checks import Array
 from handsight.simulation.grasp_candidates import Hold, forces, wished
 from handsight.simulation.motion import Grasp
 from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, Scene, mujoco_module, tip_shape
@@ -60,7 +60,20 @@ class Posture:
         self._R = np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]]) @ R_grip_palm
         fingers = np.mean([point for finger, point in hold.points.items() if finger != "th"], axis=0)
         self._p = (hold.points["th"] + fingers) / 2 - self._R @ grip_palm
-        self._geoms, self._centers, self._radii = self._balls()
+        # Links that should touch nothing are covered by balls: geom, centre in it and radius [m] of each.
+        kinds = self._mujoco.mjtGeom
+        balls: list[tuple[int, Any, float]] = []
+        for i in range(self._model.ngeom):
+            geom = self._model.geom(i)
+            x, y, z = geom.size
+            if geom.type[0] == kinds.mjGEOM_CAPSULE and geom.contype[0]:
+                balls += [(i, (0, 0, t * y), x) for t in (-1, 0, 1)]
+            elif geom.name.startswith("robot0:C_") and geom.type[0] == kinds.mjGEOM_BOX:
+                grid = [(a, b) for a in (-1, 0, 1) for b in (-1, -0.33, 0.33, 1)]
+                balls += [(i, (a * (x - y), 0, b * (z - y)), y) for a, b in grid]
+            elif i in scene.tips and scene.tips[i] not in self._used:
+                balls += [(i, (0, 0, t * (z - x)), x) for t in (-1, 1)]
+        self._geoms, self._centers, self._radii = (np.array(column) for column in zip(*balls, strict=True))
 
     def grasp(self) -> tuple[Grasp | None, str]:
         """Returns the grasp, or None and the reason why the hand cannot take this hold."""
@@ -71,7 +84,20 @@ class Posture:
             return None, "out of reach"
         if min(clearance.min() for clearance in self._clearances()) < POSTURE.min_clearance:
             return None, "no room for the hand"
-        closed = self._pressing(x)
+        # The servos' targets [rad] are off the joints by the torques of balanced forces.
+        self._mujoco.mj_comPos(self._model, self._data)
+        points, normals = (np.array([*of.values()]) for of in (self.hold.points, self.hold.normals))
+        pressing, _ = forces(points, normals, wished(self.hold.points))
+        torques = np.zeros(self._model.nv)
+        for finger, point, force in zip(self._used, points, pressing, strict=True):
+            J = np.zeros((3, self._model.nv))
+            self._mujoco.mj_jac(self._model, self._data, J, None, point, self._model.body(f"{finger}_tip").id)
+            torques += J.T @ force
+        of_joint = {name: torques[self._model.joint(name).dofadr[0]] for name in self._scene.joints}
+        for leader, follower in self._follows:
+            of_joint[leader] += POSTURE.coupling * of_joint[follower]
+        closed = x[6:] + np.array([of_joint[name] for name in self._names]) / POSTURE.stiffness
+        closed = np.clip(closed, self._low - POSTURE.stop_margin, self._high + POSTURE.stop_margin)
         opened = self._fitted(
             lambda joints: self._residuals(np.concatenate([x[:6], joints]), POSTURE.tip_clearance), x[6:]
         )
@@ -150,38 +176,3 @@ class Posture:
         body = self.hold.body
         from_object = (at @ body.normals.T - body.offsets).max(axis=1)
         return from_object - self._radii, at[:, 2] - self._radii
-
-    def _balls(self) -> tuple[Indices, Array, Array]:
-        """Returns balls that cover links which should touch nothing: their geoms, centres (n, 3) and radii (n,) [m]."""
-        kinds = self._mujoco.mjtGeom
-        rows: list[tuple[int, Any, float]] = []
-        for i in range(self._model.ngeom):
-            geom = self._model.geom(i)
-            x, y, z = geom.size
-            if geom.type[0] == kinds.mjGEOM_CAPSULE and geom.contype[0]:
-                rows += [(i, (0, 0, t * y), x) for t in (-1, 0, 1)]
-            elif geom.name.startswith("robot0:C_") and geom.type[0] == kinds.mjGEOM_BOX:
-                rows += [
-                    (i, (a * (x - y), 0, b * (z - y)), y) for a in (-1, 0, 1) for b in (-1, -0.33, 0.33, 1)
-                ]
-            elif i in self._scene.tips and self._scene.tips[i] not in self._used:
-                rows += [(i, (0, 0, t * (z - x)), x) for t in (-1, 1)]
-        geoms, centers, radii = zip(*rows, strict=True)
-        return np.array(geoms), np.array(centers, dtype=np.float64), np.array(radii)
-
-    def _pressing(self, x: Array) -> Array:
-        """Returns the servos' targets that press with balanced forces in the posture x [rad]."""
-        self._place(x)
-        self._mujoco.mj_comPos(self._model, self._data)
-        points, normals = (np.array([*of.values()]) for of in (self.hold.points, self.hold.normals))
-        pressing, _ = forces(points, normals, wished(self.hold.points))
-        torques = np.zeros(self._model.nv)
-        for finger, point, force in zip(self._used, points, pressing, strict=True):
-            J = np.zeros((3, self._model.nv))
-            self._mujoco.mj_jac(self._model, self._data, J, None, point, self._model.body(f"{finger}_tip").id)
-            torques += J.T @ force
-        of = {name: torques[self._model.joint(name).dofadr[0]] for name in self._scene.joints}
-        for leader, follower in self._follows:
-            of[leader] += POSTURE.coupling * of[follower]
-        targets = x[6:] + np.array([of[name] for name in self._names]) / POSTURE.stiffness
-        return np.clip(targets, self._low - POSTURE.stop_margin, self._high + POSTURE.stop_margin)

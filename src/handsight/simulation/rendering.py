@@ -76,7 +76,23 @@ class Renderer:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            self._add_ghost(geom, *ghost)
+            (T_palm_object, rgba), model, palm = ghost, self._scene.model, self._data.body(PALM)
+            T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
+            # MuJoCo moves a mesh's frame to its principal axes of inertia.
+            quaternion_xyzw = np.roll(model.geom_quat[geom], -1)
+            T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], quaternion_xyzw)
+            T = T_world_palm @ T_palm_object @ T_object_geom
+            added, kind, size = (
+                self._drawn.geoms[self._drawn.ngeom],
+                int(model.geom_type[geom]),
+                model.geom_size[geom],
+            )
+            self._mujoco.mjv_initGeom(
+                added, kind, size, T[:3, 3], T[:3, :3].ravel(), np.array(rgba, np.float32)
+            )
+            if model.geom_dataid[geom] >= 0:
+                added.dataid = 2 * model.geom_dataid[geom]  # the mesh; the odd number after it is its hull
+            self._drawn.ngeom += 1
         color, _ = self._pixels(finer=SCENE.supersampling)
         blocks = color.reshape(IMAGE_SIZE[1], SCENE.supersampling, IMAGE_SIZE[0], SCENE.supersampling, 3)
         smooth: Color = blocks.mean(axis=(1, 3)).astype(np.uint8)
@@ -94,22 +110,6 @@ class Renderer:
         self._mujoco.mjv_updateScene(
             model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
         )
-
-    def _add_ghost(self, geom: int, T_palm_object: Array, rgba: Rgba) -> None:
-        """Adds a copy of the object's geom to what is drawn next."""
-        model, palm = self._scene.model, self._data.body(PALM)
-        T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
-        # MuJoCo moves a mesh's frame to its principal axes of inertia.
-        T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], np.roll(model.geom_quat[geom], -1))
-        T = T_world_palm @ T_palm_object @ T_object_geom
-        drawn = self._drawn.geoms[self._drawn.ngeom]
-        self._mujoco.mjv_initGeom(
-            drawn, int(model.geom_type[geom]), model.geom_size[geom], T[:3, 3], T[:3, :3].ravel(),
-            np.array(rgba, dtype=np.float32),
-        )  # fmt: skip
-        if model.geom_dataid[geom] >= 0:
-            drawn.dataid = 2 * model.geom_dataid[geom]  # the mesh; the odd number after it is its hull
-        self._drawn.ngeom += 1
 
     def _pixels(self, *, finer: int = 1) -> tuple[Color, Depth]:
         """Returns colour (h, w, 3) and the depth buffer (h, w), of `finer` times the image's size."""

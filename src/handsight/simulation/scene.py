@@ -125,8 +125,7 @@ def scene(
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.iterations, spec.option.tolerance = 100, 1e-10
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-    _make_tips(mujoco, spec, friction)
-    _let_mount_move(mujoco, spec)
+    _change_hand(mujoco, spec, friction)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name)
     if mass != SCENARIO.object_mass or any(shift):
@@ -153,8 +152,11 @@ def hand_file() -> Path:
     return Path(found.origin).parent / HAND_FILE
 
 
-def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
-    """Replaces each distal link's collision shape by an ellipsoid on a sensor, which all force on the link passes."""
+def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
+    """Replaces each distal link's collision shape by an ellipsoid on a sensor, which all force on the link passes.
+
+    The hand floats, welded to a mocap body that represents the arm.
+    """
     replaced = {f"robot0:C_{finger}distal" for finger in FINGERS}
     for pair in list(spec.pairs):
         if pair.geomname1 in replaced or pair.geomname2 in replaced:
@@ -178,10 +180,6 @@ def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
     # The hand's geoms collide only in declared pairs; tips that are no neighbours never meet.
     for a, b in (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4])):
         spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
-
-
-def _let_mount_move(mujoco: ModuleType, spec: "MjSpec") -> None:
-    """Lets the hand float, welded to a mocap body that represents the arm."""
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
     mount.pos, mount.quat = [0, 0, 0], [1, 0, 0, 0]

@@ -105,7 +105,16 @@ class World:
             self._T_palm_object_freed = self.T_palm_object()
         self._move_arm()
         if self._pulled and self.time >= PULL.begin:
-            self._pull_object()
+            touching = [contact for contact in self.tip_contacts() if contact.other == "object"]
+            if self._pull is None:
+                normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
+                self._pull = Pull(self._scenario, normals)
+            # An object that has slipped out of the hand is let go.
+            slip_speed = np.inf if self.dropped() else min((c.speed for c in touching), default=0.0)
+            speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
+            wrench_palm = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3)
+            wrench = wrench_palm @ self.pose(PALM)[:3, :3].T
+            self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
         elif self.phase == "move":
             self._load.press(self.data)
         self._mujoco.mj_step(self.scene.model, self.data)
@@ -204,17 +213,6 @@ class World:
         kind = self._mujoco.mjtObj.mjOBJ_BODY
         self._mujoco.mj_objectVelocity(self.scene.model, self.data, kind, body, found, 0)
         return np.stack([found[3:] + np.cross(found[:3], point - self.data.xipos[body]), found[:3]])
-
-    def _pull_object(self) -> None:
-        """Applies the pull to the object for the next step; an object that has slipped out of the hand is let go."""
-        touching = [contact for contact in self.tip_contacts() if contact.other == "object"]
-        if self._pull is None:
-            normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
-            self._pull = Pull(self._scenario, normals)
-        slip_speed = np.inf if self.dropped() else min((contact.speed for contact in touching), default=0.0)
-        speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
-        wrench = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3) @ self.pose(PALM)[:3, :3].T
-        self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
 
     def _hold_object(self, row: Array) -> None:
         free = self.data.joint("object")

@@ -1,7 +1,7 @@
 """The knowledge of a tracker at one instant, as it is shown, and one sentence about it."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -23,7 +23,6 @@ VISION_FOR = 1.0
 """How long the last measurement of vision is shown [s]."""
 LIKELY = 0.02
 """Smallest probability of another mode that is shown."""
-NO_TOUCH = "no finger touches"
 
 
 class Measured(NamedTuple):
@@ -141,40 +140,35 @@ class Moment:
     @property
     def sentence(self) -> str:
         """The state, why it is no better, and the evidence for the estimate."""
-        mentions_touch = "touched" in self.reason and not self.fingertips.fingers
-        parts = [part for part in (self.reason, *self._evidence()) if part]
-        parts = [part for part in parts if not (mentions_touch and part == NO_TOUCH)]
-        return f"{self.state.capitalize()}: {'; '.join(parts)}."
-
-    def _evidence(self) -> Iterator[str]:
-        """Yields the parts of the sentence after the reason."""
         estimate, fingers = self.estimate, self.fingertips.fingers
-        if not fingers:
-            yield NO_TOUCH
-        elif len(fingers) == 1:
-            yield f"only {fingers[0]} touches"
-        else:
+        parts = [self.reason] if self.reason else []
+        if len(fingers) > 1:
             fit = " and fit the object" if estimate is not None and estimate.consistent else ""
-            yield f"{_listed(fingers)} touch{fit}"
-        if estimate is None:
-            return
-        least = self.slip.least or 0.0
-        if least >= 0.8 and not self.slip.slipping:
-            yield f"the grip uses {least:.0%} of what friction holds"
-        if self.outliers:
-            yield f"{_listed(self.outliers)} left out as wrong"
-        if math.isfinite(self.sigma) and "known to" not in self.reason:
-            yield f"the position is known to {1e3 * self.sigma:.{0 if self.sigma >= 0.01 else 1}f} mm"
-        rows = estimate.unobservable
-        if fingers and len(rows):
-            counts = ("no", "a", "two", "three", "four", "five", "six")
-            slides = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
-            kinds = ((slides, "slide"), (len(rows) - slides, "turn"))
-            flat = " and ".join(f"{counts[n]} {name}{'s' * (n > 1)}" for n, name in kinds if n)
-            yield f"touch leaves {flat if len(rows) < 6 else 'every direction'} open"
-        others = [mode.weight for mode in estimate.hypotheses[1:] if mode.weight >= LIKELY]
-        if others:
-            yield f"another pose is likely by {others[0]:.0%}"
+            parts.append(f"{_listed(fingers)} touch{fit}")
+        elif fingers:
+            parts.append(f"only {fingers[0]} touches")
+        elif "touched" not in self.reason:
+            parts.append("no finger touches")
+        if estimate is not None:
+            least = self.slip.least or 0.0
+            if least >= 0.8 and not self.slip.slipping:
+                parts.append(f"the grip uses {least:.0%} of what friction holds")
+            if self.outliers:
+                parts.append(f"{_listed(self.outliers)} left out as wrong")
+            if math.isfinite(self.sigma) and "known to" not in self.reason:
+                digits = 0 if self.sigma >= 0.01 else 1
+                parts.append(f"the position is known to {1e3 * self.sigma:.{digits}f} mm")
+            rows = estimate.unobservable
+            if fingers and len(rows):
+                counts = ("no", "a", "two", "three", "four", "five", "six")
+                slides = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
+                kinds = ((slides, "slide"), (len(rows) - slides, "turn"))
+                flat = " and ".join(f"{counts[n]} {name}{'s' * (n > 1)}" for n, name in kinds if n)
+                parts.append(f"touch leaves {flat if len(rows) < 6 else 'every direction'} open")
+            others = [mode.weight for mode in estimate.hypotheses[1:] if mode.weight >= LIKELY]
+            if others:
+                parts.append(f"another pose is likely by {others[0]:.0%}")
+        return f"{self.state.capitalize()}: {'; '.join(parts)}."
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -19,12 +19,11 @@ from handsight.viewer.picture import Picture
 from handsight.viewer.scene import LAYERS, Color, Scene
 from handsight.viewer.timeline import Curves
 
-HOST = "127.0.0.1"
-
 
 class PageOptions(NamedTuple):
     """`PageOptions` say where the page is served, and how often it is drawn."""
 
+    host: str = "127.0.0.1"  # this machine alone
     port: int = 8080  # the default
     max_port: int = 65535  # the largest port
     min_change: float = 1e-3
@@ -56,7 +55,7 @@ class Page:
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
         try:
             with _silent():
-                self.server = viser.ViserServer(host=HOST, port=port, label="handsight", verbose=False)
+                self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
         self.port: int = self.server.get_port()
@@ -85,7 +84,7 @@ class Page:
     @property
     def address(self) -> str:
         """Address of the page for a browser."""
-        return f"http://{HOST}:{self.port}"
+        return f"http://{PAGE.host}:{self.port}"
 
     @property
     def watched(self) -> bool:

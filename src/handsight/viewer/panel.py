@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 STATES: dict[State, str] = {"tracking": "#2e7d32", "uncertain": "#c77800", "lost": "#b71c1c"}
 NOW, SLIP = "#111111", "#6a1b9a"
-STATUS, CONTROLS, STRIP, CURVES, IMAGE, SHOWN = range(0, 60, 10)
-"""Positions in the panel, from its top."""
+CONTROLS = 10
+"""Position of a player's controls in the panel: after the status at 0, before the strip of states at 20."""
 
 
 class Panel:
@@ -37,23 +37,23 @@ class Panel:
         self._gui, self._title, self._uplot = gui, title, uplot
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.main_panel.dock_right()
-        self.status = gui.add_html("", order=STATUS)
+        self.status = gui.add_html("", order=0)
         legend = "".join(
             f'<span style="white-space:nowrap;margin-right:.9em"><span style="color:rgb{color}">&#9679;</span> '
             f"{html.escape(label)}</span> "
             for label, color in LAYERS.values()
         )
         legend = f'<div style="padding:0 .8em;color:#555;font-size:.74em">{legend}</div>'
-        gui.add_html(legend, order=STATUS + 1)
-        self.strip = gui.add_html("", order=STRIP)
+        gui.add_html(legend, order=1)
+        self.strip = gui.add_html("", order=20)
         self.curves: Any = None
-        self.image = gui.add_html("", order=IMAGE)
+        self.image = gui.add_html("", order=40)
 
         def choose(name: str, box: "GuiCheckboxHandle") -> None:
             layers[name] = box.value
             redraw()
 
-        with gui.add_folder("What is shown", order=SHOWN, expand_by_default=False):
+        with gui.add_folder("What is shown", order=50, expand_by_default=False):
             for name, (label, _) in LAYERS.items():
                 box = gui.add_checkbox(label, layers[name])
                 box.on_update(lambda _, name=name, box=box: choose(name, box))
@@ -114,7 +114,7 @@ class Panel:
             scales={"x": self._uplot.Scale(time=False), "y": self._uplot.Scale(distr=3)},
             height=200,
             padding=(12, 16, 0, 0),
-            order=CURVES,
+            order=30,
         )
 
 
