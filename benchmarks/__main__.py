@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import frontier, gate, plots, suite, tables
-from shared import report
+from testbed import report
 
 
 def parsed(arguments: list[str] | None = None) -> argparse.Namespace:

@@ -17,7 +17,7 @@ from benchmarks import timing, workload
 from benchmarks.peers.scaling_series import ScalingSeries
 from benchmarks.shapes import bumpy
 from benchmarks.workload import Problem
-from shared import scenes
+from testbed import scenes
 
 Row = dict[str, Any]
 MANY = 60

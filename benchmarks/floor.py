@@ -14,7 +14,7 @@ from benchmarks import workload
 from benchmarks.kernels import Evaluation
 from benchmarks.shapes import bumpy
 from handsight import ObjectModel
-from shared import report
+from testbed import report
 
 CONTACTS = 5
 TRANSFORM = 9 + 9

@@ -19,7 +19,7 @@ from benchmarks.peers.ours import with_starts
 from benchmarks.shapes import bumpy, can
 from benchmarks.workload import Peer, Problem
 from handsight.errors import InvalidInput
-from shared import scenes
+from testbed import scenes
 
 CONTACTS = (2, 3, 5, 8, 12)
 OUTSIDE = (0, 10, 30, 100, 200, 500)

@@ -20,7 +20,6 @@ import numpy as np
 import psutil
 from rosbags import rosbag1
 
-from handsight.cli.simulate import BEGINS
 from handsight.messages.decode import typestore
 from handsight.messages.topics import rig_topics
 from handsight.objects import ObjectSpec
@@ -31,6 +30,7 @@ from handsight.recording.rosbag1 import Rosbag1Source
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of, simulate
+from testbed.recordings import BEGINS
 from tests.ros.ros1 import Graph, graph, messages_of
 
 RATE = 500.0

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import frontier
-from shared import figures
+from testbed import figures
 
 COLOURS = {
     "ours": "#2e9e4f",

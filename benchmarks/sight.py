@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-import sight_tracking as tracking
 from benchmarks import peers, timing
 from benchmarks.targets import Target
 from handsight.vision.object.region import Scene, scene_of, table_plane
-from shared import report, sight, ycb
-from shared import sight_scenes as scenes
-from shared.report import Rows
-from shared.sequences import drawn
+from testbed import report, sequences, sight, ycb
+from testbed import sight_scenes as scenes
+from testbed import sight_sequences as drawn
+from testbed.report import Rows
 
 RIGHT = 0.1
 OURS, FPFH, GICP = "ours", "open3d_fpfh", "small_gicp"
@@ -63,15 +62,15 @@ def first_poses(names: Sequence[str], trials: int, seed: int) -> Rows:
     return rows
 
 
-def followed(sequences: int, seed: int) -> Rows:
+def followed(number: int, seed: int) -> Rows:
     """A row for each image and follower, taken in turn; each begins at the true pose."""
-    folder, hand, rows = ycb.data_or_goodbye(), tracking.hand_shape(), []
-    for k in report.progress(range(sequences), "following"):
-        of, rng = tracking.OBJECTS[k % len(tracking.OBJECTS)], np.random.default_rng([seed, k])
+    folder, hand, rows = ycb.data_or_goodbye(), sequences.hand_shape(), []
+    for k in report.progress(range(number), "following"):
+        of, rng = sequences.OBJECTS[k % len(sequences.OBJECTS)], np.random.default_rng([seed, k])
         model: hs.ObjectModel = ycb.load(folder, of).model
-        aside = tracking.ASIDE[k % len(tracking.ASIDE)]
+        aside = sequences.ASIDE[k % len(sequences.ASIDE)]
         images = drawn.sequence(model, hand, rng, aside=aside, hold=k % 2 == 0)
-        for row in tracking.followed(of, model, images, {"sequence": k}):
+        for row in sequences.followed(of, model, images, {"sequence": k}):
             peer = {"handsight": OURS, "small_gicp": GICP}.get(row["method"])
             if peer is not None:
                 rows.append({key: row[key] for key in ("sequence", "image", "mm", "deg")}
@@ -82,7 +81,7 @@ def followed(sequences: int, seed: int) -> Rows:
 
 def binned(hidden: float) -> str:
     """The bin of occlusion of an image of a sequence."""
-    low, high = next((low, high) for low, high in tracking.BINS if low < hidden <= high)
+    low, high = next((low, high) for low, high in sequences.BINS if low < hidden <= high)
     return f"{max(low, 0):.0%} to {min(high, 1):.0%}"
 
 

@@ -18,9 +18,10 @@ from dataclasses import dataclass, field
 from typing import IO, NamedTuple
 
 import psutil
+from rich.console import Console
+from rich.progress import Progress
 
-from handsight.cli.terminal import bar
-from shared import report
+from testbed import report
 
 STEP = 1e-4
 """How far each line's problem lies from the one before [m]; its answer is exact to far less."""
@@ -126,8 +127,9 @@ def soak(count: int, size: int, every: int) -> Soaked:
     with (
         tempfile.TemporaryFile() as said,
         subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said) as command,
-        bar(f"{count} lines") as move,
+        Progress(console=Console(stderr=True), transient=True) as bar,
     ):
+        task = bar.add_task(f"{count} lines", total=count)
         assert command.stdin is not None
         assert command.stdout is not None
         watch, began = Watch(psutil.Process(command.pid), every), time.monotonic()
@@ -142,7 +144,8 @@ def soak(count: int, size: int, every: int) -> Soaked:
             wrong += not is_answer(watch.came, text.decode())
             watch.came += 1
             if watch.came % 1000 == 0:
-                move(watch.came / count, f"{watch.came} answers, {watch.killed} workers killed")
+                message = f"{watch.came} answers, {watch.killed} workers killed"
+                bar.update(task, completed=watch.came, description=message)
         code, seconds = command.wait(), time.monotonic() - began
         watch.over.set()
         said.seek(0)

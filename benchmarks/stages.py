@@ -7,7 +7,7 @@ import numpy as np
 
 import handsight as hs
 from benchmarks import kernels, workload
-from shared import report
+from testbed import report
 
 PROBLEMS, REPEATS = 12, 1500
 OTHER = np.ones(2 << 17)

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 import handsight as hs
-from handsight.cli.simulate import record
-from handsight.cli.terminal import bar
-from handsight.cli.track import run
+from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking import TrackerSettings
-from shared import report
+from handsight.tracking.replay import Tally, replay
+from testbed import report
+from testbed.recordings import record
 
 STEP, SEEN_EVERY, RATE = 1e-3, 0.1, 500.0
 KINDS = {
@@ -63,14 +63,12 @@ def updated(kind: str, count: int) -> list[str]:
         tracker.update(observation)
     took, corrections = np.full(count, np.nan), tracker.corrections  # all of its pages now
     memory, began = [], time.perf_counter()
-    with bar(kind) as advance:
-        for k, observation in enumerate(stream(held, 10.0, count)):
-            if k % max(count // 10, 1) == 0:
-                memory.append(resident())
-                advance(k / count)
-            begin = time.perf_counter()
-            tracker.update(observation)
-            took[k] = time.perf_counter() - begin
+    for k, observation in enumerate(stream(held, 10.0, count)):
+        if k % max(count // 10, 1) == 0:
+            memory.append(resident())
+        begin = time.perf_counter()
+        tracker.update(observation)
+        took[k] = time.perf_counter() - begin
     memory.append(resident())
     median, tail = 1e6 * np.quantile(took, [0.5, 0.99])
     return [
@@ -118,16 +116,20 @@ def replayed(images: bool, repeats: int) -> list[str]:
         scenario = Scenario(object="can", seed=1, motion="grasp" if images else "manipulate", images=images)
         record(scenario, path)
         rig = Rig.from_file(path.with_name("can.rig.yaml"))
-        settings = TrackerSettings(rate=100)
-        ended = [run(path, rig, model_of(scenario), settings, lambda *said: None) for _ in range(repeats)]
-        factors = [one.tally.recorded / one.tally.wall for one in ended]
+        tallies = []
+        for _ in range(repeats):
+            tracker, tally = hs.Tracker(rig, model_of(scenario), settings=TrackerSettings(rate=100)), Tally()
+            with open_recording(path, rig) as recording:
+                for _step in replay(recording.observations(), tracker, tally):
+                    pass
+            tallies.append(tally)
+        factors = [tally.recorded / tally.wall for tally in tallies]
         size = path.stat().st_size / 1e6
-    first = ended[0]
     return [
         "with RGB-D at 30 Hz" if images else "no images",
-        f"{first.tally.recorded:.1f}",
+        f"{tally.recorded:.1f}",
         f"{size:.1f}",
-        str(first.corrections),
+        str(tracker.corrections),
         f"{np.median(factors):.1f}",
         f"{min(factors):.1f}-{max(factors):.1f}",
     ]

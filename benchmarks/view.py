@@ -20,8 +20,6 @@ from pathlib import Path
 import psutil
 
 import handsight as hs
-from handsight.cli.demo import DATA
-from handsight.cli.simulate import record
 from handsight.evaluation import Truths
 from handsight.observation import Observation
 from handsight.recording import open_recording
@@ -34,7 +32,8 @@ from handsight.viewer.page import Page
 from handsight.viewer.player import PLAYER
 from handsight.viewer.timeline import TIMELINE, Timeline, curves, follow
 from handsight.viewer.viewer_process import Frame
-from shared import report
+from testbed import report
+from testbed.recordings import record
 
 READER = """
 import sys
@@ -46,6 +45,8 @@ with connect(sys.argv[1], subprotocols=["viser-v" + version("viser")], max_size=
         pass
 """
 OBSERVATIONS = 600
+DATA = Path(hs.__file__).parent / "data"
+"""The built-in recordings."""
 
 
 @dataclass

@@ -14,7 +14,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from shared import scenes
+from testbed import scenes
 
 NEAR, FAR = scenes.VISION_ERRORS
 OBJECTS = tuple(scenes.OBJECTS)

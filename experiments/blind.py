@@ -35,7 +35,7 @@ from handsight.simulation.touch_search import (
     touch_search_rig,
 )
 from shared import figures, report, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 OBJECTS = ("can", "box")
 TOUCHES = 6

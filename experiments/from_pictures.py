@@ -38,7 +38,7 @@ from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking import TrackerSettings
 from handsight.vision import DepthTracker, hand_mask
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 OBJECTS = ("can", "box")
 RATE = 20.0

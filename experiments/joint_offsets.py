@@ -22,7 +22,7 @@ from handsight.evaluation import correction_errors
 from handsight.simulation import Nuisances, Sample, Scenario, rig_of, simulate
 from handsight.tracking import JointOffsets
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 GRASPS = 8
 """Of each object."""

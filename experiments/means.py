@@ -19,7 +19,7 @@ from handsight import se3
 from handsight.correction import Outside, Plane
 from shared import report, scenes
 from shared.grips import IN_SPACE, ON_TABLE, gripped
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 SAMPLES, QUICK_SAMPLES = 100_000, 20_000
 REPEATS = 10

@@ -27,7 +27,7 @@ from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.palm.hand_in_image import HandInImage
 from shared import report
-from shared.report import Array, Rows
+from testbed.report import Array, Rows
 
 WAYS = ("pose alone", "pose", "points")
 COVERED = (0.0, 0.5, 0.8, 0.95)

@@ -18,7 +18,7 @@ import handsight as hs
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking.replay import Tally, replay
 from shared import report, scenes, ycb
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 MESHES = (
     "002_master_chef_can", "004_sugar_box", "006_mustard_bottle",

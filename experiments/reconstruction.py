@@ -28,8 +28,8 @@ from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
 from scans import Thing, grasp
 from shared import figures, report, scenes, ycb
-from shared.report import Array, Row, Rows
 from sight_scenes import CAMERA
+from testbed.report import Array, Row, Rows
 
 YCB = ("006_mustard_bottle", "021_bleach_cleanser")
 CELL, BOUND, COVERED = 0.002, 0.006, 0.004

@@ -21,7 +21,7 @@ import handsight as hs
 from handsight import se3
 from handsight.objects.symmetry import Symmetries
 from shared import figures, report, scenes, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 POINTS = 4000
 SIGMAS_MM = (0.5, 1.0, 2.0)

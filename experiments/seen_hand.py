@@ -25,7 +25,7 @@ from handsight.hand import Hand
 from handsight.simulation import Scenario, rig_of
 from handsight.vision import HandAppearance, PalmDetection, PalmNotFound, PlacedHand, detect_palm, follow_palm
 from shared import figures, hand_scenes, report, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 BELIEFS = ((20.0, 2.0), (40.0, 4.0), (60.0, 4.0), (80.0, 5.0), (None, None))
 """Off by [mm, °]; None: as the simulator's camera is."""

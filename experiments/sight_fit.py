@@ -13,7 +13,7 @@ from handsight.vision.object.locate import LOCATE, scene_in
 from handsight.vision.object.presence import EVIDENCE, evidence_of
 from shared import report, sight, ycb
 from shared import sight_scenes as scenes
-from shared.report import Array
+from testbed.report import Array
 
 RIGHT = 0.1
 NEVER = -30.0

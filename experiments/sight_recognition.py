@@ -15,7 +15,7 @@ from handsight.vision.object.presence import log_odds, probabilities
 from handsight.vision.object.recognition import recognise
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
-from shared.report import Array
+from testbed.report import Array
 
 RIGHT = 0.1
 THRESHOLDS = (0.01, 0.02, 0.03, 0.1, 0.3, 0.5, 0.9)

@@ -34,7 +34,7 @@ from handsight.simulation import Sample, Scenario, model_of, rig_of, simulate
 from handsight.simulation.scenario import SCENARIO
 from handsight.tracking import FingertipSensors
 from shared import figures, report, scenes, slips
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 RATE, CARRY_RATE = 250.0, 100.0
 """Samples a second."""

@@ -18,13 +18,13 @@ tilt [mm], with the weight and without.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.cli.demo import DATA
 from handsight.correction import WeightEvidence
 from handsight.forces import Weigher
 from handsight.objects import Symmetries
@@ -37,9 +37,11 @@ from handsight.tracking import JointOffsets
 from handsight.tracking.shared_errors import together
 from shared import report, wrong_weights, ycb
 from shared.grasp_trials import exact_model, fingertips, rig, trial_of
-from shared.report import Array, Row, Rows
 from shared.weight_tables import show
+from testbed.report import Array, Row, Rows
 
+DATA = Path(hs.__file__).parent / "data"
+"""The built-in recordings."""
 ENDS = MOTION.at_rest + np.cumsum(WEIGH_LEGS[:, 0])
 LIFTED, HOLDS, MOVES = ENDS[1], ENDS[[2, 4, 6, 8, 10]], ENDS[10]
 """When it is lifted, when the holds of the five orientations end, and when it begins to be shaken [s]."""

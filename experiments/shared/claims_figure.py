@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from shared import figures, report
-from shared.report import Rows
+from testbed.report import Rows
 
 COLOURS = ("#4878a8", "#c2185b", "#8f5fb8")
 

@@ -9,7 +9,7 @@ import handsight as hs
 from handsight import se3
 from handsight.evaluation import base_center
 from shared import scenes
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 GRID = 0.001
 """To what the corners are read off the paper on the table [m]."""

@@ -10,7 +10,7 @@ import handsight as hs
 from shared import report, scenes
 from shared.grasp_errors import open_sigma, pose_errors
 from shared.grasp_trials import Trial, exact_model
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 SAMPLES = 4000
 WEIGHTS_CM = (1, 2, 5, 10)

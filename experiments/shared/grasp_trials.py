@@ -21,7 +21,7 @@ from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, 
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
 from handsight.tracking.measurements import on_table
 from shared.grasp_errors import pose_errors
-from shared.report import Array
+from testbed.report import Array
 
 OBJECTS = ("can", "box")
 OUTSIDE = 500

@@ -5,7 +5,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from shared import scenes
-from shared.report import Array
+from testbed.report import Array
 
 NOISE = (1.6e-3, float(np.deg2rad(4)))
 """Of a contact per axis: what joint offsets of 1 degree leave."""

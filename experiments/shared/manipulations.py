@@ -15,7 +15,7 @@ from handsight.tracking.replay import Step, Tally, replay
 from shared.grasp_errors import pose_errors
 from shared.grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
 from shared.grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 RATE = 50.0
 """Observations a second; vision sees ten times a second."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 REMOVED = (
     # object, experiment, method, least share removed [%], most error as read [mm]

@@ -4,7 +4,7 @@ import numpy as np
 
 from handsight.simulation import Nuisances, Sample, Scenario
 from handsight.simulation.scenario import Profile
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 PRESSED = 0.2
 """A tip that presses the object less has no say [N]."""

@@ -14,7 +14,7 @@ import handsight as hs
 from handsight.objects import Symmetries
 from handsight.simulation import Nuisances, Scenario, simulate
 from shared.grasp_trials import exact_model, rig
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 MASS, OFF, FULL_SCALE = 0.15, 0.02, 80.0
 """Of the objects [kg], how far off a centre of mass is declared [m], and what a sensor cannot read [N]."""

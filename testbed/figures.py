@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from shared import report
-from shared.report import Array
+from testbed import report
+from testbed.report import Array
 
 INITIAL, TRUTH, RESULT = "0.6", "#2e9e4f", "#e6b400"
 """The paper's colours of its Fig. 3: grey, green, yellow."""

@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 import handsight as hs
 from handsight import se3
 from handsight.objects import ObjectWarning, propose_symmetries
-from shared import report, scenes
-from shared.report import Array
+from testbed import report, scenes
+from testbed.report import Array
 
 ESTIMATORS = {
     "CosyPose": "cosypose",
@@ -37,7 +37,7 @@ QUERIES, SURFACE = 1000, 20_000
 def data_folder() -> Path | None:
     """Where the data are: $HANDSIGHT_DATA, else `shared/data` beside the checkout; None: nowhere."""
     named = os.environ.get("HANDSIGHT_DATA")
-    folder = Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
+    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
     return folder if (folder / "ycb_meshes").is_dir() else None
 
 

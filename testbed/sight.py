@@ -13,8 +13,8 @@ import numpy as np
 
 import handsight as hs
 from handsight.objects import ObjectWarning, propose_symmetries
-from shared import sight_scenes as scenes
-from shared import ycb
+from testbed import sight_scenes as scenes
+from testbed import ycb
 
 FITTED_ON = (100, 101)
 LOOKS_ALIKE = 0.02
