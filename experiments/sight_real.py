@@ -12,6 +12,7 @@ depth cannot tell from it: both are reported. Whole images are looked at, with a
 
 import os
 import sys
+import time
 from pathlib import Path
 
 import numpy as np

@@ -57,17 +57,17 @@ def draw_located(rows: Sequence[Located], path: Path) -> None:
 
 def _draw(left: "Axes", right: "Axes", row: Located) -> None:
     """Draws a picture with its poses on the left, and residuals, or why there is no pose, on the right."""
-    frame, found, scores = row.frame, row.found, ""
+    frame, found, name, scores = row.frame, row.found, row.model.name or "object", ""
     if row.recognition is not None:
         likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
         each = [*likeliest, ("none", row.recognition.none)]
-        scores = "\n" + ", ".join(f"{name} {share:.2f}" for name, share in each)
+        scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in each)
     left.imshow(_background(frame), interpolation="nearest")
     for axes in (left, right):
         axes.set_xticks([])
         axes.set_yticks([])
     if row.reason is not None:
-        text = f"{row.model.name} is not here" if row.recognition is None else "none of them is here"
+        text = f"{name} is not here" if row.recognition is None else "none of them is here"
         left.set_title(f"{frame.name}: {text}{scores}", fontsize=11)
         reason = textwrap.fill(row.reason, FIGURE.line_width)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
@@ -87,7 +87,7 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
         _crop(left, drawn)
     _residual(right, frame, drawn)
     x, y, z = (1e3 * shown[0][:3, 3]).round() + 0.0  # no -0
-    place = f"{row.model.name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
+    place = f"{name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
     left.set_title(f"{frame.name}: {place}{scores}", fontsize=11)
 
 

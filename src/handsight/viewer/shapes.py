@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import generate_binary_structure, iterate_structure, minimum_filter
 
 from handsight import se3
 from handsight.camera import Camera, Depth
@@ -71,8 +71,9 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     inside &= (pixels < np.array(camera.size) - 0.5).all(axis=1)
     u, v = np.round(pixels[inside]).astype(int).T
     np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
-    grown = binary_dilation(np.isfinite(depth), iterations=SHAPES.dot)
-    return np.where(grown & ~np.isfinite(depth), np.float32(points[:, 2].mean()), depth)
+    # Each point is a dot in front of what is behind it.
+    dot = iterate_structure(generate_binary_structure(2, 1), SHAPES.dot)
+    return np.asarray(minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
 
 
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
