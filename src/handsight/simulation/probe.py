@@ -1,7 +1,7 @@
 """A simulated hand that touches objects on a table: one finger is stretched, its tip is swept along lines."""
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -60,17 +60,16 @@ class ProbeOptions(NamedTuple):
 PROBE = ProbeOptions()
 
 
-def ignore(_: Sample) -> None:
-    """Does nothing with a sample."""
-
-
 class Probe(World):
     """A `Probe` is the hand above the table, one finger stretched; the object stands free at the scene's origin."""
 
-    def __init__(self, scenario: Scenario, R_scene_object: Array, T_world_table: Array) -> None:
+    def __init__(
+        self, scenario: Scenario, R_scene_object: Array, T_world_table: Array, *, recording: bool = False
+    ) -> None:
         """Starts with the object at rotation `R_scene_object` (3, 3) in the scene.
 
-        `T_world_table` (4, 4) is where the robot believes the scene's origin to be. Raises as `World` does.
+        `T_world_table` (4, 4) is where the robot believes the scene's origin to be. With `recording` all samples are
+        kept in `recorded`, those on the way to a sweep too. Raises as `World` does.
         """
         rig = rig_of(scenario)
         self._tips, self._finger = FingertipSensors(rig), rig.fingers[FINGER]
@@ -94,6 +93,7 @@ class Probe(World):
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
         self.top = float(np.ptp(corners[:, 2]))
         """Height of the object above the table [m]."""
+        self._recording, self.recorded = recording, list[Sample]()
         self._every = round(SCENARIO.steps_per_second / scenario.rate)
         self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
 
@@ -113,7 +113,7 @@ class Probe(World):
         lowest = max(PROBE.min_height, self.top - PROBE.reach)
         return lowest, max(lowest, self.top - PROBE.top_margin)
 
-    def feel_table(self, places: ArrayLike, on_sample: Callable[[Sample], None] = ignore) -> float:
+    def feel_table(self, places: ArrayLike) -> float:
         """Returns the mean height of the table where the tip is pressed down on it, at places (n, 2) in the world [m].
 
         Places beside the table do not count. Raises InvalidInput where there are no others.
@@ -122,10 +122,9 @@ class Probe(World):
         for x, y in places:
             R = self._turned(np.array([1.0, 0.0, 0.0]))
             begin = self._palm(R, np.array([x, y, PROBE.table_start]))
-            self._travel(begin, on_sample)
+            self._travel(begin)
             down = _distances(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, down)):
-                on_sample(sample)
                 sensed = self._tips.contacts(sample.observation)
                 if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
                     T = self._tip(sample.observation)
@@ -137,17 +136,13 @@ class Probe(World):
         heights = np.array(found)
         return float(heights[np.abs(heights - np.median(heights)) < PROBE.table_unevenness].mean())
 
-    def touch(self, sweep: Sweep, on_sample: Callable[[Sample], None] = ignore) -> Touch:
-        """Returns the result of a sweep: the hand travels to its start and moves along it until it touches something.
-
-        `on_sample` is called with every sample of it.
-        """
+    def touch(self, sweep: Sweep) -> Touch:
+        """Returns the result of a sweep: the hand travels to its start, and along it until it touches something."""
         start = self._palm(self._turned(sweep.direction_world), sweep.start_world)
-        self._travel(start, on_sample)
+        self._travel(start)
         free: list[Array] = []
         contact = None
         for sample in self._along(_shifted(start, _distances(sweep.length)[:, None] * sweep.direction_world)):
-            on_sample(sample)
             contact = self._sensed_contact(sample.observation)
             if contact is not None:
                 break
@@ -157,14 +152,11 @@ class Probe(World):
         if contact is not None:
             # The mean wrench of a hand at rest is more accurate, unless the contact is lost.
             resting = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
-            samples = list(self._along(resting))
-            for sample in samples:
-                on_sample(sample)
-            last = [sample.observation for sample in samples[-PROBE.readings :]]
+            last = [sample.observation for sample in self._along(resting)][-PROBE.readings :]
             mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
             contact = self._sensed_contact(replace(last[-1], wrenches={FINGER: mean})) or contact
         back = PROBE.retreat if contact is not None else 0.0
-        self._straight(_shifted(self._T_world_palm, -back * sweep.direction_world), on_sample)
+        self._straight(_shifted(self._T_world_palm, -back * sweep.direction_world))
         return Touch(np.array(free).reshape(-1, 3), PROBE.radius, PROBE.sigma, contact)
 
     def _sensed_contact(self, observation: Observation) -> Contacts | None:
@@ -177,21 +169,24 @@ class Probe(World):
             return None
         return sensed.contacts.select([k]).moved(_palm_and_joints(observation)[0])
 
-    def _along(self, Ts_world_palm: Array, *, sampled: bool = True) -> Iterator[Sample]:
+    def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
         """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next.
 
-        It yields none unless `sampled`: samples take longer than the simulation.
+        It yields none that is neither `needed` nor recorded: samples take longer than the simulation.
         """
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
             self._arm, self._T_world_palm = arm[i : i + 1], T
             self.step()
-            if sampled and self.steps % self._every == 0:
+            if (needed or self._recording) and self.steps % self._every == 0:
                 self.refresh()
                 sample = self._sensors.sample()
-                yield replace(sample, observation=replace(sample.observation, vision=None))
+                sample = replace(sample, observation=replace(sample.observation, vision=None))
+                if self._recording:
+                    self.recorded.append(sample)
+                yield sample
 
-    def _travel(self, T_goal: Array, on_sample: Callable[[Sample], None]) -> None:
+    def _travel(self, T_goal: Array) -> None:
         """Moves up, over the table and down to a palm pose (4, 4)."""
         safe = self.top + PROBE.travel_height - (T_goal @ self._T_palm_finger)[2, 3]
         up = self._T_world_palm.copy()
@@ -199,16 +194,16 @@ class Probe(World):
         over = T_goal.copy()
         over[2, 3] = up[2, 3]
         for goal in (up, over, T_goal):
-            self._straight(goal, on_sample)
+            self._straight(goal)
 
-    def _straight(self, T_goal: Array, on_sample: Callable[[Sample], None]) -> None:
+    def _straight(self, T_goal: Array) -> None:
         """Moves the palm straight to a pose (4, 4), at rest at both ends."""
         T_begin = self._T_world_palm
         way = se3.difference(T_goal, T_begin)
         seconds = np.linalg.norm(way[:3]) / PROBE.travel_speed + np.linalg.norm(way[3:]) / PROBE.turn_speed
         s = np.linspace(0, 1, max(round(seconds * SCENARIO.steps_per_second), 1) + 1)[1:, None]
-        for sample in self._along(se3.moved(T_begin, least_jerk(s) * way), sampled=on_sample is not ignore):
-            on_sample(sample)
+        for _ in self._along(se3.moved(T_begin, least_jerk(s) * way), needed=False):
+            pass
 
     def _turned(self, direction_world: Array) -> Array:
         """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""

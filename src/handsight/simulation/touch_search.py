@@ -1,6 +1,6 @@
 """The complete task without a camera: a search by touch, then a grasp where the object is believed to be."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from handsight.rig import MountedCamera, Rig, Table
 from handsight.search import Area, Belief, best_sweep
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
-from handsight.simulation.probe import PROBE, Probe, ignore
+from handsight.simulation.probe import PROBE, Probe
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.simulate import Sensors, samples
@@ -49,15 +49,12 @@ def touch_search_rig(scenario: Scenario) -> Rig:
 
 
 def start_search(
-    scenario: Scenario,
-    model: ObjectModel,
-    R_scene_object: Array | None = None,
-    on_sample: Callable[[Sample], None] = ignore,
+    scenario: Scenario, model: ObjectModel, R_scene_object: Array | None = None, *, recording: bool = False
 ) -> tuple[Probe, Belief]:
     """Returns the hand above the table, whose height it has measured, and the belief before the first touch.
 
     The object is where the scenario's seed puts it, at rotation `R_scene_object` (3, 3), by default that of its file.
-    `on_sample` is called with every sample. Raises as `simulate`.
+    With `recording` the hand keeps all its samples. Raises as `simulate`.
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
     seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
@@ -67,8 +64,8 @@ def start_search(
         raise InvalidInput(f"object: expected one within {most:.0f} mm, got {size} mm")
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
-    probe = Probe(scenario, R, T_world_table)
-    height = probe.feel_table(TABLE_PROBES, on_sample)
+    probe = Probe(scenario, R, T_world_table, recording=recording)
+    height = probe.feel_table(TABLE_PROBES)
     table = Table(height=height, sigma_height=TOUCH_SEARCH.sigma_table_height)
     return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
 
@@ -82,13 +79,12 @@ def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Ite
     few to find the object.
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
-    pending: list[Sample] = []
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
-    probe, belief = start_search(scenario, model_of(scenario), R_scene_object, pending.append)
+    probe, belief = start_search(scenario, model_of(scenario), R_scene_object, recording=True)
     for _ in range(TOUCH_SEARCH.max_touches):
-        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius), pending.append))
-        yield from pending
-        pending.clear()
+        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius)))
+        yield from probe.recorded
+        probe.recorded.clear()
         if belief.modes[0].is_certain:
             break
     else:

@@ -37,32 +37,31 @@ class Timeline:
 
     def __init__(self) -> None:
         self.moments = list[Moment]()
-        self._stamps = list[float]()
 
     def append(self, moment: Moment) -> bool:
         """Returns whether a moment is kept: not if it is earlier than the last one, or less than a frame later."""
-        last = self._stamps[-1] if self._stamps else -math.inf
+        last = self.moments[-1].stamp if self.moments else -math.inf
         if moment.stamp - last < TIMELINE.frame - TIMELINE.time_tolerance:
             return False
         self.moments.append(moment)
-        self._stamps.append(moment.stamp)
         return True
 
     @property
     def begin(self) -> float:
         """Stamp of the first moment [s]."""
-        return self._stamps[0]
+        return self.moments[0].stamp
 
     @property
     def length(self) -> float:
         """Time from the first to the last moment [s]; 0 where there is none."""
-        return self._stamps[-1] - self._stamps[0] if self._stamps else 0.0
+        return self.moments[-1].stamp - self.begin if self.moments else 0.0
 
     def at(self, time: float) -> Moment:
         """Returns the last moment that is not later than a time since the first [s], or the first one."""
         # begin + (stamp - begin) may round to less than the stamp: seconds since 1970 have a resolution of 0.25 µs.
         stamp = self.begin + time + TIMELINE.time_tolerance
-        return self.moments[max(0, bisect.bisect_right(self._stamps, stamp) - 1)]
+        later = bisect.bisect_right(self.moments, stamp, key=lambda moment: moment.stamp)
+        return self.moments[max(0, later - 1)]
 
 
 def follow(
