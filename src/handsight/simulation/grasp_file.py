@@ -9,7 +9,7 @@ from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes, write_errors
 from handsight.simulation.grasp_search import GraspSearchResult
-from handsight.simulation.motion import SERVOS, Grasp
+from handsight.simulation.motion import Grasp
 
 
 class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -59,6 +59,8 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
 
 def read_grasp(path: Path) -> Grasp:
     """Returns the grasp of a file that `write_grasp` wrote; raises InvalidFile, which begins with the file's name."""
+    numbers = {"FF": "321", "MF": "321", "RF": "321", "LF": "4321", "TH": "43210"}
+    servos = {f"robot0:{finger}J{number}" for finger, of_finger in numbers.items() for number in of_finger}
     try:
         form = msgspec.json.decode(read_bytes(path, 1_000_000), type=_GraspFile)
         position = checks.finite(form.position_palm, "position_palm", (3,))
@@ -68,7 +70,7 @@ def read_grasp(path: Path) -> Grasp:
         quaternion_world = checks.unit(form.quaternion_xyzw_world, "quaternion_xyzw_world", (4,))
         for name, joints in (("opening", form.opening), ("closed", form.closed)):
             checks.finite(list(joints.values()), name, (len(joints),))
-            if others := [joint for joint in joints if joint not in SERVOS]:
+            if others := [joint for joint in joints if joint not in servos]:
                 raise InvalidInput(f"{name}: expected joints of the hand, got {others[0]}")
         height = checks.positive(form.height, "height")
     except (msgspec.DecodeError, InvalidInput) as error:

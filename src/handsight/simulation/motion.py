@@ -30,18 +30,6 @@ class MotionOptions(NamedTuple):
 MOTION = MotionOptions()
 
 
-SERVOS = frozenset(
-    f"robot0:{finger}J{number}"
-    for finger, numbers in {
-        **dict.fromkeys(("FF", "MF", "RF"), (3, 2, 1)),
-        "LF": (4, 3, 2, 1),
-        "TH": (4, 3, 2, 1, 0),
-    }.items()
-    for number in numbers
-)
-"""Joints that a grasp may name."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
     """A `Grasp` is a closing motion of the hand around an object."""
