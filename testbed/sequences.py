@@ -27,25 +27,26 @@ OBJECTS = (
     "011_banana", "019_pitcher_base", "021_bleach_cleanser", "036_wood_block", "040_large_marker",
 )  # fmt: skip
 BINS = ((-1, 0.3), (0.3, 0.6), (0.6, 0.8), (0.8, 1.01))
-"""Of the hidden share."""
+"""Bins of the hidden share of the silhouette."""
 ASIDE = (0.0, 1.2), (0.0, 0.5), (0.0, 0.2)
-"""How far from the camera's side the hand comes [rad], in turn."""
+"""Ranges of the angle between the hand's approach and the camera's side [rad], taken in turn."""
 OFF = 0.1
-"""A pose is off if a surface point is more than this off [diameters]."""
+"""Error of a surface point beyond which a pose is off [diameters]."""
 INSIDE = float(chdtri(6, 0.05))
+"""Squared Mahalanobis distance within which 95 % of poses are."""
 CLOUD, POINTS = 4000, 800
-"""small_gicp's, of the model and of an image."""
+"""Points of the model and of an image for small_gicp."""
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:
-    """What the call answers, and the processor's time that it took [s]."""
+    """Returns the result of a call, and the processor time of this process that it took [s]."""
     begin = time.process_time()
     answer = call()
     return answer, time.process_time() - begin
 
 
 class Followed:
-    """DepthTracker, with or without what the palm does."""
+    """A `Followed` is a DepthTracker, with or without the palm's motion."""
 
     def __init__(self, model: hs.ObjectModel, T: Array, *, palm: bool) -> None:
         """Begins at the true pose."""
@@ -53,21 +54,21 @@ class Followed:
         self.state, self.T, self.covariance = "tracking", T, None
 
     def step(self, image: drawn.Instant) -> float:
-        """Takes an image in; process CPU time [ms]."""
-        told: dict[str, Any] = (
+        """Updates the pose by an image; returns the processor time that it took [ms]."""
+        palm: dict[str, Any] = (
             {"T_camera_palm": image.T_camera_palm, "gripped": image.gripped} if self._palm else {}
         )
-        sighting, seconds = timed(
-            lambda: self._tracker.update(image.stamp, image.depth, hand=image.hand, **told)
+        detection, seconds = timed(
+            lambda: self._tracker.update(image.stamp, image.depth, hand=image.hand, **palm)
         )
-        pose = sighting.candidate["pose"][0]
-        self.state, self.covariance = sighting.state, sighting.covariance
+        pose = detection.candidate["pose"][0]
+        self.state, self.covariance = detection.state, detection.covariance
         self.T = se3.compose(pose["rotation"], pose["position"])
         return 1e3 * seconds
 
 
 class SmallGicp:
-    """small_gicp's PLANE_ICP of the image's points onto the model's cloud, one thread; `align` alone is timed."""
+    """A `SmallGicp` aligns an image's points with the model's cloud by PLANE_ICP in one thread; `align` is timed."""
 
     def __init__(self, model: hs.ObjectModel, T: Array) -> None:
         """Begins at the true pose. Raises ImportError without small_gicp."""
@@ -108,7 +109,7 @@ class SmallGicp:
         return 1e3 * seconds
 
     def _points(self, image: drawn.Instant, T: Array) -> Array:
-        """Of the image, not the hand's, about as near to the expected surface as those of `Followed`."""
+        """Returns points of the image without the hand, as near to the expected surface as those of `Followed`."""
         pixels = drawn.CAMERA.project(se3.apply(T, self._model.points_object))
         pixels = pixels[np.isfinite(pixels[:, 0])]
         if not len(pixels):
@@ -127,7 +128,7 @@ class SmallGicp:
 
 
 def methods(model: hs.ObjectModel, T: Array) -> dict[str, Any]:
-    """A fresh one of each, by name."""
+    """Returns new followers by name, which start at a pose (4, 4)."""
     found: dict[str, Any] = {
         name: Followed(model, T, palm=name == "in palm") for name in ("handsight", "in palm")
     }
@@ -137,7 +138,7 @@ def methods(model: hs.ObjectModel, T: Array) -> dict[str, Any]:
 
 
 def judged(model: hs.ObjectModel, answer: Any, T: Array) -> Row:
-    """How far an answer is off, modulo symmetry."""
+    """Returns the errors of a follower's pose at the true pose T (4, 4), modulo symmetry."""
     T_near = scenes.nearest_truth(model, T, answer.T)
     points = model.points_object
     off = np.linalg.norm(se3.apply(answer.T, points) - se3.apply(T_near, points), axis=1).max()
@@ -154,7 +155,7 @@ def judged(model: hs.ObjectModel, answer: Any, T: Array) -> Row:
 
 
 def followed(name: str, model: hs.ObjectModel, images: Iterator[drawn.Instant], key: Row) -> Iterator[Row]:
-    """A row per method and image; in the first the pose is known."""
+    """Yields a row for each method and image but the first, in which the pose is given."""
     found: dict[str, Any] = {}
     for k, image in enumerate(images):
         found = found or methods(model, image.T_camera_object)
@@ -170,7 +171,7 @@ def followed(name: str, model: hs.ObjectModel, images: Iterator[drawn.Instant], 
 
 
 def hand_shape() -> Any:
-    """The simulation's hand. Raises MissingExtra where it is not installed."""
+    """Returns the shape of the simulation's hand; raises MissingExtra where it is not installed."""
     from handsight.simulation import Scenario, rig_of
 
     return rig_of(Scenario(object="can")).hand.shape()
