@@ -10,7 +10,7 @@ from testbed import report
 from testbed.report import Rows
 
 ACCELERATIONS = (0.0, 0.4, 1.0, 2.0, np.inf)
-"""Between which means are counted together [m/s²]."""
+"""Bounds of the classes of acceleration over which means are taken [m/s²]."""
 
 
 def show(rows: Rows) -> None:

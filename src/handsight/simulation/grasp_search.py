@@ -23,9 +23,7 @@ class GraspSearchOptions(NamedTuple):
 
     max_fitted: int = 90  # candidates to which the hand is fitted before the search gives up
     max_trials: int = 24  # grasps that are simulated
-    failure_penalty: float = (
-        0.1  # subtracted from the merit of candidates that share their `kin` with a failure
-    )
+    failure_penalty: float = 0.1  # subtracted from a candidate's merit for each failure with the same `kin`
     check_period: float = 0.05  # between checks of a trial [s]
     max_shift: float = 0.024  # of the object in the palm in a trial: well below what counts as dropped [m]
     max_rotation: float = 0.42  # of the object in the palm in a trial [rad]

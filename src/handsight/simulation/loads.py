@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 class PullOptions(NamedTuple):
     """`PullOptions` say how a person, as it were, pulls at the object until it slips."""
 
-    begin: float = (
-        3.4  # when the pull begins: the object is lifted and at rest by then, see `motion.PULLED` [s]
-    )
+    begin: float = 3.4  # when `motion.PULLED` has the object lifted and at rest [s]
     duration: float = 3.0  # of the pull [s]
     step: float = 0.5  # duration of a step of the force [s]
     rise: float = 0.05  # how long the force takes to rise to a step [s]
@@ -27,9 +25,7 @@ class PullOptions(NamedTuple):
     min_speed: float = 0.03
     """Smallest draw of the speed along the tips at which the pull no longer follows the object [m/s]."""
     max_speed: float = 0.1  # largest draw of that speed [m/s]
-    flying_speed: float = (
-        0.3  # speed of the object, in any direction, at which the pull no longer follows it [m/s]
-    )
+    flying_speed: float = 0.3  # speed of the object, in any direction, that also ends the pull [m/s]
     min_travel: float = 0.005  # smallest draw of how far the object slips before it is let go [m]
     max_travel: float = 0.02  # largest draw of it [m]
     normal_share: float = 0.03

@@ -47,11 +47,7 @@ class Posture:
         self._low, self._high = ranges[:, 0] + POSTURE.stop_margin, ranges[:, 1] - POSTURE.stop_margin
         # Joints of such a hand [rad], 0 for the others; then axes of its grip (thumb to fingers, away from the palm,
         # along the row) and the grip's middle in the palm [m].
-        bent = {
-            f"{name.upper()}{joint}": angle
-            for name in FINGERS[:4]
-            for joint, angle in (("J2", 0.75), ("J1", 0.6))
-        }
+        bent = {f"{name.upper()}J{k}": {2: 0.75, 1: 0.6}[k] for name in FINGERS[:4] for k in (2, 1)}
         bent |= {"THJ4": 0.2, "THJ3": 1.1, "THJ2": 0.1, "THJ1": -0.25, "THJ0": -0.7}
         R_grip_palm = np.array([[0.0, 0.3, 0.954], [0, -0.954, 0.3], [1, 0, 0]])
         grip_palm = np.array([0.005, -0.09, 0.1])

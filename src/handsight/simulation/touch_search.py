@@ -26,9 +26,7 @@ class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` say how an object on a table is searched by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
-    sigma_table_height: float = (
-        0.0025  # of the table under the object, between the places where it was touched [m]
-    )
+    sigma_table_height: float = 0.0025  # of the table under the object, between the touched places [m]
     max_touches: int = 12  # before the search gives up
     pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
 

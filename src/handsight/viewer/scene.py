@@ -29,9 +29,7 @@ class SceneStyle(NamedTuple):
     ghost_opacity: float = 0.22  # of other modes
     ghost_scale: float = 1.01  # of other modes, so that equal surfaces do not flicker
     max_modes: int = 3  # other modes that are drawn
-    inside: float = (
-        0.7  # largest semi-axis, in the object's radii, of an ellipsoid that is taken to be inside it
-    )
+    inside: float = 0.7  # semi-axis, in the object's radii, below which an ellipsoid is inside the object
     min_shift: float = 3e-4  # smallest motion of a link or a line that is sent: joints tremble [m]
     min_rotation: float = 2e-3  # smallest change of a link's quaternion that is sent
     normal_length: float = 0.02  # of a normal's arrow [m]
@@ -189,14 +187,9 @@ class Scene:
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
             scale = 1.0 if layer == "object" else STYLE.ghost_scale
-            style = {
-                "color": color,
-                "opacity": opacity,
-                "scale": scale,
-                "side": "double",
-                "cast_shadow": False,
-            }
-            return self._scene.add_mesh_simple(name, model.vertices, model.faces, visible=False, **style)
+            style = {"color": color, "opacity": opacity, "scale": scale, "visible": False}
+            mesh = model.vertices, model.faces
+            return self._scene.add_mesh_simple(name, *mesh, side="double", cast_shadow=False, **style)
         points, _ = model.sample(STYLE.max_points)
         return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
 

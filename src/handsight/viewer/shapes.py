@@ -22,9 +22,7 @@ class ShapeStyle(NamedTuple):
     open_rotation: float = 0.62  # the radius of a turn's arc, relative to the object's radius
     arc_points: int = 60  # of such an arc
     arc_angle: float = 1.6 * np.pi  # of such an arc [rad]
-    sigmas_95: float = (
-        2.795  # radius, in standard deviations, that contains 95 % of a Gaussian in three dimensions
-    )
+    sigmas_95: float = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
     cloud_points: int = 6000  # points by which the silhouette of an object without triangles is drawn
     dot: int = 2  # how far each of these points is grown [pixels]
 
