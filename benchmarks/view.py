@@ -31,7 +31,7 @@ from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.player import PLAYER
 from handsight.viewer.timeline import TIMELINE, Timeline, curves, follow
-from handsight.viewer.viewer_process import Frame
+from handsight.viewer.viewer_process import PageUpdate
 from testbed import report
 from testbed.recordings import record
 
@@ -122,7 +122,7 @@ def updates(seen: Tracked, count: int) -> list[str]:
     watched = 1e6 * (time.process_time() - began) / count
     began = time.process_time()
     for _ in range(count // 10):
-        pickle.dumps(Frame(None, moment, None, None))
+        pickle.dumps(PageUpdate(None, moment, None, None))
     sent = 1e7 * (time.process_time() - began) / count
     return [f"{unwatched:.1f}", f"{unwatched + watched:.1f}", f"{sent:.0f}", f"{idle:.2f}"]
 

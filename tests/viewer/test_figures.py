@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handsight import Camera, Contacts, ObjectModel, PosePrior, se3
-from handsight.viewer.correction_figures import Panel, draw_corrections
+from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 from handsight.viewer.shapes import silhouette
 
 
@@ -30,7 +30,7 @@ def test_a_correction_of_a_scan_is_drawn(box, tmp_path):
     _, scanned = box
     points, normals = (each[:3] for each in scanned.sample(100))
     answer = {"position": [0.0, 0, 0], "quaternion_xyzw": [0.0, 0, 0, 1], "unobservable": [], "outliers": []}
-    panel = Panel(
+    panel = CorrectionPanel(
         scanned, Contacts(points, normals), PosePrior(np.eye(4), np.eye(6)), answer | {"consistent": True}
     )
     draw_corrections([panel], tmp_path / "scan.png")

@@ -19,7 +19,7 @@ from handsight.viewer.moment import VISION_FOR, Measured, Moment
 from handsight.viewer.panel import share
 from handsight.viewer.picture import edge, jpeg, picture
 from handsight.viewer.scene import LAYERS
-from handsight.viewer.shapes import SHAPES, ellipsoid, middle, opened
+from handsight.viewer.shapes import SHAPES, direction_line, ellipsoid, middle
 from handsight.viewer.timeline import TIMELINE, Timeline, curves
 
 
@@ -179,11 +179,11 @@ def test_a_slide_is_drawn_along_and_a_turn_about_its_direction(seed):
     model, rng = ObjectModel.cylinder(0.03, 0.1), np.random.default_rng(seed)
     axis, center = rng.normal(size=3), rng.normal(size=3)
     axis /= np.linalg.norm(axis)
-    slide = opened(np.r_[axis, 0, 0, 0], center, model)
+    slide = direction_line(np.r_[axis, 0, 0, 0], center, model)
     assert not slide.turn
     np.testing.assert_allclose(np.cross(slide.line[1] - slide.line[0], axis), 0, atol=1e-12)
     np.testing.assert_allclose(slide.line.mean(axis=0), center)
-    turn = opened(np.r_[0, 0, 0, axis], center, model)
+    turn = direction_line(np.r_[0, 0, 0, axis], center, model)
     assert turn.turn
     np.testing.assert_allclose((turn.line - center) @ axis, 0, atol=1e-12)
     radii = np.linalg.norm(turn.line - center, axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.simulation.scenario import SCENARIO, Profile, Scenario
-from handsight.simulation.scene import PALM, Scene, scene
+from handsight.simulation.scene import PALM, SimulatedScene, scene
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -41,7 +41,7 @@ PULL = PullOptions()
 class Payload:
     """A `Payload` is a scene whose object weighs what a scenario says, and the constant loads on that object."""
 
-    scene: Scene
+    scene: SimulatedScene
     force_palm: Array
     """(3,) on the object, which no sensor measures [N]."""
     point_object: Array
@@ -81,7 +81,7 @@ class Payload:
         body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), torque
 
 
-def center_of_mass(scene: Scene) -> Array:
+def center_of_mass(scene: SimulatedScene) -> Array:
     """Returns the object's centre of mass (3,) in its own frame [m]."""
     return np.asarray(scene.model.body("object").ipos).copy()
 

@@ -10,7 +10,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.simulation.grasp_candidates import Hold, forces, wished
 from handsight.simulation.motion import Grasp
-from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, Scene, mujoco_module, tip_shape
+from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, SimulatedScene, mujoco_module, tip_shape
 
 
 class PostureOptions(NamedTuple):
@@ -34,7 +34,7 @@ POSTURE = PostureOptions()
 class Posture:
     """A `Posture` is the hand around one hold; `grasp` computes its closing motion."""
 
-    def __init__(self, scene: Scene, hold: Hold) -> None:
+    def __init__(self, scene: SimulatedScene, hold: Hold) -> None:
         """Starts with a hand that grips an object of middle width, turned and moved so that its grip is the hold's."""
         self._mujoco, self._model = mujoco_module(), scene.model
         self._data: Any = self._mujoco.MjData(scene.model)

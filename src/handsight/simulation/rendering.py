@@ -13,7 +13,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
-from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, Scene, mujoco_module, scene
+from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, SimulatedScene, mujoco_module, scene
 
 if TYPE_CHECKING:
     from mujoco.gl_context import GLContext
@@ -28,7 +28,7 @@ Rgba = tuple[float, float, float, float]
 class Renderer:
     """A `Renderer` draws one scene from any camera pose; it must be closed before the next is opened."""
 
-    def __init__(self, built: Scene) -> None:
+    def __init__(self, built: SimulatedScene) -> None:
         """Raises MissingExtra where neither EGL nor OSMesa can draw."""
         mujoco = self._mujoco = mujoco_module()
         self._scene, self._data = built, mujoco.MjData(built.model)

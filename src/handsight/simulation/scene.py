@@ -71,8 +71,8 @@ stiffer contacts the hand drops objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """A `Scene` is a compiled scene, the same for all draws of one object.
+class SimulatedScene:
+    """A `SimulatedScene` is a compiled scene, the same for all draws of one object.
 
     Its bodies are PALM, `object`, and one that ends in `_tip` for each finger.
     """
@@ -109,7 +109,7 @@ def scene(
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     friction: float = 1.0,
-) -> Scene:
+) -> SimulatedScene:
     """Returns the scene with an object: `name` is `can`, `box` or a mesh file.
 
     The object has that mass [kg], its centre of mass is displaced by `shift` [m], and `friction` is the tips'. Raises
@@ -136,7 +136,7 @@ def scene(
         body.inertia = usual.inertia * (mass / usual.mass[0])
     model = spec.compile()
     joints = [model.joint(i) for i in range(model.njnt)]
-    return Scene(
+    return SimulatedScene(
         model=model,
         joints={joint.name: int(joint.qposadr[0]) for joint in joints if joint.name.startswith("robot0:")},
         tips={model.geom(f"{finger}_tip").id: finger for finger in FINGERS},

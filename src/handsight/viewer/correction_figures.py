@@ -17,15 +17,15 @@ from handsight.correction import PosePrior
 from handsight.errors import HandsightError, MissingExtra
 from handsight.files import write_errors
 from handsight.objects import ObjectModel
-from handsight.viewer.shapes import creases, middle, opened
+from handsight.viewer.shapes import creases, direction_line, middle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
 
-class Panel(NamedTuple):
-    """A `Panel` is a correction problem and its answer."""
+class CorrectionPanel(NamedTuple):
+    """A `CorrectionPanel` is a correction problem and its answer."""
 
     model: ObjectModel
     contacts: Contacts
@@ -46,7 +46,7 @@ def require_matplotlib() -> ModuleType:
     return plt
 
 
-def draw_corrections(panels: Sequence[Panel], path: Path) -> None:
+def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
     """Writes the panels to an image file; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     columns = min(len(panels), 3)
@@ -74,7 +74,7 @@ def save(figure: "Figure", path: Path) -> None:
             require_matplotlib().close(figure)
 
 
-def _draw(axes: "Axes3D", panel: Panel) -> None:
+def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
     """Draws a problem and its answer in the palm's frame."""
     model, answer, red, blue = panel.model, panel.answer, "#c2185b", "#1565c0"
     T = se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
@@ -91,7 +91,7 @@ def _draw(axes: "Axes3D", panel: Panel) -> None:
     # Directions that touch leaves open: a double arrow for a slide, an arc with one arrowhead for a turn.
     center = middle(model, T)
     for k, direction in enumerate(answer["unobservable"]):
-        line, turn = opened(np.asarray(direction), center, model)
+        line, turn = direction_line(np.asarray(direction), center, model)
         axes.plot(*line.T, color=blue, linewidth=2.2, label=None if k else "open to touch")
         ends = [(line[-2], 4 * (line[-1] - line[-2]))] if turn else [(center, end - center) for end in line]
         for start, shift in ends:

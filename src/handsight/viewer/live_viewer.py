@@ -174,7 +174,7 @@ class Viewer(NullViewer):
                     self._send(frame)
         self._watched = False
 
-    def _next(self) -> viewer_process.Frame | None:
+    def _next(self) -> viewer_process.PageUpdate | None:
         """Returns the news that the page does not have, as soon as there are any; None once the viewer is closed."""
         while not self._closed:
             self._changed.wait(LIVE_VIEWER.idle_pause)
@@ -184,7 +184,7 @@ class Viewer(NullViewer):
                 continue
             (tracker, moment), shown = newest, self._shown
             self._shown = tracker.rig, tracker.model
-            frame = viewer_process.Frame(
+            frame = viewer_process.PageUpdate(
                 begins=None if self._shown == shown else self._shown,
                 # While nobody watched, no moment was computed.
                 moment=moment or Moment.now(tracker),

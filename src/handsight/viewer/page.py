@@ -16,7 +16,7 @@ from handsight.rig import Rig
 from handsight.viewer.moment import Moment
 from handsight.viewer.panel import Panel
 from handsight.viewer.picture import Picture
-from handsight.viewer.scene import LAYERS, Color, Scene
+from handsight.viewer.scene import LAYERS, Color, MomentScene
 from handsight.viewer.timeline import Curves
 
 
@@ -78,7 +78,7 @@ class Page:
             self.server.scene.reset()
             self.server.gui.reset()
             self.server.scene.configure_default_lights(cast_shadow=False)
-            self.scene = Scene(self.server.scene, rig, model)
+            self.scene = MomentScene(self.server.scene, rig, model)
             self.panel = Panel(self.server.gui, title or "object", self.scene.layers, self.redraw)
 
     @property

@@ -11,7 +11,7 @@ from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.viewer.moment import LIKELY, Moment
 from handsight.viewer.picture import Picture
-from handsight.viewer.shapes import ellipsoid, middle, opened
+from handsight.viewer.shapes import direction_line, ellipsoid, middle
 
 if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeHandle
@@ -54,8 +54,8 @@ LAYERS: dict[str, tuple[str, Color]] = {
 """What can be shown, by name: its label and colour."""
 
 
-class Scene:
-    """A `Scene` shows hand, object and contacts; each `draw` sends the changes to the browsers."""
+class MomentScene:
+    """A `MomentScene` shows hand, object and contacts; each `draw` sends the changes to the browsers."""
 
     def __init__(self, scene: "SceneApi", rig: Rig, model: ObjectModel) -> None:
         """Adds all nodes to viser's `scene`, invisible."""
@@ -158,7 +158,7 @@ class Scene:
         if estimate is not None and moment.fingertips.fingers:
             center = middle(model, estimate.T_palm_object)
             for direction in estimate.unobservable:
-                line, turn = opened(direction, center, model)
+                line, turn = direction_line(direction, center, model)
                 if turn:
                     turns.append(np.stack([line[:-1], line[1:]], axis=1))
                     open_shifts.append(line[None, [-6, -1]])

@@ -30,9 +30,8 @@ class ShapeStyle(NamedTuple):
 SHAPES = ShapeStyle()
 
 
-class Open(NamedTuple):
-    """An `Open` is a direction that contacts leave open, as a line with arrowheads: a slide's at both ends, a turn's at
-    the last."""
+class DirectionLine(NamedTuple):
+    """A `DirectionLine` is an unobservable direction as a line: a slide's has arrowheads at both ends, a turn's one."""
 
     line: Array
     """(n, 3) in the palm [m]: the ends of a slide, or an arc about the axis of a turn."""
@@ -79,20 +78,20 @@ def middle(model: ObjectModel, T_palm_object: Array) -> Array:
     return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
 
 
-def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
+def direction_line(direction: Array, center: Array, model: ObjectModel) -> DirectionLine:
     """Returns the line of a direction (6,) of `PoseEstimate.unobservable`: a slide or a turn, whichever it mostly is.
 
     A turn is about the object's middle `center` (3,), where it leaves the drawn object in place.
     """
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
         reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
-        return Open(np.stack([center - reach, center + reach]), turn=False)
+        return DirectionLine(np.stack([center - reach, center + reach]), turn=False)
     axis = direction[3:] / np.linalg.norm(direction[3:])
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
     angle = np.linspace(0, SHAPES.arc_angle, SHAPES.arc_points)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return Open(center + SHAPES.open_rotation * model.radius * ring, turn=True)
+    return DirectionLine(center + SHAPES.open_rotation * model.radius * ring, turn=True)
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:

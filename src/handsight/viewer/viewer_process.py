@@ -35,8 +35,8 @@ class Shot(NamedTuple):
     T_world_palm: Array | None
 
 
-class Frame(NamedTuple):
-    """A `Frame` is what the page is to draw."""
+class PageUpdate(NamedTuple):
+    """A `PageUpdate` is what the page is to draw."""
 
     begins: tuple[Rig, ObjectModel] | None
     """A new hand and object; None: those of before."""
@@ -101,7 +101,7 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
                 if pipe.poll(0.2):
                     return
         pipe.send(True)
-        frame: Frame | None = pipe.recv()
+        frame: PageUpdate | None = pipe.recv()
         if frame is None:
             return
         began = time.monotonic()
