@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class PullOptions(NamedTuple):
-    """`PullOptions` say how a person, as it were, pulls at the object until it slips."""
+    """`PullOptions` describe a pull at the object until it slips, such as a person's, which yields and lets go."""
 
     begin: float = 3.4  # when `motion.PULLED` has the object lifted and at rest [s]
     duration: float = 3.0  # of the pull [s]

@@ -39,12 +39,12 @@ class PageUpdate(NamedTuple):
     """A `PageUpdate` is what the page is to draw."""
 
     begins: tuple[Rig, ObjectModel] | None
-    """A new hand and object; None: those of before."""
+    """Another hand and object; None: they are unchanged."""
     moment: Moment
     shot: Shot | None
-    """The newest; None: that of before, if any."""
+    """The newest; None: it is unchanged."""
     curves: Curves | None
-    """None: those of before."""
+    """None: they are unchanged."""
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
