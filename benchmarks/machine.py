@@ -12,7 +12,7 @@ PACKAGES = ("handsight", "numpy", "scipy", "numba", "trimesh", "open3d", "small_
 
 
 def description() -> dict[str, Any]:
-    """Processor, cores, load before the run, versions."""
+    """Returns processor, cores, load before the run, and versions."""
     return {
         "description": report.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

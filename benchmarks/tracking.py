@@ -35,13 +35,13 @@ KINDS = {
 
 
 def held_grasp() -> tuple[list[hs.Observation], list[hs.Observation]]:
-    """A can being grasped, and the part of it in which it is held."""
+    """Returns observations of a can that is grasped, and of the part in which it is in hand."""
     samples = list(simulate(Scenario(object="can", seed=1)))
     return [s.observation for s in samples], [s.observation for s in samples if s.phase == "hold"]
 
 
 def stream(held: list[hs.Observation], begin: float, count: int) -> Iterator[hs.Observation]:
-    """The held part round and round, `STEP` apart."""
+    """Yields the part in hand again and again, `STEP` apart."""
     seen = [observation.vision for observation in held if observation.vision is not None]
     every = round(SEEN_EVERY / STEP)
     for k in range(count):
@@ -50,13 +50,13 @@ def stream(held: list[hs.Observation], begin: float, count: int) -> Iterator[hs.
 
 
 def resident() -> float:
-    """Megabytes of this process in memory."""
+    """Returns the megabytes of this process in memory."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def updated(kind: str, count: int) -> list[str]:
-    """A row of the table."""
+    """Returns a row of the table."""
     grasp, held = held_grasp()
     tracker = hs.Tracker(rig_of(Scenario()), model_of(Scenario()), settings=KINDS[kind])
     for observation in grasp:
@@ -85,7 +85,7 @@ def updated(kind: str, count: int) -> list[str]:
 
 
 def cpu(name: str, scenario: Scenario) -> list[str]:
-    """A row: what a sight costs, and what another update, along a simulated recording."""
+    """Returns a row: the cost of an update with vision's pose, and of another, along a simulated recording."""
     tracker, took, sights = hs.Tracker(rig_of(scenario), model_of(scenario)), [], []
     for sample in simulate(scenario):
         begin = time.thread_time()
@@ -98,7 +98,7 @@ def cpu(name: str, scenario: Scenario) -> list[str]:
 
 
 def print_cpu() -> None:
-    """Prints what a sight costs."""
+    """Prints the cost of updates with vision's pose."""
     cells = [
         cpu(f"{thing}, {how}", Scenario(object=thing, seed=1, motion=motion, rate=RATE))
         for thing in ("can", "box")
@@ -110,7 +110,7 @@ def print_cpu() -> None:
 
 
 def replayed(images: bool, repeats: int) -> list[str]:
-    """A row: a recording of 18.4 s (1.9 s with images) from file to poses, a hundred corrections a second."""
+    """Returns a row: a recording of 18.4 s (1.9 s with images) from file to poses, a hundred corrections a second."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "can.mcap"
         scenario = Scenario(object="can", seed=1, motion="grasp" if images else "manipulate", images=images)

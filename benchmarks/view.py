@@ -51,7 +51,7 @@ DATA = Path(hs.__file__).parent / "data"
 
 @dataclass
 class Tracked:
-    """A recording and what was tracked in it."""
+    """A `Tracked` is a recording and its moments."""
 
     rig: Rig
     model: hs.ObjectModel
@@ -61,7 +61,7 @@ class Tracked:
 
 
 def tracked(path: Path) -> Tracked:
-    """The first seconds of a recording."""
+    """Tracks the first seconds of a recording."""
     rig = Rig.from_file(path.with_name(f"{path.stem}.rig.yaml"))
     model, timeline = rig.objects["can"].model(), Timeline()
     with open_recording(path, rig) as recording:
@@ -74,7 +74,7 @@ def tracked(path: Path) -> Tracked:
 
 @contextlib.contextmanager
 def read(page: Page) -> Iterator[None]:
-    """Somebody takes all that the page sends."""
+    """Reads all that the page sends, as a browser would."""
     address = page.address.replace("http", "ws")
     with subprocess.Popen([sys.executable, "-c", READER, address], stdout=subprocess.PIPE) as reader:
         assert reader.stdout is not None
@@ -85,7 +85,7 @@ def read(page: Page) -> Iterator[None]:
 
 
 def frames(name: str, seen: Tracked) -> list[str]:
-    """A row: CPU of a frame."""
+    """Returns a row: CPU time of a frame."""
     with contextlib.closing(Page(seen.rig, seen.model)) as page, read(page):
         shown = curves(seen.timeline.moments, seen.model, seen.truths)
         page.draw(seen.timeline.moments[0])  # what is done once is no frame's
@@ -103,7 +103,7 @@ def frames(name: str, seen: Tracked) -> list[str]:
 
 
 def updates(seen: Tracked, count: int) -> list[str]:
-    """A row: CPU that the tracker's process spends on its viewer, and the page's own while nobody looks."""
+    """Returns a row: CPU time of the tracker's process for its viewer, and of the page's while nobody watches."""
     tracker = hs.Tracker(seen.rig, seen.model)
     for observation in seen.observations:
         tracker.update(observation)
