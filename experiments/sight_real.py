@@ -53,7 +53,7 @@ NEAR_MM, NEAR_DEG = 10.0, 5.0
 
 
 def data_or_goodbye() -> Path:
-    """The images' folder; without it a sentence, and the end of the program with exit code 0."""
+    """Returns the images' folder; without it prints why, and ends the program with exit code 0."""
     named = os.environ.get("HANDSIGHT_DATA")
     shared = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
     if not (shared / "m3t_rgbd").is_dir():
@@ -63,20 +63,20 @@ def data_or_goodbye() -> Path:
 
 
 def reference() -> Array:
-    """T_camera_object (4, 4) of the mesh file in the depth camera, as the authors have it."""
+    """Returns the authors' T_camera_object (4, 4) of the mesh file in the depth camera."""
     T_body_file = se3.compose(np.eye(3), np.array([0, 0, -BODY_ABOVE_FILE]))
     T_color_depth, T_body_color = (_rigid(T) for T in (T_COLOR_DEPTH, T_BODY_COLOR))
     return se3.inverse(T_color_depth) @ se3.inverse(T_body_color) @ T_body_file
 
 
 def _rigid(T: Array) -> Array:
-    """The rigid transform that a matrix of few digits means."""
+    """Returns the rigid transform nearest to a matrix of few digits."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     return se3.compose(U @ Vt, T[:3, 3])
 
 
 def errors(model: hs.ObjectModel, T: Array, T_reference: Array) -> Row:
-    """How far a pose is from the reference."""
+    """Returns the errors of a pose against the reference."""
     middle = model.bounds_object.mean(axis=0)[None]
     off = se3.apply(T, middle) - se3.apply(T_reference, middle)
     axis = np.arccos(np.clip(T[:3, 2] @ T_reference[:3, 2], -1, 1))
@@ -87,7 +87,7 @@ def errors(model: hs.ObjectModel, T: Array, T_reference: Array) -> Row:
 
 
 def rows_of(found: Located, frame: int, T_reference: Array) -> Rows:
-    """A row for each pose that was found."""
+    """Returns a row for each pose that was found."""
     rows = []
     for k, (T, weight) in enumerate(
         zip(found.found.Ts_camera_object, found.found.weights, strict=True), start=1
