@@ -94,11 +94,10 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
 def _evaluate(model, nodes, contacts, constraints, outside, descents, equations):
     """Normal equations at the second of two poses, whitened as at the first; the center."""
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
     if not constraints[0].has_prior:
         prior.kind = 0
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     for k in range(2):
         equations[:] = 0.0
         pose, frame = pose_of(descents[k].pose), (center, model[0].radius)

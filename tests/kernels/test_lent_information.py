@@ -49,9 +49,8 @@ def problem(model, seed, *, bare=False):
 def _information(model, nodes, contacts, constraints, outside, descents, by_touch, total, equations):
     """Of touch alone and of all, at a pose, and the sum of the contacts' whole equations."""
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     density.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
     whole = np.zeros((6, 6))
     for k in range(len(rows)):
@@ -99,9 +98,8 @@ def test_a_model_without_bumps_lends_nothing():
 @kept
 def _wavering(model, nodes, contacts, constraints, outside, descents):
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     return spurious_information.cost_deviation(evidence, pose_of(descents[0].pose))
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 SAMPLES = 256
 """Surface samples of an object that phase 1 matches contacts with."""
+MOST_DEPTH_POINTS = 48
+"""Depth points of one correction: more tell no more of a pose, for their errors are common to many."""
 MOST_ROTATIONS = 121
 """Elements of the largest discrete symmetry group that kernels know."""
 
@@ -91,10 +93,15 @@ OBJECT_WEIGHT = record(
     ("center_palm", "f8", (3,)),
     ("information", "f8", (3, 3)),  # of the two together
 )
+# Points of one depth image, whose errors are shared: each has the variance with which all of them together know no
+# more of the pose than that image does.
+DEPTH_POINTS = record(("count", "i8"), ("variance", "f8"), ("points", "f8", (MOST_DEPTH_POINTS, 3)))
 # A pose and its covariance before touch: vision's, or the last estimate.
 PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
-# The evidence of which a correction has at most one of each kind, each with a flag that says whether it is there.
-CONSTRAINTS = record(("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT))
+# The evidence of which a correction has at most one of each kind; each says itself whether it is there.
+CONSTRAINTS = record(
+    ("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT), ("depth", DEPTH_POINTS)
+)
 # What cannot be inside the object: a point of the hand, those of one link in a row; or a plane and all behind it,
 # `point` any of its points.
 OUTSIDE = record(
@@ -166,12 +173,13 @@ ANSWER = record(
     ("rows", "i8"),  # of contact evidence
 )
 
-# One problem of a batch and its answer: its constraints, the contacts (from `first` on, before `last`), and, if
-# `follows`, a pose near by that was right.
+# One problem of a batch and its answer: its constraints, the contacts (from `first` on, before `last`), if `follows` a
+# pose near by that was right, and whether the answer's pose is all that is asked for.
 PROBLEM = record(
     ("constraints", CONSTRAINTS),
     ("first", "i8"),
     ("last", "i8"),
+    ("pose_only", "i8"),
     ("follows", "i8"),
     ("start", POSE),
     ("answer", ANSWER),

@@ -295,10 +295,9 @@ class _Step:
         contacts, remembered = self.memory.added(fingers, touched, now)
         joints, skin = observation.joint_positions, self.skin
         outside = self.follower.hand.at(joints and self.offsets.corrected(joints), self.margins)
-        pressed = skin.contacts()
-        contacts = contacts if pressed is None else contacts.joined(pressed)
+        pressed = skin.evidence()
         samples, prior = self.settings.samples, smoother.without_touch
-        given: dict[str, Any] = {"outside": skin.beside(outside), "weight": self.weight.evidence()}
+        given: dict[str, Any] = {"outside": outside, "weight": self.weight.evidence(), "skin": pressed}
         given["answer"] = self.settings.answer
         correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
         # What vision says anew is little beside an array that is pressed, whose search takes long.
@@ -311,9 +310,7 @@ class _Step:
         if estimate is None:
             estimate = correct(vision=prior)
         if outside is not None:
-            estimate = self._reconciled(
-                estimate, outside, lambda hand: correct(vision=prior, outside=skin.beside(hand))
-            )
+            estimate = self._reconciled(estimate, outside, lambda hand: correct(vision=prior, outside=hand))
         if not estimate.consistent and now - self.recovered_at >= FOLLOWER.recovery_period:
             self.recovered_at = now
             estimate, smoother = self._recovered(estimate, smoother, correct)

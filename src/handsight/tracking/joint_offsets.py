@@ -15,7 +15,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
-from handsight.correction.surface_at_contacts import information_by_contact
+from handsight.correction.solve import information_by_contact
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 

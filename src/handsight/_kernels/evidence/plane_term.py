@@ -12,8 +12,8 @@ from handsight._kernels.records import BOX, CYLINDER, SPHERE
 from handsight._kernels.runtime.compilation import inner
 
 STEPS, STEP, GROWTH = 10, 0.25, 3.0
-"""Of the search for the lowest point: how many, how far the first goes down [radii], and how each that was lower
-lengthens the next. On scans, whose fields are round at edges, it ends a little high."""
+"""Of the search for the lowest point of a grid: the number of steps, the length of the first [radii], and the factor by
+which a successful one lengthens the next. On scans, whose fields are round at edges, it ends a little high."""
 
 
 @inner
@@ -33,17 +33,18 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
 
 @inner
 def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
-    """Returns what `lowest_point` does, of a grid.
+    """Returns the lowest point of a grid along a unit direction.
 
-    From the lowest sample on to the closest point of what lies a step below, as long as that is lower: on a convex body
-    these are steps of the proximal point algorithm, which ends at a polyhedron's lowest corner after finitely many.
+    From the lowest sample it goes to the surface's closest point to a place a step below, as long as that is lower: on
+    a convex body this is the proximal point algorithm, which reaches a polyhedron's lowest corner in finitely many
+    steps.
     """
     model, none = evidence.model, np.float32(0.0)
     query = none, np.float32(up[0]), np.float32(up[1]), np.float32(up[2]), none, none, none
     low, step = vector(model.samples[scan(model.scan, query), 0]), STEP * model.radius
     for _ in range(STEPS):
         lower = sub(low, scale(up, step))
-        for _ in range(2):  # once would do, were a grid's distance exact as far out as that
+        for _ in range(2):  # twice, for so far from the surface a grid's distance is not exact
             d, g, _ = field_at(evidence.nodes, field, lower)
             lower = sub(lower, scale(g, d))
         if dot(lower, up) < dot(low, up):
@@ -56,8 +57,8 @@ def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
 
 @inner
 def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
-    """Returns how far the object stays above a plane [m], or less where it does; below zero, its lowest point in the
-    palm."""
+    """Returns the height of the object's lowest point above a plane [m], or a positive lower bound of it, and, where it
+    is negative, that point in the palm."""
     (R, p), bounds = pose, evidence.model.bounds
     normal = vector(plane.normal)
     up, height = tmul(R, normal), dot(normal, sub(p, vector(plane.point)))
@@ -74,8 +75,9 @@ def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
 def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds `min(0, height) / sigma` of each plane.
 
-    A plane that is `sigma` off along its normal is off for the whole object: one row, however much of it is below.
-    The lowest point may change with the pose, yet the height changes as that point does (the envelope theorem).
+    A plane's error along its normal is the same for the complete object: one row, however much of it is below. Another
+    point may become the lowest as the pose changes, yet the height changes as the present one's does (the envelope
+    theorem).
     """
     center, radius = frame
     for i in range(len(evidence.outside)):

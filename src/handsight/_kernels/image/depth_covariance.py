@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.prior_term import rotation_exp
 from handsight._kernels.math.dense6 import eigen, factor, in_metres, solve
 from handsight._kernels.math.simd import local
+from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.vec3 import Mat33, Vec3, add, cross, matrix, mul, scale, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.records import UNCERTAINTY

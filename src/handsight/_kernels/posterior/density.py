@@ -1,4 +1,4 @@
-"""The posterior at a pose: its information, its cost, and what each contact gains by being left out."""
+"""The posterior at a pose: its information, its cost, and by how much that falls when a contact is left out."""
 
 from typing import Any
 
@@ -14,7 +14,15 @@ from handsight._kernels.evidence.contact_term import (
     residual_covariance,
     surface_at,
 )
-from handsight._kernels.evidence.terms import ALL, LOADS, PRIOR, WALLS, Evidence, add_evidence, evidence_cost
+from handsight._kernels.evidence.terms import (
+    ALL,
+    FIXED_NOISE,
+    PRIOR,
+    WALLS,
+    Evidence,
+    add_evidence,
+    evidence_cost,
+)
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import vector
 from handsight._kernels.posterior.spurious_information import (
@@ -27,10 +35,8 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[float, float]:
-    """Returns χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
-
-    Adds to `spurious` those of what the model's bumps lend.
-    """
+    """Returns χ² of the contacts, and the log determinant of the covariances that whiten them; writes every term's
+    equations by (δp, δθ), and adds their spurious information to `spurious`."""
     model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
     chi2, log_spread = 0.0, 0.0
     for i in range(len(evidence.terms)):
@@ -46,7 +52,7 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
             if at_edge(model, term.contact, surface):
                 square = mahalanobis2(term.contact, surface, factor4)
                 add_contact(term, flattened(term.contact, surface), frame, term.equations)
-                # What it pulls at is beyond the edge: only its own residuals count.
+                # A gradient there would pull it over the edge: only its own residuals count.
                 for k in range(6):
                     term.equations[6, k] = 0.0
                 term.equations[6, 6] = square
@@ -60,10 +66,11 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
 def information(
     evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
 ) -> tuple[float, float]:
-    """Returns χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
+    """Returns χ², and the cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of
+    all evidence.
 
-    Both are without what the model's bumps lend; the terms' equations, and in `equations` the weight's and the prior's,
-    are whole. The weight is touch.
+    Weight and depth points count as touch: without them the answer is the prior's. Spurious information is subtracted
+    from both, but not from the terms' equations nor from `equations`, which hold the other evidence's.
     """
     equations[:] = 0.0
     chi2, log_spread = contact_information(evidence, pose, equations)
@@ -75,11 +82,11 @@ def information(
                 value += evidence.terms[k].equations[i, j]
             by_touch[i, j] = by_touch[j, i] = value
     subtract_spurious_information(by_touch, equations, model.radius)
-    # Walls: they cost, but say nothing of the way back.
+    # Walls cost, but say nothing of the way back.
     chi2 += evidence_cost(evidence, WALLS, pose)
     equations[:] = 0.0
     frame = pose[1], 1.0
-    add_evidence(evidence, LOADS, model.fine, pose, frame, False, equations)
+    add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, False, equations)
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = by_touch[i, j]
@@ -101,10 +108,10 @@ def posterior_cost(evidence: Evidence, pose: Pose) -> float:
 
 @inner
 def largest_gain(evidence: Evidence, u: Any) -> float:
-    """Returns the most that χ² falls, to first order, when one contact is left out and the pose gives way.
+    """Returns the most that χ² falls, to first order, when one contact is left out and the pose adapts to that.
 
     With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
-    prior's and the weight's share is in `u.equations`; what bumps lend is part of the cost, and stays.
+    share of other evidence is in `u.equations`; spurious information is part of the cost, and is not subtracted.
     """
     total, most = u.wider, 0.0
     for r in range(6):

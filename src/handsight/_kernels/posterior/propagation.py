@@ -1,4 +1,4 @@
-"""What a pose's uncertainty becomes as the object walks in the palm, and what it is at a point of the object."""
+"""A pose's information after process noise, and its covariance at a point of the object."""
 
 from typing import Any
 
@@ -11,14 +11,14 @@ from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import entry
 
 NEGLIGIBLE = 1e-9
-"""Of the largest eigenvalue: below it a declared symmetry leaves the information at zero."""
+"""An eigenvalue of the information below this part of the largest is a declared symmetry's zero."""
 
 
 @entry
 def inflate(information: Any, variance: Any) -> None:
-    """Inflates an information (6, 6), which may be singular, after process noise (6): (I⁻¹ + Q)⁻¹, an axis at a time.
+    """Lowers an information I (6, 6), which may be singular, by process noise of variances Q (6): (I⁻¹ + Q)⁻¹.
 
-    Of q along e that is I - q I e eᵀ I / (1 + q eᵀ I e) (Sherman and Morrison).
+    One axis e after the other, of variance q: I - q I e eᵀ I / (1 + q eᵀ I e) (Sherman and Morrison).
     """
     column = np.empty(6)
     for k in range(6):
@@ -32,10 +32,10 @@ def inflate(information: Any, variance: Any) -> None:
 
 @entry
 def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> float:
-    """Returns the largest eigenvalue of the `covariance` (3, 3), written, of where a point is that the object's
-    origin carries at the end of a `lever` (3).
+    """Writes the `covariance` (3, 3) of the position of a point at the end of a `lever` (3) from the object's origin;
+    returns its largest eigenvalue.
 
-    What a declared symmetry leaves at zero in the information (6, 6) is no uncertainty.
+    A direction that a declared symmetry leaves at zero in the information (6, 6) adds no uncertainty.
     """
     u, arm, most = local(UNCERTAINTY), vector(lever), 0.0
     in_metres(information, radius, u.matrix)
@@ -63,6 +63,6 @@ def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> fl
 
 
 def warm() -> None:
-    """Compiles every kernel, or loads it."""
+    """Compiles every kernel, or loads its machine code."""
     inflate(np.eye(6), np.zeros(6))
     at_point(np.eye(6), 1.0, np.zeros(3), np.empty((3, 3)))

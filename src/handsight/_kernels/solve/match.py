@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, add_evidence
+from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, add_evidence
 from handsight._kernels.math.simd import accumulate, local, scan
 from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
 from handsight._kernels.records import WORKSPACE
@@ -37,7 +37,8 @@ def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
 
 @inner
 def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -> None:
-    """Adds a contact against its sample's plane and normal, and against its place beyond a band around the sample."""
+    """Adds a contact's rows: the distance to its sample's plane, the distance along the plane beyond a band around the
+    sample, and the difference of the normals."""
     (R, p), (center, radius), contact = pose, frame, term.contact
     place, normal = nearest_sample(model, contact, pose)
     point, n = vector(contact.point), mul(R, normal)
@@ -71,7 +72,7 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
 
 @inner
 def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
-    """Returns the pose after Gauss-Newton steps on nearest samples, and how many."""
+    """Returns the pose after Gauss-Newton steps on nearest samples, and the number of steps."""
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)
@@ -82,7 +83,7 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
             if term.contact.used:
                 add_match(model, term, pose, frame, equations)
         # Walls would hold the object back on the way to its place: they hurt from far away.
-        add_evidence(evidence, PRIOR | LOADS, model.coarse, pose, frame, False, equations)
+        add_evidence(evidence, PRIOR | FIXED_NOISE, model.coarse, pose, frame, False, equations)
         step = damped_step(equations, model.radius, 1e-9, LONGEST_STEP, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0
