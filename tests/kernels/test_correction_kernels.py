@@ -22,7 +22,7 @@ from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.threads import alone, in_parts
 from handsight._kernels.solve import batch, match
 from handsight._kernels.solve.options import SEARCH
-from handsight.correction import WeightEvidence, modes, solve
+from handsight.correction import DepthPoints, WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries
@@ -54,7 +54,9 @@ def model(name):
     return {"box": scenes.box, "can": scenes.can}[name]()
 
 
-def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, whole=(), weighed=False):
+def problem(
+    name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, whole=(), weighed=False, depth=0
+):
     """A grasp of the object with full covariances; `bare`: some contacts without a normal.
 
     `whole`: contacts whose covariance is of the residuals.
@@ -87,7 +89,11 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
         center = kept_center(model(name).symmetries, model(name).center_object + 0.01 * rng.normal(size=3))
         place = se3.apply(T, center[None])[0] + root @ rng.normal(size=3)
         weight = WeightEvidence(center, place, root @ root.T)
-    return Problem(model(name), contacts, None if blind else vision, hand, weight)
+    points = None
+    if depth:
+        drawn = palm[rng.integers(n, size=depth)] + rng.normal(0, 0.005, (depth, 3))
+        points = DepthPoints(drawn, 0.005)
+    return Problem(model(name), contacts, None if blind else vision, hand, weight, points)
 
 
 @kept
@@ -128,7 +134,7 @@ def same_equations(equations, r, J, rtol=2e-5):
 WHOLE = {"bare": True, "whole": (0, 1, 3)}
 WEIGHED = {"weighed": True}
 KINDS = [
-    {}, {"bare": True}, {"n": 1}, {"n": 12}, {"outside": 40}, {"blind": True, "outside": 7}, WHOLE, WEIGHED, {**WEIGHED, "blind": True},
+    {}, {"bare": True}, {"n": 1}, {"n": 12}, {"outside": 40}, {"blind": True, "outside": 7}, WHOLE, WEIGHED, {**WEIGHED, "blind": True}, {"depth": 9},
 ]  # fmt: skip
 
 
@@ -167,7 +173,9 @@ def test_normal_equations_are_those_of_the_residuals(name, kind, away):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
-    "kind", [{}, {"bare": True}, {"n": 12}, {"outside": 40}, {"blind": True}, WHOLE, WEIGHED], ids=str
+    "kind",
+    [{}, {"bare": True}, {"n": 12}, {"outside": 40}, {"blind": True}, WHOLE, WEIGHED, {"depth": 9}],
+    ids=str,
 )
 def test_the_cost_is_minus_two_log_of_the_density(name, kind):
     given, rng = problem(name, 2, **kind), np.random.default_rng(7)

@@ -118,12 +118,19 @@ def of_weight(problem: Problem, T: Array) -> Array:
     return root @ (se3.apply(T, weight.center_object[None])[0] - weight.center_palm)
 
 
+def of_depth(problem: Problem, T: Array) -> Array:
+    """Residuals (n,) of depth points, where there are any."""
+    if problem.depth is None:
+        return np.empty(0)
+    return surface(problem, problem.depth.points_palm, T)[0] / problem.depth.sigma
+
+
 def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:
     """All of them, whitened as at `T_weights`, which is `T` where not given."""
     weights = T if T_weights is None else T_weights
     touch = of_contacts(problem, T, weights, used).reshape(-1)
     sight = np.empty(0) if problem.vision is None else of_prior(problem, T)
-    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T)])
+    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T), of_depth(problem, T)])
 
 
 def posterior_cost(problem: Problem, T: Array, used: Array | None = None) -> float:

@@ -165,7 +165,7 @@ def outside_records(
     outside: ArrayLike | Outside | None,
     skin: SkinEvidence | None = None,
 ) -> NDArray[np.void]:
-    """Returns (m,) OUTSIDE: points, those of a link in a row; then untouched taxels, each a link by itself; then planes.
+    """Returns (m,) OUTSIDE: points, those of a link in a row, then untouched taxels, each a link by itself, and planes.
 
     Points are no evidence about an object that has no inside.
     """
