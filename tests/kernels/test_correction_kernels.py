@@ -16,7 +16,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import records
-from handsight._kernels.evidence import prior_term, terms
+from handsight._kernels.evidence import contact_term, prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.threads import alone, in_parts
@@ -499,7 +499,7 @@ assert os.waitpid(child, 0)[1] == 0
 def _match(model, contacts, descents, found, equations):
     """Of each contact, at a pose: the nearest sample's point and normal, and its equations about the palm's origin."""
     terms, pose = np.empty(len(contacts), TERM), pose_of(descents[0].pose)
-    batch.load_terms(contacts, terms)
+    contact_term.load_terms(contacts, terms)
     for i in range(len(contacts)):
         place, normal = match.nearest_sample(model[0], contacts[i], pose)
         for k in range(3):
@@ -562,7 +562,7 @@ def test_modes_are_weighed_by_the_density_there(name, kind):
     Ts = poses_of(descents)  # their equivalents nearest to vision
     np.testing.assert_allclose(descents["posterior_cost"], solve.cost(given, Ts, used), rtol=1e-9, atol=1e-9)
     volume = descents["log_weight"] + descents["posterior_cost"] / 2
-    answers = solve._summaries(given, descents, used, first_order=True)
+    answers = solve.summaries(given, descents, used, first_order=True)
     metres = modes.in_metres(answers["information"], given.model.radius)
     floor = (1.0 if given.blind else 1e-9) / given.model.radius**2
     expected = -0.5 * np.log(np.linalg.eigvalsh(metres).clip(floor)).sum(axis=1)

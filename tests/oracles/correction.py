@@ -159,8 +159,8 @@ def jacobian(function, T: Array, center: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def lent(problem: Problem, T: Array) -> Array:
-    """(6, 6) information by (δp, δθ) that bumps lend to the contacts on the average."""
+def spurious_information(problem: Problem, T: Array) -> Array:
+    """(6, 6) information by (δp, δθ) that bumps add to the contacts, on the average."""
     contacts, F = problem.contacts, np.zeros((6, 6))
     _, _, normals, _ = surface(problem, contacts.points_palm, T)
     bumps = fields.variances(problem.model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[

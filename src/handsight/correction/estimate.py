@@ -237,7 +237,16 @@ class PoseEstimate:
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """Distinct modes modulo the declared symmetries, best first; the first is the answer's."""
-        return tuple(_hypothesis(mode) for mode in self.modes)
+        return tuple(
+            Hypothesis(
+                mode["T_palm_object"],
+                mode["information"],
+                mode["covariance"] if mode["complete"] else None,
+                float(mode["weight"]),
+                float(mode["posterior_cost"]),
+            )
+            for mode in self.modes
+        )
 
     def __repr__(self) -> str:
         """Says where, and how it ended, in a line."""
@@ -263,14 +272,3 @@ def bounded_covariance(information: Array) -> Array:
     For those that take covariances alone: a filter reads zeros as certainty.
     """
     return np.asarray(np.linalg.inv(information + OPEN_INFORMATION))
-
-
-def _hypothesis(mode: np.void) -> Hypothesis:
-    covariance = mode["covariance"] if mode["complete"] else None
-    return Hypothesis(
-        mode["T_palm_object"],
-        mode["information"],
-        covariance,
-        float(mode["weight"]),
-        float(mode["posterior_cost"]),
-    )

@@ -204,7 +204,7 @@ def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
     return np.where(used[0], arguments[2][0]["gain"], 0.0)
 
 
-def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
+def summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
     """Returns (K,) ANSWER at the ends of descents (K,); `used` (1, n)."""
     answers = np.zeros(len(descents), dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = descents["pose"], first_order
@@ -219,7 +219,7 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
         chosen = taken(minima, distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE))
-    answers = _summaries(problem, chosen, used)
+    answers = summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]
     answers["posterior_cost"] = chosen["posterior_cost"]
@@ -231,7 +231,7 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
 def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
     """Returns another method's answer at a descent (1,): its pose, with the uncertainty of our evidence there."""
     used = np.ones((1, len(problem.contacts)), dtype=bool)
-    answer = _summaries(problem, descent, used, first_order=True)[0]
+    answer = summaries(problem, descent, used, first_order=True)[0]
     answer["weight"] = 1.0
     consistent = modes.fits(answer["chi2"], problem.freedom(used))
     return PoseEstimate(answer, (answer,), residuals(problem, descent), consistent)

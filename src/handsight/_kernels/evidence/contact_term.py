@@ -11,6 +11,7 @@ from handsight._kernels.math.simd import accumulate
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
+    add,
     add33,
     block,
     cross,
@@ -23,6 +24,7 @@ from handsight._kernels.math.vec3 import (
     scale,
     scale33,
     skew,
+    store,
     sub,
     sub33,
     tmul,
@@ -57,6 +59,29 @@ def surface_at(nodes: Any, field: Any, point: Vec3, pose: Pose) -> Surface:
     # d(g/|g|) = (I - n nᵀ) dg / |g|
     K = scale33(sub33(H, outer(n, mul(H, n))), s)
     return d, g, n, K, place
+
+
+@inner
+def load_terms(contacts: Any, terms: Any) -> Vec3:
+    """Returns the centroid of the contacts (n,); fills in their TERM (n,)."""
+    center = (0.0, 0.0, 0.0)
+    for i in range(len(contacts)):
+        contact, term = contacts[i], terms[i]
+        C, own = contact.covariance, term.contact
+        # Field by field: numba assigns no nested record, and checks shapes at length where it assigns arrays.
+        store(vector(contact.point), own.point)
+        store(vector(contact.normal), own.normal)
+        own.has_normal, own.used, own.of_residual = contact.has_normal, contact.used, contact.of_residual
+        point, normal, off = C[0, 0] + C[1, 1] + C[2, 2], C[3, 3] + C[4, 4] + C[5, 5], 0.0
+        for j in range(6):
+            for k in range(6):
+                own.covariance[j, k] = C[j, k]
+                if j < 3:
+                    off = max(off, abs(C[j, k] - (point / 3 if j == k else 0.0)))
+        term.isotropic = off <= 1e-12 * point
+        term.variance_point, term.variance_normal = point / 3, normal / 2
+        center = add(center, scale(vector(contact.point), 1 / len(contacts)))
+    return center
 
 
 @inner
@@ -241,38 +266,3 @@ def mahalanobis2(contact: Any, surface: Surface, factor: Factor) -> float:
         z = error[2] - l31 * error[0] - l32 * y
         square += error[0] * error[0] / d[0] + y * y / d[1] + z * z / d[2]
     return square
-
-
-@inner
-def at_edge(model: Any, contact: Any, surface: Surface) -> bool:
-    """Returns whether the surface bends as sharply as an edge, and the contact has a normal that says which face it is
-    on."""
-    K = surface[3]
-    bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
-    return bend > model.edge_curvature2 and contact.has_normal != 0
-
-
-@inner
-def flattened(contact: Any, surface: Surface) -> Surface:
-    """Returns a plane along the contact's normal in place of an edge.
-
-    A contact that the prior has pushed to an edge is stopped on one side only: the sharp bend is a wall, and measures
-    nothing in the other direction.
-    """
-    n = vector(contact.normal)
-    return surface[0], n, n, FLAT, surface[4]
-
-
-@inner
-def prepare_term(contact: Any, term: Any) -> None:
-    """Fills in the mean variances of a contact, and whether its point's noise is isotropic."""
-    C = contact.covariance
-    point, normal, off = 0.0, 0.0, 0.0
-    for k in range(3):
-        point += C[k, k]
-        normal += C[3 + k, 3 + k]
-    for k in range(3):
-        for j in range(6):
-            off = max(off, abs(C[k, j] - (point / 3 if j == k else 0.0)))
-    term.isotropic = off <= 1e-12 * point
-    term.variance_point, term.variance_normal = point / 3, normal / 2

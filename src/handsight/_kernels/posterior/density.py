@@ -5,9 +5,7 @@ from typing import Any
 from handsight._kernels.evidence.contact_term import (
     Pose,
     add_contact,
-    at_edge,
     factored,
-    flattened,
     invert_covariance,
     log_determinant,
     mahalanobis2,
@@ -24,7 +22,8 @@ from handsight._kernels.evidence.terms import (
     evidence_cost,
 )
 from handsight._kernels.math.dense6 import factor, solve
-from handsight._kernels.math.vec3 import vector
+from handsight._kernels.math.vec3 import dot, vector
+from handsight._kernels.mesh.field import FLAT
 from handsight._kernels.posterior.spurious_information import (
     add_spurious_information,
     subtract_spurious_information,
@@ -49,10 +48,15 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
             invert_covariance(factor4, has_normal, term.weight)
             log_spread += log_determinant(factor4, has_normal)
             add_spurious_information(model, evidence.nodes, term, surface, pose, spurious)
-            if at_edge(model, term.contact, surface):
-                square = mahalanobis2(term.contact, surface, factor4)
-                add_contact(term, flattened(term.contact, surface), frame, term.equations)
-                # A gradient there would pull it over the edge: only its own residuals count.
+            K = surface[3]
+            bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
+            if bend > model.edge_curvature2 and has_normal:
+                # A contact that the prior has pushed to an edge is stopped on one side only: the sharp bend is a wall,
+                # and measures nothing in the other direction. In its place stands a plane along the contact's normal,
+                # without a gradient, which would pull the contact over the edge.
+                square, n = mahalanobis2(term.contact, surface, factor4), vector(term.contact.normal)
+                plane = surface[0], n, n, FLAT, surface[4]
+                add_contact(term, plane, frame, term.equations)
                 for k in range(6):
                     term.equations[6, k] = 0.0
                 term.equations[6, 6] = square

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Pose, prepare_term, surface_at
+from handsight._kernels.evidence.contact_term import Pose, load_terms, surface_at
 from handsight._kernels.evidence.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
 from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, in_metres
@@ -22,7 +22,7 @@ from handsight._kernels.math.symmetry import (
     store_transform,
     transform_of,
 )
-from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, store, vector
+from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, vector
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
 from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
@@ -32,25 +32,6 @@ from handsight._kernels.solve.match import match
 from handsight._kernels.solve.options import DESCENT, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
-
-
-@inner
-def load_terms(contacts: Any, terms: Any) -> Vec3:
-    """Returns the centroid of the contacts (n,); fills in their TERM (n,)."""
-    center = (0.0, 0.0, 0.0)
-    for i in range(len(contacts)):
-        contact, term = contacts[i], terms[i]
-        # Field by field: numba assigns no record whole, and checks shapes at length where it assigns arrays.
-        store(vector(contact.point), term.contact.point)
-        store(vector(contact.normal), term.contact.normal)
-        term.contact.has_normal, term.contact.used = contact.has_normal, contact.used
-        term.contact.of_residual = contact.of_residual
-        for j in range(6):
-            for k in range(6):
-                term.contact.covariance[j, k] = contact.covariance[j, k]
-        prepare_term(contact, term)
-        center = add(center, scale(vector(contact.point), 1 / len(contacts)))
-    return center
 
 
 @inner

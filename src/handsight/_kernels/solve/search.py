@@ -93,21 +93,19 @@ def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, cos
 
 
 @inner
-def _is_near(model: Any, a: Pose, b: Pose) -> bool:
-    """Returns whether two poses are so near that a second descent would lead to the same place; without symmetries."""
-    (R, p), (Q, q) = a, b
-    gap = add(sub(p, q), sub(mul(R, vector(model.center)), mul(Q, vector(model.center))))
-    trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
-    return dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE
-
-
-@inner
 def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
-    """Returns whether phase 1 has led to this pose before; `earlier` (M,) POSE: where it led those of the first k rows
-    that were not repeats."""
+    """Returns whether phase 1 has led to this pose before, up to what a descent would hardly change; symmetries aside.
+
+    `earlier` (M,) POSE: where it led those of the first k rows that were not repeats.
+    """
+    (R, p), center = pose, vector(model.center)
     for j in range(k):
-        if rows[j, 0].cost < np.inf and _is_near(model, pose, pose_of(earlier[j])):
-            return True
+        if rows[j, 0].cost < np.inf:
+            Q, q = pose_of(earlier[j])
+            gap = add(sub(p, q), sub(mul(R, center), mul(Q, center)))
+            trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
+            if dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE:
+                return True
     store_pose(pose, earlier[k])
     return False
 
