@@ -18,7 +18,7 @@ from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
 from handsight.correction import solve
 from handsight.correction.estimate import PoseEstimate, PosePrior
-from handsight.correction.problem import Problem, Records, descents_at, taken
+from handsight.correction.problem import Problem, Records, taken
 from handsight.objects import ObjectModel
 
 
@@ -54,18 +54,15 @@ def usual(problem: Problem) -> int:
 
 def from_prior(vision: PosePrior, number: int) -> Records:
     """Returns (number,) DESCENT: the prior's own pose, then draws from it along the object's own axes."""
-    T = vision.T_palm_object
-    covariance = se3.rotate_covariance(T[:3, :3].T, vision.covariance)
-    deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) + 1e-12
-    correlation = covariance / np.outer(deviations, deviations)
-    draws = _draws(max(number, 1024))[:number]
-    steps = draws @ np.linalg.cholesky(correlation + 1e-9 * np.eye(6)).T * deviations
-    return descents_at(T @ se3.compose(se3.rotation_exp(steps[:, 3:]), steps[:, :3]))
+    kept = 1024  # of these, the first ones are the draws of every problem
+    descents, draws = np.zeros(number, dtype=DESCENT), _draws(max(number, kept))[:number]
+    in_parts(partial(search.draw, vision.record), (draws, descents), kept)
+    return descents
 
 
 @lru_cache(maxsize=1)
 def _draws(number: int) -> Array:
-    """Returns (number, 6) standard normal, the first at zero: the same for every problem."""
+    """Returns (number, 6) standard normal, the first at zero."""
     draws = np.random.default_rng(0).normal(size=(number, 6))
     draws[0] = 0.0
     return draws

@@ -42,6 +42,7 @@ def _starts() -> None:
     for kernel in (batch.weigh, batch.cost_all):
         kernel(*given, descents)
     search.search(*given, descents[None, :, None])
+    search.draw(constraints, np.zeros((2, 6)), descents)
     search.spin(model, np.eye(3)[None], np.zeros((1, 1, records.SAMPLES), dtype=records.DESCENT))
     search.score(model, nodes, contacts, np.ones(2), descents, np.empty((2, len(contacts))))
     answers = np.zeros(1, dtype=records.ANSWER)

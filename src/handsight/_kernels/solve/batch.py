@@ -57,7 +57,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
     for phase in range(1 if follows else 0, 2):
         answer.coarse_cost = cost
         field = model.fine if phase else model.coarse
-        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], phase >= 0)
+        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], True)
         steps += more
     answer.cost, answer.iterations, answer.converged = cost, steps, converged
     return pose

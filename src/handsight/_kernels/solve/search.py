@@ -10,12 +10,15 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, surface_at
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
+from handsight._kernels.math.dense6 import factor
 from handsight._kernels.math.simd import local
+from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
     add,
+    block,
     cross,
     dot,
     matmul,
@@ -26,7 +29,7 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, WEAK_PRIOR
+from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
@@ -37,6 +40,33 @@ LIMITS = DESCENT.coarse, DESCENT.fine
 COSINE = float(np.cos(SEARCH.same_after_match[1]))
 WORST = 1e300
 """The cost in place of NaN: such a descent is still an answer where there is no better one."""
+
+
+@entry
+def draw(constraints: Any, draws: Any, descents: Any) -> None:
+    """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
+    prior, u = constraints[0].prior, local(UNCERTAINTY)
+    R, p = pose_of(prior.pose)
+    for a in range(0, 6, 3):
+        for b in range(0, 6, 3):
+            turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
+            for i in range(3):
+                for j in range(3):
+                    u.matrix[a + i, b + j] = turned[i][j]
+    # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
+    for i in range(6):
+        u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
+        for j in range(i + 1):
+            u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
+    factor(u.wider, 6, 1e-9, u.factor)
+    for k in range(len(descents)):
+        for i in range(6):
+            value = draws[k, i] / u.factor[i, i]
+            for j in range(i):
+                value += u.factor[i, j] * draws[k, j]
+            u.column[i] = value * u.row[i]
+        turn = mul(R, (u.column[3], u.column[4], u.column[5]))
+        store_pose((matmul(rotation_exp(turn), R), add(p, mul(R, vector(u.column)))), descents[k].pose)
 
 
 @inner
