@@ -1,7 +1,7 @@
 """The fixed-size values that kernels take, as NumPy structured types. All SI.
 
-A kernel reads their fields by name (`model.radius`, `contact.normal`); Python fills them once, at the public door. What
-a kernel makes for itself is a record of `simd.local`, which lives until the kernel returns.
+A kernel reads their fields by name (`model.radius`, `contact.normal`); Python fills them in once, at the public door. A
+kernel's own workspace is a record of `simd.local`, which lives until the kernel returns.
 """
 
 import numpy as np
@@ -68,7 +68,7 @@ MODEL = record(
     ("edge_curvature2", "f8"),  # squared curvature from which on the surface counts as an edge
     ("error", FIELD_ERROR),
     ("symmetry", SYMMETRY),
-    ("normal_weight2", "f8"),  # what a unit of normal is worth in phase 1, squared [m²]
+    ("normal_weight2", "f8"),  # of the length that a unit of normal counts as in phase 1 [m²]
     ("band", "f8"),  # tangential distance to a sample that costs nothing [m]
     ("tangential_weight", "f8"),  # of what is beyond it, squared [1/m²]
     ("sample_variance_distance", "f8"),  # of a sample's plane [m²] and of its normal, per axis [rad²]
@@ -82,9 +82,9 @@ CONTACT = record(
     ("normal", "f8", (3,)),
     ("has_normal", "i8"),
     ("used", "i8"),  # whether it counts
-    ("of_residual", "i8"),  # whether the covariance is of its residuals: what model and surface add is in it
+    ("of_residual", "i8"),  # whether the covariance is of its residuals, errors of model and surface included
     ("covariance", "f8", (6, 6)),  # of (point, normal)
-    ("gain", "f8"),  # an answer: how much χ² falls, to first order, when it is left out
+    ("gain", "f8"),  # written: by how much χ² falls, to first order, when it is left out
 )
 # Where the object's centre of mass is in the palm, as the loads on the fingertips show.
 OBJECT_WEIGHT = record(
@@ -111,16 +111,16 @@ OUTSIDE = record(
     ("normal", "f8", (3,)),
     ("link", "i8"),  # whose points are wrong together
     ("slack", "f8"),  # how deep inside it may be [m]: the link is that much smaller than its shape
-    ("clearance", "f8"),  # from the object, where it was last looked at [m]
-    ("far", "i8"),  # outside for certain
+    ("clearance", "f8"),  # from the object, where it was last measured [m]
+    ("far", "i8"),  # certainly outside
 )
 
-# What a correction works out of a contact.
+# A contact with what a correction computes from it.
 TERM = record(
     ("contact", CONTACT),
     ("variance_point", "f8"),  # mean, per axis
     ("variance_normal", "f8"),  # mean, per tangent axis
-    ("isotropic", "i8"),  # the point's covariance is a ball's, and none of it is shared with the normal
+    ("isotropic", "i8"),  # the point's covariance is a multiple of 1, and none is shared with the normal
     ("weight", "f8", (4, 4)),  # inverse covariance of (distance, normal)
     ("log_spread", "f8"),  # log det of that covariance
     ("equations", "f8", (7, 8)),  # its own, by (δp, δθ)
@@ -193,7 +193,7 @@ WORKSPACE = record(
     ("now", "f8", (7, 8)), ("next", "f8", (7, 8)), ("factor", "f8", (6, 6)), ("step", "f8", (6,))
 )
 
-# Room for what is worked out of a pose's uncertainty.
+# Room for the computation of a pose's uncertainty.
 UNCERTAINTY = record(
     ("by_touch", "f8", (6, 6)),
     ("equations", "f8", (7, 8)),
@@ -207,23 +207,20 @@ UNCERTAINTY = record(
     ("arc", "f8", (3, 3)),
 )
 
-# Along what a mode is integrated: columns of (s, radius θ), straight along the object.
+# The directions along which a mode is integrated: columns of (s, radius θ), straight along the object.
 FLAT_DIRECTIONS = record(
     ("count", "i8"),  # of directions along, of those across
     ("count_across", "i8"),
     ("along", "f8", (6, 3)),
-    ("spacing", "f8", (3,)),  # of the places [m]
-    ("lattice", "f8", (6, 3)),  # from a place to the next
+    ("spacing", "f8", (3,)),  # of the lattice points [m]
+    ("lattice", "f8", (6, 3)),  # from a point to the next
     ("across", "f8", (6, 6)),
     ("stretch", "f8", (6,)),  # how much wider these are than the slope at the mode says
     ("proper", "i8"),  # whether all is known: blind, a direction may not be
-    (
-        "bump_margin",
-        "f8",
-    ),  # how far a bumpy model's dents may lower the cost of contacts and walls, and the cost
-    ("level", "f8"),  # below which places are therefore alike
+    ("bump_margin", "f8"),  # how far the dents of a scan may lower the cost of contacts and walls
+    ("level", "f8"),  # the cost up to which points therefore count the same
 )
-# Sums over places: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
+# Sums over lattice points: of weights, relative to the largest, times deviations (δp, δθ) and their squares.
 SUMS = record(
     ("best", "f8"),  # largest log weight yet
     ("total", "f8"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -54,19 +55,24 @@ def correct_pose(
 ) -> PoseEstimate:
     """Returns the object's pose in the palm that best explains the contacts and vision, with its uncertainty.
 
-    contacts: fingertip contacts in the palm frame. vision: the object's pose in the palm with its covariance, as a
-    `PosePrior`, a `PoseMeasurement` in the palm or a `GaussianPose`; None: without vision.
+    contacts: fingertip contacts in the palm frame.
+    vision: the object's pose in the palm with its covariance, as a `PosePrior`, a `PoseMeasurement` in the palm or a
+    `GaussianPose`; None: without vision.
     outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
     `Outside` of such points and of planes that the object cannot cross.
     answer: "best" is the mean of a mode that is not Gaussian, such as along a flat direction that contacts bound and do
-    not fix, and else the maximum; or "maximum", or "mean". samples: above 0, the best mode's mean and covariance from
-    that many posterior samples instead, up to `MOST_SAMPLES`: slow, and an independent check. budget: seconds after
-    which no search for a better mode or a wrong contact goes on; `converged` is False where one was cut short. weight:
-    where the object's centre of mass is; left out where all other evidence contradicts it, and then `weight_fits` is
-    False. depth: points of a depth image that lie on the object, in place of the pose that the image gave. skin: the
-    taxels of tactile arrays, those pressed being contacts that follow the fingertips' in `residuals` and `outliers`.
-    method: a name of `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that
-    does not converge says so in `converged`.
+    not fix, and else the maximum; or "maximum", or "mean".
+    samples: above 0, the best mode's mean and covariance from that many posterior samples instead, up to
+    `MOST_SAMPLES`: slow, and an independent check.
+    budget: seconds after which no search for a better mode or a wrong contact goes on; `converged` is False where one
+    was cut short.
+    weight: where the object's centre of mass is; left out where all other evidence contradicts it, and then
+    `weight_fits` is False.
+    depth: points of a depth image that lie on the object, in place of the pose that the image gave.
+    skin: the taxels of tactile arrays. The pressed ones follow the contacts in `residuals` and `outliers`.
+    method: a name of `METHODS`, or its options as a value.
+
+    Raises InvalidInput where an input is wrong; a solver that does not converge says so in `converged`.
     """
     options = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
@@ -88,6 +94,10 @@ def correct_pose(
     estimate = solved(problem)
     estimate = estimate if problem.weight is None else _weighed(problem, estimate, solved)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
+
+
+KEYS = tuple(inspect.signature(correct_pose).parameters)[1:]
+"""The arguments of `correct_pose` that a problem of `correct_poses` may have."""
 
 
 def _problem(
@@ -256,21 +266,9 @@ def _arguments(problem: object, name: str) -> dict[str, Any]:
     else:
         expected = "expected a mapping, (contacts, vision) or Contacts"
         raise InvalidInput(f"{name}: {expected}, got {type(problem).__name__}")
-    keys = (
-        "contacts",
-        "vision",
-        "outside",
-        "answer",
-        "samples",
-        "budget",
-        "weight",
-        "depth",
-        "skin",
-        "method",
-    )
     for key in given:
-        if key not in keys:
-            raise InvalidInput(f"{name}: expected {', '.join(keys)}, got {key!r}")
+        if key not in KEYS:
+            raise InvalidInput(f"{name}: expected {', '.join(KEYS)}, got {key!r}")
     contacts = given.get("contacts")
     if not isinstance(contacts, Contacts):
         raise InvalidInput(f"{name}.contacts: expected Contacts, got {type(contacts).__name__}")

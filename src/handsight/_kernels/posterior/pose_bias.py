@@ -206,8 +206,8 @@ def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
         for i in range(3):
             for j in range(3):
                 for k in range(3):
-                    walk = new.process_noise[a + k] - old.process_noise[a + k]
-                    both[a + i, a + j] += R[i][k] * walk * R[j][k]
+                    drift = new.process_noise[a + k] - old.process_noise[a + k]
+                    both[a + i, a + j] += R[i][k] * drift * R[j][k]
     if not factor(new.covariance, 6, 0.0, factored):
         return False
     _whiten(factored, rows)

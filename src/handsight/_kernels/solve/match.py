@@ -13,6 +13,8 @@ from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract
 from handsight._kernels.solve.options import MATCH
 
+f4 = np.float32
+
 
 @inner
 def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
@@ -21,17 +23,8 @@ def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
     x = scale(tmul(R, sub(vector(contact.point), p)), -2.0)
     n = scale(tmul(R, vector(contact.normal)), -2 * model.normal_weight2)
     # |a - b|² without |a|², which is the same for every sample.
-    query = (
-        np.float32(1.0),
-        np.float32(x[0]),
-        np.float32(x[1]),
-        np.float32(x[2]),
-        np.float32(n[0]),
-        np.float32(n[1]),
-        np.float32(n[2]),
-    )
-    best = scan(model.scan, query)
-    sample = model.samples[best]
+    query = f4(1.0), f4(x[0]), f4(x[1]), f4(x[2]), f4(n[0]), f4(n[1]), f4(n[2])
+    sample = model.samples[scan(model.scan, query)]
     return vector(sample[0]), vector(sample[1])
 
 
@@ -49,17 +42,12 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
     lever = scale(sub(point, center), 1 / radius)
     by_distance, by_reach = neg(n), scale(lateral, -1 / max(reach, 1e-300))
     turned, error = skew(scale(n, -1 / radius)), sub(n, vector(contact.normal))
-    facing = 0.0
+    plane, band = 1 / (term.variance_point + model.sample_variance_distance), 0.0
+    facing, still = 0.0, (0.0, 0.0, 0.0)
+    if reach > model.band:
+        band = model.tangential_weight
     if contact.has_normal:
         facing = 1 / max(term.variance_normal + model.sample_variance_normal, 1e-12)
-    weights = (
-        1 / (term.variance_point + model.sample_variance_distance),
-        model.tangential_weight if reach > model.band else 0.0,
-        facing,
-        facing,
-        facing,
-    )
-    still = (0.0, 0.0, 0.0)
     rows = (
         by_distance + cross(lever, by_distance) + (distance,),
         by_reach + cross(lever, by_reach) + (reach - model.band,),
@@ -67,7 +55,7 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
         still + turned[1] + (error[1],),
         still + turned[2] + (error[2],),
     )
-    accumulate(weights, rows, equations)
+    accumulate((plane, band, facing, facing, facing), rows, equations)
 
 
 @inner
