@@ -3,6 +3,7 @@
 In README.md, CONTRIBUTING.md and docs/*.md
 
 * every relative link and picture leads to a file, and to a heading where it names one;
+* every Python file that a page mentions in code type exists, and in method.md every `module.name` of the sources;
 * a page's ```python blocks run, one after the other, in a folder of the page's own; HTML comments of Sybil's prepare
   what a reader has (`invisible-code-block: python`) or say what a machine may lack (`skip: next if(..., reason=...)`);
 * a ```bash run block is run there; of the other shell blocks each `handsight` line is a command that exists, with
@@ -60,6 +61,34 @@ def leads(example: Example) -> str | None:
     if anchor and file.suffix == ".md" and anchor not in headings(file):
         return f"{example.parsed} names a heading that is not there"
     return None
+
+
+def mentions(document: Document) -> Iterable[Region]:
+    """The page's words in code type that name a Python file; in method.md also what a module defines."""
+    text = FENCE.sub(lambda block: " " * len(block[0]), document.text)
+    form = r"[\w/]+\.py|[a-z_]+\.\w+" if Path(document.path).name == "method.md" else r"[\w/]+\.py"
+    for match in re.finditer(rf"`({form})`", text):
+        yield Region(match.start(), match.end(), parsed=match[1], evaluator=exists)
+
+
+def exists(example: Example) -> str | None:
+    """What is wrong with the name of a file, or of what a module of the sources defines."""
+    stem, _, name = example.parsed.rpartition(".")
+    if name == "py":
+        there = any(f"/{path}".endswith(f"/{example.parsed}") for path in python_files())
+        return None if there else f"no file {example.parsed}"
+    modules = [path for path in python_files() if path.startswith("src/") and Path(path).stem == stem]
+    defined = re.compile(rf"^\s*(?:(?:def|class) {name}\b|{name}\b.*[:=])", re.MULTILINE)
+    if not modules or any(defined.search((ROOT / path).read_text(encoding="utf-8")) for path in modules):
+        return None
+    return f"{' and '.join(modules)}: defines no {name}"
+
+
+@cache
+def python_files() -> list[str]:
+    """The Python files of the repository, from its root."""
+    folders = ("src", "tests", "docs", "examples", "experiments", "benchmarks", "ros")
+    return [path.relative_to(ROOT).as_posix() for folder in folders for path in (ROOT / folder).rglob("*.py")]
 
 
 @cache
@@ -151,7 +180,15 @@ def end(namespace: dict[str, Any]) -> None:
 shells = [CodeBlockParser(language, commands) for language in ("bash", "sh", "shell", "console")]
 data = [CodeBlockParser(language, readable) for language in ("json", "yaml", "xml")]
 pytest_collect_file = Sybil(
-    [SkipParser(), PythonCodeBlockParser(), links, CodeBlockParser("bash run", run), *shells, *data],
+    [
+        SkipParser(),
+        PythonCodeBlockParser(),
+        links,
+        mentions,
+        CodeBlockParser("bash run", run),
+        *shells,
+        *data,
+    ],
     path=str(ROOT),
     patterns=["README.md", "CONTRIBUTING.md", "docs/*.md"],
     setup=begin,
