@@ -62,8 +62,9 @@ def solve_batch(
     counts = np.array([len(contacts) for contacts, _ in problems])
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    constraints = np.concatenate([vision.record.view(np.float64) for _, vision in problems])
-    plain(rows)[:, : len(constraints) // len(problems)] = constraints.reshape(len(problems), -1)
+    # The first field of a problem; as numbers its copy takes a hundredth of the time.
+    constraints = np.concatenate([plain(vision.record) for _, vision in problems])
+    plain(rows)[:, : constraints.shape[1]] = constraints
     rows["last"] = np.cumsum(counts)
     rows["first"] = rows["last"] - counts
     given = (*model.record[:2], contacts, NO_OUTSIDE)
