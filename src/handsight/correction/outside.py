@@ -74,16 +74,13 @@ class Outside:
         points = np.array(_points(self.points_palm))  # the caller may change its own
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
-        if self.sigmas is not None:
-            sigmas = _each(
-                self.sigmas, "outside.sigmas", len(points), (checks.MIN_SIGMA, checks.MAX_DISTANCE)
-            )
-            object.__setattr__(self, "sigmas", sigmas)
         if self.links is not None:
             object.__setattr__(self, "links", _links(self.links, len(points)))
-        if self.slacks is not None:
-            slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.MAX_DISTANCE))
-            object.__setattr__(self, "slacks", slacks)
+        for name, least in (("sigmas", checks.MIN_SIGMA), ("slacks", 0.0)):
+            if getattr(self, name) is not None:
+                limits = least, checks.MAX_DISTANCE
+                numbers = _each(getattr(self, name), f"outside.{name}", len(points), limits)
+                object.__setattr__(self, name, numbers)
         if self.skin is not None:
             warnings.warn("Outside.skin is now SkinEvidence, for correct_pose(skin=)", DeprecationWarning, 3)
             object.__setattr__(self, "skin", checks.finite(self.skin, "outside.skin", (6,)))
@@ -96,24 +93,26 @@ class Outside:
 
     def joined(self, other: Outside) -> Outside:
         """Returns the evidence of both; each must have sigmas of its own."""
-        parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
+        counts = [len(np.asarray(each.points_palm)) for each in (self, other)]
 
-        def filled(name: str, usual: float) -> Array:
+        def both(name: str, usual: float) -> Array:
             """Returns the values of all points, where one may be given for all, or none."""
-            given = ((getattr(each, name), points) for each, points in parts)
+            given = [getattr(each, name) for each in (self, other)]
             return np.concatenate(
-                [np.full(len(p), usual) if v is None else np.broadcast_to(v, len(p)) for v, p in given]
+                [np.broadcast_to(usual if v is None else v, n) for v, n in zip(given, counts, strict=True)]
             )
 
-        links = [np.arange(len(p)) if each.links is None else np.asarray(each.links) for each, p in parts]
-        beyond = links[0].max(initial=-1) + 1 - links[1].min(initial=0)
-        skins = [np.asarray(each.skin) for each, _ in parts if each.skin is not None]
+        mine, theirs = (
+            np.arange(n) if each.links is None else np.asarray(each.links)
+            for each, n in zip((self, other), counts, strict=True)
+        )
+        skins = [np.asarray(each.skin) for each in (self, other) if each.skin is not None]
         return Outside(
-            np.concatenate([points for _, points in parts]),
+            np.concatenate([np.reshape(each.points_palm, (-1, 3)) for each in (self, other)]),
             [*self.planes, *other.planes],
-            sigmas=filled("sigmas", np.nan),
-            links=np.concatenate([links[0], links[1] + beyond]),
-            slacks=filled("slacks", 0.0),
+            sigmas=both("sigmas", np.nan),
+            links=np.concatenate([mine, theirs + (mine.max(initial=-1) + 1 - theirs.min(initial=0))]),
+            slacks=both("slacks", 0.0),
             skin=np.max(skins, axis=0) if skins else None,
         )
 

@@ -16,8 +16,6 @@ from handsight.objects import ObjectModel
 from handsight.objects.weight import check_kept, kept_center
 from handsight.representation import short_repr
 
-LEFT_IN_PLACE = 2.0
-"""In sigmas: a symmetry that moves the centre of mass farther is not one of an object that weighs like this."""
 CONTRADICTS = chi2_limit(3, 0.01)
 """χ² of three numbers that one right measurement in a hundred exceeds."""
 
@@ -57,7 +55,8 @@ class WeightEvidence:
         """Returns the evidence about an object, whose symmetries must leave the centre of mass in place, moved to where
         they do exactly; raises InvalidInput where they move it farther than its error."""
         center = kept_center(model.symmetries, self.center_object)
-        limit = LEFT_IN_PLACE * float(np.sqrt(np.trace(self.covariance) / 3))
+        # A symmetry that moves it by more than two sigmas is not one of an object that weighs like this.
+        limit = 2.0 * float(np.sqrt(np.trace(self.covariance) / 3))
         check_kept(center, self.center_object, limit, "weight.center_object")
         return WeightEvidence(center, self.center_palm, self.covariance)
 

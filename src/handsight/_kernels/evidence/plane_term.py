@@ -11,15 +11,16 @@ from handsight._kernels.mesh.field import field_at
 from handsight._kernels.records import BOX, CYLINDER, SPHERE
 from handsight._kernels.runtime.compilation import inner
 
-STEPS, STEP, GROWTH = 10, 0.25, 3.0
-"""Of the search for the lowest point of a grid: the number of steps, the length of the first [radii], and the factor by
-which a successful one lengthens the next. On scans, whose fields are round at edges, it ends a little high."""
-
 
 @inner
 def lowest_point(evidence: Any, up: Vec3) -> Vec3:
-    """Returns the point of the surface that is lowest along a unit direction, both in the object's frame."""
-    field = evidence.model.fine
+    """Returns the point of the surface that is lowest along a unit direction, both in the object's frame.
+
+    On a grid it is found from the lowest sample: on to the surface's closest point to a place a step below, as long as
+    that is lower. On a convex body this is the proximal point algorithm, which reaches a polyhedron's lowest corner in
+    finitely many steps; on scans, whose fields are round at edges, it ends a little high.
+    """
+    model, field, none = evidence.model, evidence.model.fine, np.float32(0.0)
     half = vector(field.origin)
     if field.kind == BOX:
         return -np.copysign(half[0], up[0]), -np.copysign(half[1], up[1]), -np.copysign(half[2], up[2])
@@ -28,28 +29,16 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
         return side * up[0], side * up[1], -np.copysign(half[1], up[2])
     if field.kind == SPHERE:
         return scale(up, -half[0])
-    return _followed_down(evidence, field, up)
-
-
-@inner
-def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
-    """Returns the lowest point of a grid along a unit direction.
-
-    From the lowest sample it goes to the surface's closest point to a place a step below, as long as that is lower: on
-    a convex body this is the proximal point algorithm, which reaches a polyhedron's lowest corner in finitely many
-    steps.
-    """
-    model, none = evidence.model, np.float32(0.0)
     query = none, np.float32(up[0]), np.float32(up[1]), np.float32(up[2]), none, none, none
-    low, step = vector(model.samples[scan(model.scan, query), 0]), STEP * model.radius
-    for _ in range(STEPS):
+    low, step = vector(model.samples[scan(model.scan, query), 0]), 0.25 * model.radius
+    for _ in range(10):
         lower = sub(low, scale(up, step))
         for _ in range(2):  # twice, for so far from the surface a grid's distance is not exact
             d, g, _ = field_at(evidence.nodes, field, lower)
             lower = sub(lower, scale(g, d))
         if dot(lower, up) < dot(low, up):
             low = lower
-            step *= GROWTH
+            step *= 3.0
         else:
             step *= 0.5
     return low

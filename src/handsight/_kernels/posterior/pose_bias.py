@@ -34,13 +34,6 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 STATE = 12
 """Size of a perturbation of pose and bias."""
-GAUSS_NEWTON_STEPS = 2
-"""Steps for each new measurement; the error that they leave is removed with the next."""
-SMALL_STEP = 1e-4
-"""χ² of the error left by a step that ends the iteration: a hundredth of a standard deviation. A step that turns by an
-angle [rad] leaves at most that fraction of itself."""
-LENGTH_PER_TURN = 0.1
-"""Length that a radian counts as [m] when palms are compared."""
 
 
 @inner
@@ -157,7 +150,7 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
     rows, factored, step = np.empty((6, STATE + 1)), np.empty((6, 6)), np.empty(STATE)
     joint, back = np.empty((STATE, STATE)), np.empty(STATE)
     center = vector(pivot)
-    for _ in range(GAUSS_NEWTON_STEPS):
+    for _ in range(2):  # steps for each new measurement; the error that they leave is removed with the next
         for i in range(2):
             _store_difference(transform_of(Ts_prior[i]), transform_of(Ts[i]), step[6 * i : 6 * i + 6])
         for i in range(STATE):
@@ -181,7 +174,9 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
             left = 0.0
             for i in range(STATE):
                 left += step[i] * back[i]
-            if turned * turned * left < SMALL_STEP:
+            # A step that turns by an angle leaves at most that fraction of itself: here a χ² of a hundredth of a
+            # standard deviation, squared.
+            if turned * turned * left < 1e-4:
                 break
     return True
 
@@ -229,6 +224,7 @@ def merge(measurements: Any, most: int, same: Any, Ts: Any, pivot: Any) -> int:
     new, was merged with that of the nearest palm: if there are more than `most`, or if it is nearer than `same` [m],
     [rad]."""
     last, best, least, near = len(measurements) - 1, 0, np.inf, False
+    length_per_turn = 0.1  # that a radian counts as [m]
     new = measurements[last]
     for k in range(last):
         (R, p), (Q, q) = transform_of(measurements[k].T_mount_palm), transform_of(new.T_mount_palm)
@@ -236,8 +232,8 @@ def merge(measurements: Any, most: int, same: Any, Ts: Any, pivot: Any) -> int:
         rest = sub33(R, Q)
         square = dot(rest[0], rest[0]) + dot(rest[1], rest[1]) + dot(rest[2], rest[2])
         shift, turn = norm(sub(p, q)), 2 * np.arcsin(min(np.sqrt(square / 8), 1.0))
-        if shift + LENGTH_PER_TURN * turn < least:
-            best, least = k, shift + LENGTH_PER_TURN * turn
+        if shift + length_per_turn * turn < least:
+            best, least = k, shift + length_per_turn * turn
             near = shift <= same[0] and turn <= same[1]
     if last == 0 or not (near or last >= most):
         return last + 1

@@ -10,9 +10,6 @@ from handsight._kernels.math.vec3 import add, cross, scale, vector
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import entry
 
-NEGLIGIBLE = 1e-9
-"""An eigenvalue of the information below this part of the largest is a declared symmetry's zero."""
-
 
 @entry
 def inflate(information: Any, variance: Any) -> None:
@@ -45,7 +42,7 @@ def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> fl
         for j in range(6):
             u.matrix[i, j] = 0.0
     for k in range(6):
-        if u.values[k] > NEGLIGIBLE * most:
+        if u.values[k] > 1e-9 * most:  # else it is a declared symmetry's zero
             shift = u.vectors[0, k], u.vectors[1, k], u.vectors[2, k]
             turn = scale((u.vectors[3, k], u.vectors[4, k], u.vectors[5, k]), 1 / radius)
             moved = scale(add(shift, cross(turn, arm)), 1 / np.sqrt(u.values[k]))

@@ -31,9 +31,6 @@ LEND = 3.84
 few bumps at once, and their mean would not be enough."""
 TRACE = 2.5
 """The trace of a normal's weight in tangential weights: two, and one of half the size along the normal itself."""
-CURVATURE_SHARE = 1.5 / TRACE
-"""A shift along either tangent axis meets the error of the curvature along it, and that of the mixed curvature, which
-has half the variance: 1.5 variances."""
 
 
 @inner
@@ -48,7 +45,10 @@ def add_spurious_information(
     if slope + curvature == 0.0:
         return
     W, n, lever = term.weight, surface[2], sub(vector(term.contact.point), pose[1])
-    spurious = W[0, 0] * slope + CURVATURE_SHARE * (W[1, 1] + W[2, 2] + W[3, 3]) * curvature
+    # A shift along either tangent axis meets the error of the curvature along it, and that of the mixed curvature,
+    # which has half the variance: 1.5 variances.
+    tangential = (W[1, 1] + W[2, 2] + W[3, 3]) / TRACE
+    spurious = W[0, 0] * slope + 1.5 * tangential * curvature
     along = sub33(IDENTITY, outer(n, n))
     rows = (
         along[0] + cross(lever, along[0]) + (0.0,),
