@@ -130,7 +130,7 @@ def _problem(
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
-    """Returns the answer to a problem: from one start where that does, else from many."""
+    """Returns the answer to a problem: from one start where that is enough, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
         if estimate is not None:
@@ -174,7 +174,7 @@ def refine_pose(
 def _weighed(
     problem: Problem, estimate: PoseEstimate, solved: Callable[[Problem], PoseEstimate]
 ) -> PoseEstimate:
-    """Returns the estimate with its weight, or, where all else contradicts that, without."""
+    """Returns the estimate, or, where all other evidence contradicts the weight, the answer without it."""
     weight = problem.weight
     if weight is None or (estimate.consistent and not weight.contradicts(estimate)):
         return replace(estimate, weight_fits=True)

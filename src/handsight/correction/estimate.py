@@ -22,7 +22,7 @@ from handsight.observation import PoseMeasurement
 from handsight.representation import short_repr
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
-"""(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
+"""(6,) of a pose of which nothing is known (δp [m²], δθ [rad²]): a metre, and a full turn with all angles as likely."""
 OPEN_INFORMATION = np.diag(1 / OPEN_VARIANCES)
 
 
@@ -100,7 +100,7 @@ def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """A `Residuals` says how far each contact is from the answer's surface; rejected contacts included."""
+    """`Residuals` are how far each contact is from the surface at the answer; rejected contacts included."""
 
     distance: Array
     """(n,) signed distance of the contact point to the surface [m], positive outside."""
@@ -186,7 +186,7 @@ class PoseEstimate:
 
     @property
     def T_palm_object(self) -> Array:
-        """(4, 4): the best mode; its mean where that is no Gaussian, or where a mean was asked for."""
+        """(4, 4): the best mode; its mean where that is not Gaussian, or where a mean was asked for."""
         T: Array = self.answer["T_palm_object"]
         return T
 
@@ -249,7 +249,7 @@ class PoseEstimate:
         )
 
     def __repr__(self) -> str:
-        """Says where, and how it ended, in a line."""
+        """Returns the position and how the search ended, in a line."""
         place = " ".join(f"{1000 * x:.1f}" for x in self.T_palm_object[:3, 3])
         ended = "converged" if self.converged else "not converged"
         fits = "consistent" if self.consistent else "inconsistent"
