@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 
 import handsight as hs
+from handsight.cli.options import Run
 from handsight.cli.simulate import record
 from handsight.cli.terminal import bar
-from handsight.cli.track import run
+from handsight.cli.track import tracked
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking import TrackerSettings
@@ -119,7 +120,8 @@ def replayed(images: bool, repeats: int) -> list[str]:
         record(scenario, path)
         rig = Rig.from_file(path.with_name("can.rig.yaml"))
         settings = TrackerSettings(rate=100)
-        ended = [run(path, rig, model_of(scenario), settings, lambda *said: None) for _ in range(repeats)]
+        run = Run(path, rig, model_of(scenario), settings)
+        ended = [tracked(run, lambda *said: None) for _ in range(repeats)]
         factors = [one.tally.recorded / one.tally.wall for one in ended]
         size = path.stat().st_size / 1e6
     first = ended[0]

@@ -19,7 +19,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
-from handsight.cli.locate_images import Sought, warmed
+from handsight.cli.locate_images import Targets, locator
 from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
 from handsight.viewer.detection_figures import draw_located
@@ -104,7 +104,7 @@ def main() -> None:
     options = report.options(f"{__doc__}\nA trial is an image.", trials=len(FRAMES), quick_trials=len(FRAMES))
     folder = data_or_goodbye()
     model = hs.ObjectModel.from_file(folder / "_body" / "schauma.obj")
-    look, rows, seen = warmed(Sought({model.name: model}, STRUCTURED_LIGHT)), list[Row](), list[Located]()
+    look, rows, seen = locator(Targets({model.name: model}, STRUCTURED_LIGHT)), list[Row](), list[Located]()
     for frame in FRAMES:
         depth = read_depth(folder / "_sequence" / f"depth_camera_image_{frame}.png", camera=CAMERA)
         seen.append(look(Frame(name=f"M3T frame {frame}", camera=CAMERA, depth=depth)))

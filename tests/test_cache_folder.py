@@ -111,9 +111,7 @@ def test_without_a_home_a_temporary_folder_is_used(tmp_path, monkeypatch, home):
     monkeypatch.setattr(
         os, "access", lambda path, mode: str(path) != "/"
     )  # nobody's home, but root can write there
-    with pytest.warns(
-        CacheWarning, match="no home folder that can be written to; .* is used as cache instead"
-    ):
+    with pytest.warns(CacheWarning, match="cannot be written; .* is used as cache instead"):
         assert cache_folder.cache_folder() == tmp_path / f"handsight-{os.getuid()}"
     assert [path.name for path in tmp_path.iterdir()] == [f"handsight-{os.getuid()}"]
 
@@ -133,28 +131,42 @@ def test_without_a_home_and_a_name_too(tmp_path):
         check=True,
     )
     assert Path(done.stdout.strip()).is_absolute()
-    assert done.stderr.count("no home folder that can be written to") == 1
+    assert done.stderr.count("cannot be written") == 1
     assert not list(tmp_path.iterdir())
 
 
 def test_a_home_that_cannot_be_written_still_keeps_what_is_there(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
-    with pytest.warns(CacheWarning, match="no home folder that can be written to"):
+    with pytest.warns(CacheWarning, match="cannot be written"):
         cache_folder.cache_folder()
     (tmp_path / ".cache/handsight").mkdir(parents=True)
     assert cache_folder.cache_folder() == tmp_path / ".cache/handsight"
 
 
 @root
-def test_where_the_temporary_folder_is_anothers_the_process_has_one_of_its_own(tmp_path, monkeypatch):
+def test_where_the_temporary_folder_is_anothers_nothing_is_kept(tmp_path, monkeypatch):
     (tmp_path / "handsight-0").mkdir()
     os.chown(tmp_path / "handsight-0", 12345, 12345)
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache").chmod(0o777)
-    used = refused(tmp_path / "cache", monkeypatch, "others can write to")
-    assert used.name.startswith("handsight-")
-    assert used.name != "handsight-0"
+    monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "cache"))
+    with pytest.warns(CacheWarning, match="others can write to"):
+        folder = cache_folder.cache_folder()
+    with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
+        cache_folder.write_entry(folder / "file", "name", b"content")
+    assert not list((tmp_path / "handsight-0").iterdir())
+
+
+@root
+def test_a_folder_that_was_replaced_by_another_user_is_not_used(tmp_path, monkeypatch):
+    """Where others can write above it, they can move it away, but not make one that is the user's."""
+    (tmp_path / "shared/cache").mkdir(parents=True)
+    (tmp_path / "shared").chmod(0o777)
+    monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "shared/cache"))
+    assert cache_folder.cache_folder() == tmp_path / "shared/cache"
+    os.chown(tmp_path / "shared/cache", 12345, 12345)
+    refused(tmp_path / "shared/cache", monkeypatch, "belongs to another user")
 
 
 def test_where_nothing_can_be_written_nothing_is_kept(tmp_path, monkeypatch):
@@ -163,7 +175,7 @@ def test_where_nothing_can_be_written_nothing_is_kept(tmp_path, monkeypatch):
 
     monkeypatch.setattr(cache_folder.tempfile, "gettempdir", nowhere)
     monkeypatch.setenv("HOME", "/nonexistent")
-    with pytest.warns(CacheWarning, match="no home"):
+    with pytest.warns(CacheWarning, match="cannot be written"):
         folder = cache_folder.cache_folder()
     with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
         cache_folder.write_entry(folder / "file", "name", b"content")

@@ -22,125 +22,61 @@ for. `docs/api.md` has a table of all public names.
 import importlib as _importlib
 import typing as _typing
 
-if _typing.TYPE_CHECKING:
-    from handsight.camera import Camera
+if _typing.TYPE_CHECKING:  # "as" says that a name is exported
+    # ruff: noqa: I001 - one import a room
+    from handsight.camera import Camera as Camera
     from handsight.contact import (
-        Contact,
-        Contacts,
-        Ellipsoid,
-        NoContact,
-        Sphere,
-        calibrate_wrench,
-        contact_from_wrench,
-        contacts_from_wrenches,
+        Contact as Contact,
+        Contacts as Contacts,
+        Ellipsoid as Ellipsoid,
+        NoContact as NoContact,
+        Sphere as Sphere,
+        calibrate_wrench as calibrate_wrench,
+        contact_from_wrench as contact_from_wrench,
+        contacts_from_wrenches as contacts_from_wrenches,
     )
     from handsight.correction import (
-        DepthPoints,
-        Outside,
-        PaperMethod,
-        Plane,
-        PoseEstimate,
-        PosePrior,
-        SkinEvidence,
-        TwoPhase,
-        WeightEvidence,
-        correct_pose,
-        correct_poses,
+        DepthPoints as DepthPoints,
+        Outside as Outside,
+        PaperMethod as PaperMethod,
+        Plane as Plane,
+        PoseEstimate as PoseEstimate,
+        PosePrior as PosePrior,
+        SkinEvidence as SkinEvidence,
+        TwoPhase as TwoPhase,
+        WeightEvidence as WeightEvidence,
+        correct_pose as correct_pose,
+        correct_poses as correct_poses,
     )
-    from handsight.errors import HandsightError, InvalidInput
-    from handsight.objects import ObjectModel
-    from handsight.observation import Observation, PoseMeasurement
-    from handsight.rig import Rig
-    from handsight.tracking import Tracker, TrackerSettings
-    from handsight.viewer import view
-    from handsight.vision import locate
+    from handsight.errors import HandsightError as HandsightError, InvalidInput as InvalidInput
+    from handsight.objects import ObjectModel as ObjectModel
+    from handsight.observation import Observation as Observation, PoseMeasurement as PoseMeasurement
+    from handsight.rig import Rig as Rig
+    from handsight.tracking import Tracker as Tracker, TrackerSettings as TrackerSettings
+    from handsight.viewer import view as view
+    from handsight.vision import locate as locate
 
-__all__ = [
-    "Camera",
-    "Contact",
-    "Contacts",
-    "DepthPoints",
-    "Ellipsoid",
-    "HandsightError",
-    "InvalidInput",
-    "NoContact",
-    "ObjectModel",
-    "Observation",
-    "Outside",
-    "PaperMethod",
-    "Plane",
-    "PoseEstimate",
-    "PoseMeasurement",
-    "PosePrior",
-    "Rig",
-    "SkinEvidence",
-    "Sphere",
-    "Tracker",
-    "TrackerSettings",
-    "TwoPhase",
-    "WeightEvidence",
-    "__version__",
-    "calibrate_wrench",
-    "contact_from_wrench",
-    "contacts_from_wrenches",
-    "correct_pose",
-    "correct_poses",
-    "locate",
-    "view",
-]
-
+# A name is loaded when it is first asked for, so that the command's help needs no NumPy.
 _NAMES = {
-    "camera": ("Camera",),
-    "contact": (
-        "Contact",
-        "Contacts",
-        "Ellipsoid",
-        "NoContact",
-        "Sphere",
-        "calibrate_wrench",
-        "contact_from_wrench",
-        "contacts_from_wrenches",
-    ),
-    "correction": (
-        "DepthPoints",
-        "Outside",
-        "PaperMethod",
-        "Plane",
-        "PoseEstimate",
-        "PosePrior",
-        "SkinEvidence",
-        "TwoPhase",
-        "WeightEvidence",
-        "correct_pose",
-        "correct_poses",
-    ),
-    "errors": ("HandsightError", "InvalidInput"),
-    "objects": ("ObjectModel",),
-    "observation": ("Observation", "PoseMeasurement"),
-    "rig": ("Rig",),
-    "tracking": ("Tracker", "TrackerSettings"),
-    "viewer": ("view",),
-    "vision": ("locate",),
+    "camera": "Camera",
+    "contact": "Contact Contacts Ellipsoid NoContact Sphere calibrate_wrench contact_from_wrench "
+    "contacts_from_wrenches",
+    "correction": "DepthPoints Outside PaperMethod Plane PoseEstimate PosePrior SkinEvidence TwoPhase WeightEvidence "
+    "correct_pose correct_poses",
+    "errors": "HandsightError InvalidInput",
+    "objects": "ObjectModel",
+    "observation": "Observation PoseMeasurement",
+    "rig": "Rig",
+    "tracking": "Tracker TrackerSettings",
+    "viewer": "view",
+    "vision": "locate",
 }
-# A name is loaded when it is first asked for: the command's help needs no NumPy.
-_ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
-_ROOMS = (
-    *(
-        "batch",
-        "bridge",
-        "camera",
-        "checks",
-        "contact",
-        "correction",
-        "errors",
-        "evaluation",
-        "forces",
-        "hand",
-        "live",
-    ),
-    *("messages", "objects", "observation", "recording", "rig", "se3", "search", "simulation", "tracking"),
-    *("viewer", "vision"),
-)
+_ROOM_OF = {name: room for room, names in _NAMES.items() for name in names.split()}
+_ROOMS = {
+    *_NAMES,
+    *("batch", "bridge", "checks", "evaluation", "forces", "hand", "live", "messages", "recording", "se3"),
+    *("search", "simulation"),
+}
 __all__ = sorted([*_ROOM_OF, "__version__"])
 
 

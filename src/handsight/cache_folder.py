@@ -3,10 +3,8 @@
 Cached files are trusted, and compiled kernels are code. So the folder must be one that no other user can write to.
 """
 
-import atexit
 import contextlib
 import os
-import shutil
 import stat
 import tempfile
 import warnings
@@ -24,27 +22,29 @@ class CacheWarning(UserWarning):
 def cache_folder() -> Path:
     """Returns `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`; it may not exist yet.
 
-    Where others could write to that folder, or where no home can be written to, it is a folder among the temporary
-    files instead, with one CacheWarning.
+    Where that is not private, it is another one, as `private_folder` says.
     """
     if configured := os.environ.get("HANDSIGHT_CACHE"):
         return private_folder(Path(configured))
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(base):  # its specification forbids the use of a relative one
-        return private_folder(Path(base, "handsight"))
-    home = Path(os.path.expanduser("~"))
-    folder = home / ".cache/handsight"
-    if home.is_absolute() and home.is_dir():
-        nearest = next(path for path in (folder, *folder.parents) if os.path.exists(path))
-        if nearest == folder or os.access(nearest, os.W_OK | os.X_OK):
-            return private_folder(folder)
-    return _fallback(f"{home}: no home folder that can be written to")
+    home = os.path.expanduser("~")
+    places = (os.environ.get("XDG_CACHE_HOME", ""), f"{home}/.cache" if os.path.isdir(home) else "")
+    # Relative paths are not used: that of XDG_CACHE_HOME by its specification, that of a home as it is none.
+    return private_folder(Path(next(filter(os.path.isabs, places), os.devnull), "handsight"))
 
 
 def private_folder(base: Path, name: str = "") -> Path:
-    """Returns `base / name` where only the user and root can write, else `name` in a temporary folder of the user."""
-    reason = _other_writer(base / name)
-    return base / name if reason is None else _fallback(reason) / name
+    """Returns `base / name` where only the user and root can write, else `name` in a temporary folder of the user.
+
+    The second comes with one CacheWarning, also where nobody can write.
+    """
+    reason = _why_unusable(base / name)
+    if reason is None:
+        return base / name
+    folder = _temporary_folder() / name
+    _warn_once(
+        f"{reason}; {folder} is used as cache instead (HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another)"
+    )
+    return folder
 
 
 def read_entry(path: Path, name: str) -> memoryview:
@@ -69,34 +69,32 @@ def checksum(name: str, content: bytes | memoryview) -> bytes:
     return zlib.crc32(content, zlib.crc32(name.encode())).to_bytes(4, "little")
 
 
-def _other_writer(folder: Path) -> str | None:
-    """Returns why another user could put files there, directly or by moving a folder above; None where nobody could.
+def _why_unusable(folder: Path) -> str | None:
+    """Returns why a folder cannot be created, or why another user could put files there; None where it can be used.
 
-    On systems without POSIX owners nothing is known of others, and None is returned.
+    Only the folder is checked, or the one in which it would be created: where others can write further up, they can
+    replace the folder, but then it belongs to them. Systems without POSIX owners know nothing about others.
     """
+    place = Path(os.path.realpath(folder))
+    nearest = next(path for path in (place, *place.parents) if os.path.exists(path))
+    if not nearest.is_dir() or (nearest != place and not os.access(nearest, os.W_OK | os.X_OK)):
+        return f"{folder}: cannot be written"
+    status = nearest.stat()
+    if nearest != place and status.st_mode & stat.S_ISVTX:
+        return None  # in a sticky folder, as /tmp is, others can add folders, but not move what is the user's
     if not hasattr(os, "getuid"):
         return None
-    place = Path(os.path.realpath(folder))
-    # In a container the root folder may belong to a user that is not known there.
-    trusted = {os.getuid(), 0, os.stat("/").st_uid}
-    for path in (place, *place.parents):
-        try:
-            status = path.stat()
-        except OSError:
-            continue  # not created yet
-        if status.st_uid not in trusted:
-            return f"{folder}: {path} belongs to another user ({status.st_uid})"
-        # In a sticky folder, as /tmp is, others can add files but not move what is the user's.
-        sticky = path != place and status.st_mode & stat.S_ISVTX
-        writers = stat.S_IWOTH if _is_private_group(status.st_gid) else stat.S_IWOTH | stat.S_IWGRP
-        if not sticky and status.st_mode & writers:
-            return f"{folder}: others can write to {path} (mode {stat.S_IMODE(status.st_mode):04o})"
+    if status.st_uid not in (os.getuid(), 0):
+        return f"{folder}: {nearest} belongs to another user ({status.st_uid})"
+    others = stat.S_IWOTH if _is_private_group(status.st_gid) else stat.S_IWOTH | stat.S_IWGRP
+    if status.st_mode & others:
+        return f"{folder}: others can write to {nearest} (mode {stat.S_IMODE(status.st_mode):04o})"
     return None
 
 
 def _is_private_group(gid: int) -> bool:
-    """Returns whether a group has the user as its only member; many systems create one for each user, with write
-    permission."""
+    """Returns whether the user is a group's only member; many systems have such a group for each user, which may write
+    to the user's files."""
     import grp
     import pwd
 
@@ -107,31 +105,17 @@ def _is_private_group(gid: int) -> bool:
     return group.gr_name == name and set(group.gr_mem) <= {name}
 
 
-def _fallback(reason: str) -> Path:
-    folder = _temporary_folder()
-    _warn_once(
-        f"{reason}; {folder} is used as cache instead (HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another)"
-    )
-    return folder
-
-
 @cache
 def _warn_once(message: str) -> None:
-    warnings.warn(message, CacheWarning, stacklevel=2)
+    warnings.warn(message, CacheWarning, stacklevel=3)
 
 
 @cache
 def _temporary_folder() -> Path:
-    """Returns a folder of the user, shared by all processes; or one of this process where another user has that one."""
-    try:
-        base = Path(tempfile.gettempdir())
-    except FileNotFoundError:  # no temporary folder can be written to
-        return Path(os.devnull, "handsight")
-    shared = base / f"handsight-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
-    with contextlib.suppress(OSError):
-        shared.mkdir(mode=0o700, exist_ok=True)
-        if _other_writer(shared) is None and os.access(shared, os.W_OK | os.X_OK):
-            return shared
-    folder = tempfile.mkdtemp(prefix="handsight-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    """Returns a folder of the user, shared by all processes; one that cannot be created where another user has it."""
+    with contextlib.suppress(OSError):  # no temporary folder can be written to
+        folder = Path(tempfile.gettempdir(), f"handsight-{os.getuid() if hasattr(os, 'getuid') else 'cache'}")
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if _why_unusable(folder) is None and os.access(folder, os.W_OK | os.X_OK):
+            return folder
+    return Path(os.devnull, "handsight")

@@ -188,7 +188,7 @@ def describe_shape(shape: tuple[int | None, ...]) -> str:
 
 
 def nearest_name(name: str, known: Iterable[str]) -> str | None:
-    """Returns the first 200 names' most similar one, whatever its letters' case; None where none is similar."""
+    """Returns the most similar of the first 200 known names, ignoring case; None where none is similar."""
     if len(name) > MAX_NAME_LENGTH:  # comparing takes time with the length and with the number of names
         return None
     lower = {other.lower(): other for other in islice(known, 200) if len(other) <= MAX_NAME_LENGTH}

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -188,6 +189,15 @@ def test_planes_and_weight_count_as_they_do_in_correct_pose():
         expected = hs.correct_pose(model, contacts, vision=vision, **given)
         np.testing.assert_allclose(answer["position"], expected.T_palm_object[:3, 3], atol=1e-12)
     assert np.linalg.norm(with_weight["position"]) < 0.2 * np.linalg.norm(bare["position"])
+
+
+def test_a_line_takes_all_that_correct_pose_takes():
+    """The model is its `object`; `outside` is points and planes; `contacts_of_residual` is of the contacts."""
+    import inspect
+
+    keys = {field.name for field in msgspec.structs.fields(problems.ProblemFields)}
+    arguments = set(inspect.signature(hs.correct_pose).parameters)
+    assert keys - {"planes", "contacts_of_residual"} == arguments - {"model"} | {"object"}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
@@ -18,8 +17,8 @@ import pytest
 from batch.fragile_worker import ends_at_once, obeyed
 from handsight.batch import run as batch
 from handsight.batch.lines import LONGEST, blocks
-from handsight.batch.run import Run
-from handsight.batch.workers import Answers, Processes, WorkerFailure
+from handsight.batch.run import Batch
+from handsight.batch.workers import Answers, Processes, WorkerDied, WorkerFailure
 from handsight.errors import InvalidFile
 
 
@@ -32,12 +31,6 @@ class Pretended:
         self.room, self.seconds, self.loses = size, seconds, loses
         self.random = random.Random(seed)
         self.begun, self.running, self.most = [], 0, 0
-
-    def answers(self, future):
-        try:
-            return future.result()
-        except BrokenProcessPool:
-            return None
 
     def submit(self, lines):
         self.begun.append(len(lines))
@@ -53,7 +46,7 @@ class Pretended:
     def finish(self, lines, future):
         self.running -= 1
         if self.loses(lines):
-            future.set_exception(BrokenProcessPool())
+            future.set_exception(WorkerDied())
         else:
             texts = [json.dumps({"line": line.decode()}) for line in lines]
             future.set_result(Answers(texts, self.seconds, []))
@@ -88,7 +81,7 @@ def test_every_line_is_answered_once_and_in_order(kind, n):
         return rng.random() < 0.3 and not (lines[0] in lost or lost.add(lines[0]))
 
     workers = kind(size=3 if n > 7 else 1, loses=loses)
-    pairs = answered(Run(source(range(n)), workers))
+    pairs = answered(Batch(source(range(n)), workers))
     assert [line for line, _ in pairs] == [str(i) for i in range(n)]
     assert all(answer["line"] == line for line, answer in pairs)
     assert workers.most <= workers.room
@@ -130,14 +123,14 @@ def test_lines_that_come_in_pieces_are_put_together(text):
 
 def test_chunks_are_small_at_first_and_grow_while_they_are_quick():
     workers = Prompt(size=1)
-    answered(Run(source(range(5000)), workers))
+    answered(Batch(source(range(5000)), workers))
     assert workers.begun[:5] == [1, 2, 4, 8, 16]
     assert max(workers.begun) == batch.BATCH.chunk_lines
 
 
 def test_slow_lines_go_one_by_one():
     workers = Prompt(size=1, seconds=0.3)
-    answered(Run(source(range(20)), workers))
+    answered(Batch(source(range(20)), workers))
     assert workers.begun == [1] * 20
 
 
@@ -161,7 +154,7 @@ def test_a_line_that_takes_forever_does_not_let_the_reader_run_ahead(monkeypatch
             if len(self.begun) > 1:
                 super().go(lines, future)
 
-    run = Run(lines, Stuck())
+    run = Batch(lines, Stuck())
     threading.Thread(target=lambda: next(iter(run)), daemon=True).start()
     before = -1
     while lines.read_lines != before:
@@ -173,7 +166,7 @@ def test_a_line_that_takes_forever_does_not_let_the_reader_run_ahead(monkeypatch
 def test_an_answer_does_not_wait_for_the_next_line():
     """A program that sends a line and waits for its answer before it sends the next gets it."""
     read, write = os.pipe()
-    answers = iter(Run(os.fdopen(read, "rb"), Prompt()))
+    answers = iter(Batch(os.fdopen(read, "rb"), Prompt()))
     for i in range(5):
         os.write(write, f"{i}\n".encode())
         assert next(answers)[0] == [f"{i}".encode()]
@@ -190,7 +183,7 @@ def test_a_file_that_cannot_be_read_on_is_an_error_after_what_could_be_read():
 
     came = []
     with pytest.raises(InvalidFile, match="endless: Input/output error"):
-        came.extend(line for lines, _ in Run(Broken(), Prompt()) for line in lines)
+        came.extend(line for lines, _ in Batch(Broken(), Prompt()) for line in lines)
     assert len(came) == 10
 
 
@@ -227,13 +220,13 @@ def test_a_fault_while_lines_are_begun_is_not_waited_for():
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        answered(Run(source([1]), Faulty()))
+        answered(Batch(source([1]), Faulty()))
 
 
 def obey(orders, size=2):
     """Runs orders through real worker processes; answers what came back."""
     with Processes(size, obeyed) as workers:
-        return answered(Run(source(orders), workers))
+        return answered(Batch(source(orders), workers))
 
 
 def test_a_worker_that_dies_costs_no_line(tmp_path):
@@ -259,7 +252,7 @@ def test_a_line_that_kills_every_worker_is_an_error_in_its_place():
 def test_workers_killed_while_they_wait_are_replaced():
     read, write = os.pipe()
     with Processes(2, obeyed) as workers:
-        answers = iter(Run(os.fdopen(read, "rb"), workers))
+        answers = iter(Batch(os.fdopen(read, "rb"), workers))
         pids = []
         for i in range(4):
             os.write(write, f"say {i}\n".encode())
@@ -283,7 +276,7 @@ def test_a_pool_that_closes_while_it_is_given_work_is_replaced(monkeypatch, said
 
     monkeypatch.setattr(ProcessPoolExecutor, "submit", submit)
     with Processes(1, obeyed) as workers:
-        pairs = answered(Run(source(["say 1", "say 2"]), workers))
+        pairs = answered(Batch(source(["say 1", "say 2"]), workers))
     assert [answer["line"] for _, answer in pairs] == ["say 1", "say 2"]
     assert raised
 
@@ -296,7 +289,7 @@ def test_no_more_processes_are_no_death(monkeypatch):
         Processes(1, obeyed) as workers,
         pytest.raises(WorkerFailure, match="temporarily unavailable.*--workers 1"),
     ):
-        answered(Run(source(["say 1"]), workers))
+        answered(Batch(source(["say 1"]), workers))
 
 
 def test_a_line_of_many_megabytes_passes():
@@ -310,7 +303,7 @@ def test_workers_that_cannot_start_are_an_error():
         Processes(2, obeyed, ends_at_once) as workers,
         pytest.raises(WorkerFailure, match=r"end as they start \(exit code 7\); --workers 1 needs none"),
     ):
-        answered(Run(source(["say 1"]), workers))
+        answered(Batch(source(["say 1"]), workers))
 
 
 def test_an_error_that_is_no_death_is_told():
@@ -334,7 +327,7 @@ def test_a_worker_has_one_thread_hears_no_ctrl_c_and_leaves_stdout_alone(capfd, 
 def test_leaving_early_ends_the_workers():
     psutil = pytest.importorskip("psutil")
     with Processes(2, obeyed) as workers:
-        run = Run(source(["say 1", "sleep 60", "sleep 60"]), workers)
+        run = Batch(source(["say 1", "sleep 60", "sleep 60"]), workers)
         _, first = next(iter(run))
         processes = [psutil.Process(json.loads(first.texts[0])["pid"])]
     assert not psutil.wait_procs(processes, timeout=10)[1]
@@ -345,11 +338,11 @@ def test_workers_end_with_their_parent_however_it_ends(tmp_path):
     (tmp_path / "parent.py").write_text(
         "import io\n"
         "from batch.fragile_worker import obeyed\n"
-        "from handsight.batch.run import Run\n"
+        "from handsight.batch.run import Batch\n"
         "from handsight.batch.workers import Processes\n"
         "if __name__ == '__main__':\n"
         "    with Processes(2, obeyed) as workers:\n"
-        "        for _, answers in Run(io.BytesIO(b'say\\nsleep 60\\nsleep 60'), workers):\n"
+        "        for _, answers in Batch(io.BytesIO(b'say\\nsleep 60\\nsleep 60'), workers):\n"
         "            print(answers.texts, flush=True)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}

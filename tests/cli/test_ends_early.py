@@ -49,8 +49,8 @@ def fails_after(count, original, error):
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (RuntimeError("a fault"), 1, "handsight: ended early by what should not happen: RuntimeError in test_ends_early"),
-        (MemoryError(), 1, "handsight: ended early by what should not happen: MemoryError in test_ends_early.py"),
+        (RuntimeError("a fault"), 1, "handsight: internal error: RuntimeError in test_ends_early"),
+        (MemoryError(), 1, "handsight: internal error: MemoryError in test_ends_early.py"),
         (KeyboardInterrupt(), 130, ""),
     ],
     ids=["fault", "memory", "Ctrl-C"],
@@ -79,7 +79,7 @@ def test_calibrate_camera_prints_what_was_found(folder, monkeypatch, capsys):
     assert called(monkeypatch, folder, "calibrate", "camera", "can.mcap", "--object", "can") == 1
     out, err = capsys.readouterr()
     assert "# known to ±" in out
-    assert "handsight: ended early by what should not happen: RuntimeError" in err
+    assert "handsight: internal error: RuntimeError" in err
 
 
 def test_without_a_pose_the_exit_code_says_so_and_the_reason_is_told(grasp, folder, monkeypatch, capsys):
@@ -119,7 +119,7 @@ def test_a_finger_that_the_others_contradict_is_told(grasp, folder, monkeypatch,
     rig.write_text(rig.read_text().replace("reading: on_tip", "reading: on_sensor", 1))
     first = next(iter(grasp[0].fingers))
     assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
-    told = [line for line in capsys.readouterr().err.splitlines() if "taken for wrong" in line]
+    told = [line for line in capsys.readouterr().err.splitlines() if "contradicts the others" in line]
     assert [line.split(":")[0] for line in told] == [f"finger {first}"]
     rejected = json.loads((folder / "can-track" / "summary.json").read_text())["fingers_rejected"]
     assert rejected[first] > 0.9

@@ -81,7 +81,7 @@ def test_one_picture_needs_no_more_than_its_camera_and_a_mesh(pictures, tmp_path
     arguments = ("--camera", "d435.json", "--color", "a.jpg", "--depth-scale", "0.0001", "--scale", "0.001")
     out, said = run("locate", "a.png", "--object", "letter.ply", *arguments, "-o", "out.jsonl", cwd=tmp_path)
     assert out == ""
-    assert said == "wrote out.jsonl: found in 1 of 1 pictures\n"
+    assert said == "wrote out.jsonl: found in 1 of 1 images\n"
     (answer,) = answers((tmp_path / "out.jsonl").read_text())
     assert off_mm(pose_of(answer), truth) < NEAR_MM
 
@@ -216,7 +216,7 @@ def test_a_picture_that_cannot_be_read_is_said_in_its_place(frames, scene, asked
     (scene / "depth/000001.png").unlink()
     _, said = asked("locate", scene, "--object", "3", "-o", "out.csv", expect=1)
     assert re.search(r"handsight: .*depth/000001.png: cannot be read: No such file or directory", said)
-    assert "wrote out.csv: found in 1 of 3 pictures" in said
+    assert "wrote out.csv: found in 1 of 3 images" in said
 
 
 def spoil_depth(frames, **changed):
@@ -336,8 +336,8 @@ def test_ctrl_c_keeps_what_was_found(frames, monkeypatch, capsys):
     assert called(monkeypatch, folder, "locate", "frames", "--object", "letter.ply", "-o", "a.jsonl") == 130
     assert len(answers((folder / "a.jsonl").read_text())) == 1
     err = capsys.readouterr().err
-    assert "wrote a.jsonl: found in 1 of 1 pictures" in err
-    assert "handsight: stopped after 1 pictures; what was found is kept" in err
+    assert "wrote a.jsonl: found in 1 of 1 images" in err
+    assert "handsight: stopped after 1 images; what was found is kept" in err
 
 
 def test_a_person_at_a_terminal_gets_a_table(frames, monkeypatch, capsys):

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from cli.commands import called, read_some, run
+from handsight.cli.main import app
 
 
 def test_help_teaches(asked):
@@ -29,6 +31,52 @@ def test_version_is_the_packages():
 
     out, _ = run("--version")
     assert out.strip() == f"handsight {version('handsight')}"
+
+
+def commands():
+    """Each command by its name, with its parameters."""
+
+    def below(command, name):
+        if not hasattr(command, "commands"):
+            yield name, command
+        for key, each in getattr(command, "commands", {}).items():
+            yield from below(each, f"{name} {key}".strip())
+
+    return dict(below(typer.main.get_command(app), ""))
+
+
+@pytest.mark.parametrize("name", commands())
+def test_every_command_teaches(name):
+    """A sentence on what it does, an example as one types it, and a help text for each option."""
+    command = commands()[name]
+    assert re.match(r"[A-Z][^.]+[.,:;]", command.help)
+    assert f"\nhandsight {name} " in command.help or f"\nhandsight {name}\n" in command.help
+    for parameter in command.params:
+        assert parameter.hidden or len(parameter.help) > 5, parameter.name
+
+
+def test_o_is_a_file_and_an_option_has_one_letter_only():
+    for name, command in commands().items():
+        for option in command.params:
+            if "-o" in option.opts and not option.hidden:
+                assert option.opts == ["--output", "-o"]
+                assert option.help.startswith("File for the"), name
+            else:
+                assert "-o" in option.opts or all(len(opt) != 2 for opt in option.opts)
+
+
+def test_the_choices_in_the_help_are_those_that_are_taken():
+    from typing import get_args
+
+    from handsight.correction import ANSWERS
+    from handsight.simulation.scenario import Motion
+    from handsight.vision.depth_noise import PRESETS
+
+    taken = {"answer": ANSWERS, "depth_camera": PRESETS, "motion": get_args(Motion)}
+    for command in commands().values():
+        for option in command.params:
+            if option.name in taken:
+                assert option.metavar.split("|") == list(taken[option.name])
 
 
 @pytest.mark.parametrize(
@@ -131,9 +179,9 @@ def test_the_demo_takes_most_of_what_touch_can_see():
 
 def test_the_demo_finds_the_can_in_a_picture_with_the_hand_before_it(tmp_path):
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
-    from handsight.cli.demo import _pictured
+    from handsight.cli.demo import find_can
 
-    said, wrote = _pictured(tmp_path / "picture.png").splitlines()
+    said, wrote = find_can(tmp_path / "picture.png").splitlines()
     found = re.search(r"\(synthetic\): centre off by ([\d.]+) mm, axis by ([\d.]+)°", said)
     assert float(found[1]) < 10
     assert float(found[2]) < 5
@@ -148,11 +196,32 @@ def test_without_an_extra_the_demo_says_so_and_goes_on(asked, monkeypatch):
     def missing(*_):
         raise MissingExtra("images need pillow: pip install 'handsight[vision]'")
 
-    monkeypatch.setattr(demo, "_replayed", missing)
+    monkeypatch.setattr(demo, "replayed", missing)
     monkeypatch.setattr(demo, "picture", missing)
     out, _ = asked("demo", columns=200)
-    for said in ("no picture looked at", "no recordings replayed"):
+    for said in ("no image searched", "no recordings replayed"):
         assert f"{said}: images need pillow: pip install 'handsight[vision]'" in " ".join(out.split())
+
+
+BAR = """
+from handsight.cli.terminal import bar
+
+with bar("correcting") as move:
+    for share in (None, 0.5, 1.0):
+        move(share, "12 answers, 3/s")
+"""
+
+
+def test_a_bar_on_a_terminal_shows_what_is_done():
+    ours, its = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+    done = subprocess.Popen([sys.executable, "-c", BAR], stdout=its, stderr=its, env=environment)
+    os.close(its)
+    text = "".join(iter(lambda: read_some(ours), ""))
+    os.close(ours)
+    assert done.wait() == 0, text
+    assert "correcting" in text
+    assert "12 answers, 3/s" in text
 
 
 KERNEL = """
@@ -207,6 +276,6 @@ def test_every_command_that_computes_announces_compiling(command, monkeypatch, t
     def announced():
         raise SystemExit("announced")
 
-    for module in ("correct", "contact", "track", "rig", "demo", "locate", "simulate"):
+    for module in ("correct", "contact", "options", "demo", "locate", "simulate"):
         monkeypatch.setattr(f"handsight.cli.{module}.announce_compiling", announced)
     assert called(monkeypatch, tmp_path, *command.split()) == "announced"

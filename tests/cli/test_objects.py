@@ -5,7 +5,7 @@ import json
 import pytest
 
 from cli.commands import corrected, run
-from handsight.cli.options import rig_and_object
+from handsight.cli.options import Run
 from handsight.errors import InvalidInput
 from handsight.objects import Facts, Library
 from objects.libraries import block, bop, off_text, served
@@ -181,11 +181,11 @@ def test_a_recordings_object_may_be_one_of_the_library(tmp_path, monkeypatch):
     with pytest.raises(
         InvalidInput, match=r"--object: expected a name of .*rig\.yaml or a mesh file, got 'mustard'"
     ):
-        rig_and_object(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustard")
+        Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustard")
     library.add(block(tmp_path), Facts(name="mustard"))
     for name in ("mustard", "bottle"):  # the rig's bottle is the library's mustard
-        _, model = rig_and_object(tmp_path / "a.mcap", tmp_path / "rig.yaml", name)
+        model = Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", name).model
         assert model.name == name
         assert model.diameter == library.entry("mustard").diameter
     with pytest.raises(InvalidInput, match="got 'mustrd'; the nearest valid one is 'mustard'"):
-        rig_and_object(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustrd")
+        Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustrd")

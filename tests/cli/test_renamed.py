@@ -13,6 +13,13 @@ def test_a_former_name_works_and_names_the_new_one(new, old, capsys):
     assert capsys.readouterr().err == (message if old else "")
 
 
+def test_a_value_under_a_former_name_is_used_unless_the_new_one_is_given(capsys):
+    assert renamed(None, "out", ("--output-folder", "--output")) == "out"
+    assert renamed("new", "out", ("--output-folder", "--output")) == "new"
+    assert renamed(None, None, ("--output-folder", "--output")) is None
+    assert capsys.readouterr().err.count("--output is now --output-folder") == 2
+
+
 def test_former_names_are_not_in_the_help():
     from typer.testing import CliRunner
 

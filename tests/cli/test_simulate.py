@@ -3,7 +3,6 @@
 import trimesh
 
 from cli.commands import called
-from handsight.cli import simulate as command
 from handsight.simulation import GraspSearchResult, grasp_search, read_grasp
 from handsight.simulation.motion import CAN
 
@@ -24,7 +23,7 @@ def test_a_grasp_is_searched_said_kept_and_used_again(tmp_path, monkeypatch, cap
     assert "slipped out" not in said
     assert {path.name for path in tmp_path.iterdir()} == {name, "one.mcap", "one.rig.yaml", "one.grasp.json"}
     searched = []
-    monkeypatch.setattr(command, "_found", lambda *_: searched.append(1))
+    monkeypatch.setattr("handsight.simulation.find_grasp", lambda *_: searched.append(1))
     again = ("--grasp", "one.grasp.json", "-o", "two.mcap")
     assert called(monkeypatch, tmp_path, *arguments, *again) == 0
     assert not searched

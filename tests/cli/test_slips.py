@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from handsight.cli.track import grip
-from handsight.cli.track_summary import Run
+from handsight.cli.track_summary import TrackResult
 from handsight.forces import Slip
 from handsight.tracking.replay import Tally
 from handsight.tracking.skin import NOTHING
@@ -23,7 +23,7 @@ def steps():
 
 
 def test_slips_are_counted_and_said():
-    run = Run("pulled", Tally(), [], steps=steps())
+    run = TrackResult("pulled", Tally(), [], steps=steps())
     assert [(began, pytest.approx(seconds, abs=1e-6)) for began, seconds in run.slips] == [
         (1000.3, 0.3),
         (1000.9, 0.0),
@@ -35,18 +35,18 @@ def test_slips_are_counted_and_said():
 
 
 def test_where_nothing_slipped_nothing_is_said():
-    run = Run("held", Tally(), [], steps=steps()[:3])
+    run = TrackResult("held", Tally(), [], steps=steps()[:3])
     assert run.slips == []
     assert not any("slip" in sentence for sentence in run.sentences())
-    assert Run("nothing", Tally(), []).friction is None
+    assert TrackResult("nothing", Tally(), []).friction is None
 
 
 def test_the_grip_is_said_while_it_goes_on():
     first, slipping = steps()[0].slip, steps()[4].slip
-    assert grip(first) == "the finger that holds best uses 50% of what friction 0.80 holds"
+    assert grip(first) == "the finger that holds best uses 50% of what friction 0.80 allows"
     assert grip(slipping).startswith("slips: the finger that holds best uses 97%")
     assert grip(Slip()) == "friction is not known yet"
-    assert grip(Slip(False, {}, 0.8)) == "nothing is held"
+    assert grip(Slip(False, {}, 0.8)) == "no finger holds the object"
 
 
 def test_slips_have_a_begin_and_a_last_instant():

@@ -12,7 +12,7 @@ import pytest
 
 from cli.commands import INTERRUPTIBLE, called, read_some, run
 from cli.tracks import assert_results_agree, observations, recorded
-from handsight.cli.simulate import _believed, nuisances
+from handsight.cli.simulate import believed_object, nuisances
 from handsight.errors import InvalidInput
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
@@ -150,7 +150,7 @@ def test_a_wrong_size_of_the_object_is_in_the_rig_beside_the_recording():
         scenario = Scenario(object=name, nuisances=nuisances(["object_scale=1.03"]))
         rig = rig_of(scenario)
         expected = 1.03 * np.array(getattr(rig.objects[name], size))
-        np.testing.assert_allclose(getattr(_believed(scenario, rig), size), expected)
+        np.testing.assert_allclose(getattr(believed_object(scenario, rig), size), expected)
     with pytest.raises(
         InvalidInput, match="object_dent: expected one of the recording, got one of the object's model"
     ):

@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from handsight.cli.track import run, write
+from handsight.cli.options import Run
+from handsight.cli.track import tracked, write
 from handsight.tracking import TrackerSettings
 
 pytest.importorskip("mujoco")
@@ -28,8 +29,9 @@ def recorded(path, observations, rig, truths=()):
 def track(path, rig, folder=None, **settings):
     """The run through a recording, and what is said of writing it."""
     model = rig.objects["can"].model()
-    ended = run(path, rig, model, TrackerSettings(**settings), lambda *_: None)
-    written = [] if folder is None else list(write(ended, rig, model, folder))
+    run = Run(path, rig, model, TrackerSettings(**settings))
+    ended = tracked(run, lambda *_: None)
+    written = [] if folder is None else list(write(ended, run, folder))
     return ended, written
 
 

@@ -115,9 +115,11 @@ def test_pickled_content_is_never_loaded(folder, counted):
     assert len(counted) == 2
 
 
-def test_a_folder_that_cannot_be_written_warns_once(tmp_path, monkeypatch, counted):
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "file" / "fields"))
+def test_a_folder_that_cannot_be_written_warns_once(folder, monkeypatch, counted):
+    def full(*_):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(cache, "write_entry", full)
     with pytest.warns(ObjectWarning, match="distance fields cannot be cached there"):
         box()
     box()  # warnings are errors here

@@ -33,7 +33,7 @@ def heard_by_the_bridge(running, robot, *topics):
 def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path, joined):
     messages = [each for each in said() if each.topic != "/truth/object"]
     with processes(tmp_path) as running:
-        options = ("--view", str(free_port())) if find_spec("viser") else ()
+        options = ("--port", str(free_port())) if find_spec("viser") else ()
         bridge = running.bridge(RIG, "--object", "can", "--as-recorded", *options)
         address = served(bridge) if options else ""
         robot = Robot(joined, messages)

@@ -8,16 +8,16 @@ from handsight.errors import InvalidFile
 from handsight.files import stream_name
 
 LONGEST = 32_000_000
-"""Bytes of a line; what is in it takes up to thirty times as many once it is read."""
+"""Largest size of a line [bytes]; its content takes up to thirty times as much memory."""
 BLOCK_BYTES = 256_000
 Source = io.BufferedIOBase
 
 
 def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
-    """Yields the lines that are not blank, without their ends, as many at a time as have come; closes the source.
+    """Yields the lines that are not blank, without their ends, in lists of those that are there; closes the source.
 
-    A byte order mark at the beginning is dropped. Of a line longer than `LONGEST` there is the beginning, a byte longer
-    than that; the rest is passed over. `single`: the entire source is one line. Raises InvalidFile.
+    A byte order mark at the beginning is dropped. A line longer than `LONGEST` is cut to one byte more than that.
+    `single`: the entire source is one line. Raises InvalidFile.
     """
     marks = codecs.BOM_UTF8
     with source:
@@ -34,7 +34,7 @@ def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
 
 
 def _split(source: Source) -> Iterator[list[bytes]]:
-    """Yields all lines as they come, at least one at a time; each is cut where it is too long."""
+    """Yields all lines when they are there, at least one at a time, each cut where it is too long."""
     partial = bytearray()
     while block := source.read1(BLOCK_BYTES):
         *lines, rest = block.split(b"\n")

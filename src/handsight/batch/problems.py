@@ -8,7 +8,7 @@ import json
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,26 +17,15 @@ from handsight import checks, se3
 from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import (
-    ANSWERS,
-    METHODS,
-    MOST_SAMPLES,
-    Outside,
-    Plane,
-    PosePrior,
-    WeightEvidence,
-    correct_pose,
-)
+from handsight.correction import Outside, Plane, PosePrior, WeightEvidence, correct_pose
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import explain, field_name
 from handsight.objects import ObjectModel, ObjectSpec
 
-MODELS_KEPT = 32
-
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_Strict` form is one in which unknown keys are errors everywhere."""
+    """The base class of forms; an unknown key is an error, and numbers (`Any`) are checked when they are used."""
 
 
 class CylinderSize(_Strict):
@@ -50,7 +39,6 @@ class ObjectFields(_Strict):
     box: Any = None
     cylinder: CylinderSize | None = None
     name: str | None = None
-    """In the library that the environment names."""
 
 
 class ContactFields(_Strict):
@@ -98,53 +86,43 @@ class ProblemFields(_Strict):
     method: str = "handsight"
 
 
-class Problem(msgspec.Struct, frozen=True):
-    """A `Problem` is a problem as `correct_pose` takes it."""
+class Problem(NamedTuple):
+    """A `Problem` is the arguments of `correct_pose`."""
 
     model: ObjectModel
     contacts: Contacts
     vision: PosePrior | None
-    outside: Array | Outside | None
-    weight: WeightEvidence | None
-    answer: str
-    samples: int
-    budget: float | None
-    method: str
+    options: dict[str, Any]
+    """The other ones by name."""
 
 
 class Reader:
-    """A `Reader` makes problems from lines of JSON; keeps the object models it has built."""
+    """A `Reader` makes problems from lines of JSON, and keeps the object models that it used last."""
 
     def __init__(self, folder: Path) -> None:
         """`folder`: what mesh paths are relative to."""
         self.folder = folder
         self._models: dict[str, ObjectModel] = {}
-        """The one used last at the end."""
+        """By their fields; the one used last at the end."""
 
     def read(self, line: bytes) -> Problem:
         """Returns the problem of one line; raises a HandsightError that names the field."""
         fields = _fields(line)
-        if fields.method not in METHODS:
-            raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {fields.method!r}")
-        if fields.answer not in ANSWERS:
-            raise InvalidInput(f"answer: expected one of {', '.join(ANSWERS)}, got {fields.answer!r}")
-        samples = checks.integer(fields.samples, "samples", MOST_SAMPLES)
-        budget = None if fields.budget is None else checks.positive(fields.budget, "budget")
-        points = None
+        outside: Any = None
         if fields.outside is not None and fields.outside != []:
-            points = checks.position(fields.outside, "outside", (None, 3))
-        planes = [_plane(plane, f"planes[{i}]") for i, plane in enumerate(fields.planes)]
-        outside = Outside(() if points is None else points, planes) if planes else points
+            outside = checks.position(fields.outside, "outside", (None, 3))
+        if planes := [_plane(plane, f"planes[{i}]") for i, plane in enumerate(fields.planes)]:
+            outside = Outside(() if outside is None else outside, planes)
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
-        model, vision, answer = self.model(fields.object), _vision(fields.vision), fields.answer
-        weight = _weight(fields.weight)
-        return Problem(model, contacts, vision, outside, weight, answer, samples, budget, fields.method)
+        options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
+        options |= {"outside": outside, "weight": _weight(fields.weight)}
+        return Problem(self.model(fields.object), contacts, _vision(fields.vision), options)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
-        """Returns the object model, built once for all lines that name the same object."""
-        key = repr(fields)
+        """Returns the object model, built once for lines that name the same object."""
+        key, max_kept = repr(fields), 32
         self._models[key] = model = self._models.pop(key, None) or self._build(fields)
-        if len(self._models) > MODELS_KEPT:
+        if len(self._models) > max_kept:
             del self._models[next(iter(self._models))]
         return model
 
@@ -155,41 +133,34 @@ class Reader:
             raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {present or 'none'}")
         if fields.scale is not None and fields.mesh is None:
             raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {present[0]}")
-        given: dict[str, Any] = {"name": fields.name}
+        spec = ObjectSpec(name=fields.name)
         if fields.mesh is not None:
             scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
-            given = {"mesh": self.folder / fields.mesh, "scale": scale}
+            spec = ObjectSpec(mesh=self.folder / fields.mesh, scale=scale)
         elif fields.cylinder is not None:
-            size = ("radius", "height")
-            cylinder = (checks.positive(getattr(fields.cylinder, of), f"object.cylinder.{of}") for of in size)
-            given = {"cylinder": tuple(cylinder)}
+            radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
+            spec = ObjectSpec(
+                cylinder=(radius, checks.positive(fields.cylinder.height, "object.cylinder.height"))
+            )
         elif fields.box is not None:
-            sides = checks.finite(fields.box, "object.box", (3,))
-            if not (sides > 0).all():
+            x, y, z = checks.finite(fields.box, "object.box", (3,))
+            if not min(x, y, z) > 0:
                 raise InvalidInput(f"object.box: expected 3 numbers above 0, got {checks.brief(fields.box)}")
-            given = {"box": tuple(sides)}
+            spec = ObjectSpec(box=(x, y, z))
         try:
-            return ObjectSpec(**given).model()
+            return spec.model()
         except HandsightError as error:
             raise InvalidInput(f"object.{present[0]}: {str(error).removeprefix('name: ')}") from None
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """Returns the answer to a problem as JSON has it, its lists of numbers as arrays, the keys in the contract's
-    order."""
-    began = time.perf_counter()
-    estimate = correct_pose(
-        problem.model,
-        problem.contacts,
-        vision=problem.vision,
-        outside=problem.outside,
-        weight=problem.weight,
-        answer=problem.answer,
-        samples=problem.samples,
-        budget=problem.budget,
-        method=problem.method,
-    )
-    seconds = time.perf_counter() - began
+    """Returns the answer to a problem as JSON has it, with arrays for lists of numbers, keys in the contract's order.
+
+    Raises InvalidInput.
+    """
+    started = time.perf_counter()
+    estimate = correct_pose(problem.model, problem.contacts, vision=problem.vision, **problem.options)
+    seconds = time.perf_counter() - started
     normal_deg = [None if np.isnan(a) else float(np.rad2deg(a)) for a in estimate.residuals.normal]
     return {
         **_pose(estimate.T_palm_object),
@@ -217,15 +188,16 @@ def answer_text(reader: Reader, line: bytes) -> str:
         message = str(error)
     except MemoryError:
         message = "line: expected a problem that fits into memory, got a larger one"
-    except Exception as error:  # our own fault: told in its place, and the other lines are still answered
+    except Exception as error:  # a fault of handsight; the other lines are still answered
         message = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
     return json.dumps({"error": message})
 
 
 def _fields(line: bytes) -> ProblemFields:
+    """Returns the keys and values of a line, whose numbers are not checked yet; raises InvalidInput."""
     if len(line) > LONGEST:
         raise InvalidInput(f"line: expected at most {LONGEST} bytes, got more")
-    # The standard parser takes NaN and Infinity, so that the check that follows can name their field.
+    # Python's parser accepts NaN and Infinity, so that a check can name their field.
     try:
         raw = json.loads(line.decode("utf-8"), object_pairs_hook=_unique)
     except UnicodeDecodeError:
@@ -248,6 +220,7 @@ def _fields(line: bytes) -> ProblemFields:
 
 
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Returns a JSON object as a dictionary; raises InvalidInput for a key that comes twice."""
     unique = dict(pairs)
     if len(unique) < len(pairs):
         twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
@@ -271,16 +244,15 @@ def _contacts(rows: list[ContactFields], *, of_residual: bool) -> Contacts:
                 raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
             covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
             continue
-        sigma_point = (
-            1e-3 if row.sigma_point is None else checks.sigma_point(row.sigma_point, f"{name}.sigma_point")
-        )
-        sigma_normal = 0.1
+        sigma_point, sigma_normal = 1e-3, 0.1
+        if row.sigma_point is not None:
+            sigma_point = checks.sigma_point(row.sigma_point, f"{name}.sigma_point")
         if row.sigma_normal_deg is not None:
             sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg", np.pi)
         covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
     try:
         return Contacts(points, normals, covariance=covariance, of_residual=of_residual)
-    except InvalidInput as error:  # of all of them together
+    except InvalidInput as error:
         raise InvalidInput(f"contacts: {error}") from None
 
 
@@ -326,7 +298,7 @@ def _weight(fields: WeightFields | None) -> WeightEvidence | None:
 
 
 def _radians(degrees: float, name: str, most: float) -> float:
-    """Returns a standard deviation that comes in degrees, up to `most` [rad]; its bounds are told in degrees."""
+    """Returns a standard deviation given in degrees, of at most `most` [rad]; raises InvalidInput with degrees."""
     radians = float(np.deg2rad(checks.positive(degrees, name)))
     if not checks.MIN_SIGMA <= radians <= most:
         lowest, highest = np.rad2deg([checks.MIN_SIGMA, most])

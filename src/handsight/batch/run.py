@@ -1,4 +1,4 @@
-"""Many lines answered by many workers: read as they come, handed on in order, never all in memory."""
+"""Many lines answered by many workers: read when they are there, answered in order, never all in memory."""
 
 import contextlib
 import functools
@@ -13,25 +13,25 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 from handsight.batch.lines import Source, blocks
-from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, answer_lines
+from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, WorkerDied, answer_lines
 
 
 class BatchLimits(NamedTuple):
-    """`BatchLimits` say how much of a batch is in memory at once."""
+    """`BatchLimits` bound how much of a batch is in memory at once."""
 
-    chunk_lines: int = 256  # lines given to a worker at once
+    chunk_lines: int = 256
+    """Largest number of lines given to a worker at once."""
     max_pending_bytes: int = 64_000_000
-    """Lines that wait for their answer or an earlier line's; above it nothing more is submitted."""
-    line_overhead: int = 3000  # what a line takes besides its characters: its answer and Python's own [bytes]
+    """Size of the lines that wait for their own answer, or for that of an earlier line, above which none is added."""
+    line_overhead: int = 3000
+    """What a line takes besides its characters: its answer, and Python's objects [bytes]."""
 
 
 BATCH = BatchLimits()
-
-
 Answered = tuple[list[bytes], Answers]
 """Consecutive lines with their answers."""
 Event = list[bytes] | BaseException | None | Future[Answers]
-"""Lines that came; at their end an error or None; or a chunk that ended."""
+"""Lines that were read; the end of the input, None or an error; or a chunk that was answered or failed."""
 
 
 @contextlib.contextmanager
@@ -44,67 +44,62 @@ def answering(
     cluster: str | None = None,
     first: Callable[[], object] = os.getpid,
 ) -> Iterator[Iterator[Answered]]:
-    """The lines with their answers, in order: from this process (1 worker), from `workers` others (0: one for each
-    core), or from the Dask cluster at an address.
+    """Yields the lines with their answers, in order.
 
-    `source` is closed at its end; `single`: the entire source is one line. `folder`: what mesh paths are relative
-    to, absolute.
-    `first` is called in the first worker process before it works. Raises WorkerFailure, InvalidFile.
+    They are answered by this process (`workers` 1), by that many others (0: one for each core), or by the Dask cluster
+    at an address. `source` is closed at its end; `single`: the entire source is one line; `folder`: absolute, what
+    mesh paths are relative to; `first` is called in the first worker process before it works. Raises WorkerFailure,
+    InvalidFile.
     """
     if workers == 1 and cluster is None:
-        yield _here(source, folder, single=single)
+        from handsight.batch.problems import Reader, answer_text
+
+        reader = Reader(folder)
+        yield (
+            ([line], Answers([answer_text(reader, line)], 0.0, []))
+            for lines in blocks(source, single=single)
+            for line in lines
+        )
         return
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     work = functools.partial(answer_lines, str(folder))
-    with Cluster(cluster, work) if cluster else Processes(workers or _cores(), work, first) as those:
-        yield iter(Run(source, those, single=single))
+    with Cluster(cluster, work) if cluster else Processes(workers or available, work, first) as those:
+        yield iter(Batch(source, those, single=single))
 
 
-def _here(source: Source, folder: Path, *, single: bool) -> Iterator[Answered]:
-    from handsight.batch.problems import Reader, answer_text
+class Batch:
+    """A `Batch` sends lines to workers; iterate over it, once, for the lines and their answers in order.
 
-    reader = Reader(folder)
-    for lines in blocks(source, single=single):
-        for line in lines:
-            yield [line], Answers([answer_text(reader, line)], 0.0, [])
-
-
-def _cores() -> int:
-    """Returns those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-class Run:
-    """A `Run` is lines on their way through workers; iterate over it, once, for their answers in order.
-
-    A thread reads. All else is done in the thread that iterates, as lines come and chunks end.
+    One thread reads the lines. All else happens in the thread that iterates, when lines are read and chunks end.
     """
 
     def __init__(self, source: Source, workers: Processes | Cluster, *, single: bool = False) -> None:
-        """`source` is the run's from here on; `single`: the entire source is one line."""
+        """The batch closes `source`; `single`: the entire source is one line."""
         self._blocks, self._workers = blocks(source, single=single), workers
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._wanted: SimpleQueue[bool] = SimpleQueue()
-        """Whether to read on, once the lines that came are submitted."""
+        """Whether to read on, put there when all lines that were read are submitted."""
         self._reading = True
         self._failure: BaseException | None = None
         self._lines: list[bytes] = []
         self._submitted: deque[tuple[list[bytes], Future[Answers]]] = deque()
         self._running = self._pending_bytes = 0
-        # The first chunks are small, so that a few slow lines are spread over all workers.
+        # Lines in the next chunk; few at first, so that a few slow lines are spread over all workers.
         self._size = 1
 
     def __iter__(self) -> Iterator[Answered]:
-        # A daemon, and never waited for: nothing can interrupt it while it waits for input.
+        # A daemon thread that is never joined, as nothing can interrupt it while it waits for input.
         threading.Thread(target=self._read, name="handsight-reader", daemon=True).start()
         try:
             while self._reading or self._submitted:
-                self._begin()
+                self._submit()
                 if not self._submitted or not self._submitted[0][1].done():
                     self._take(self._events.get())
                     continue
                 lines, future = self._submitted.popleft()
-                answers = self._workers.answers(future)
-                if answers is None:
+                try:
+                    answers = future.result()
+                except WorkerDied:
                     yield from self._one_by_one(lines)
                 else:
                     yield lines, answers
@@ -115,18 +110,19 @@ class Run:
             raise self._failure
 
     def _read(self) -> None:
+        """Puts lines on the queue of events, in the reading thread."""
         end = None
         try:
             for lines in self._blocks:
                 self._events.put(lines)
                 if not self._wanted.get():
                     return
-        except BaseException as error:  # who waits for the answers must hear of it, whatever it is
+        except BaseException as error:  # whoever waits for the answers must get it, whatever it is
             end = error
         self._events.put(end)
 
-    def _begin(self) -> None:
-        """Has chunks of the lines that came answered, while there is room."""
+    def _submit(self) -> None:
+        """Submits lines that were read in chunks, as long as there is room."""
         while (
             self._lines
             and self._running < self._workers.room
@@ -143,6 +139,7 @@ class Run:
                 self._wanted.put(True)
 
     def _take(self, event: Event) -> None:
+        """Updates the state by an event; adapts the size of chunks to how long the last one took."""
         if isinstance(event, list):
             self._lines = event
         elif not isinstance(event, Future):
@@ -150,20 +147,24 @@ class Run:
         else:
             self._running -= 1
             if event.exception() is None:
-                # Chunks that keep a worker busy for as long as it should be; one alone may be unlike the others.
+                # At most doubled or halved at once, as one chunk may be unlike the others.
                 answers = event.result()
                 aim = len(answers.texts) * self._workers.chunk_seconds / max(answers.seconds, 1e-9)
                 self._size = int(min(max(aim, self._size / 2, 1), 2 * self._size, BATCH.chunk_lines))
 
     def _one_by_one(self, lines: list[bytes]) -> Iterator[Answered]:
-        """Yields lines that were lost with a worker, while no others are at work: who dies, dies of the line."""
+        """Yields the answers to lines that were lost with a worker; one line at a time, so that it is known which one
+        kills workers."""
         while self._running:
             self._take(self._events.get())
         message = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"
-        error = Answers([json.dumps({"error": message})], 0.0, [])
         for line in lines:
-            tried = (self._workers.answers(self._workers.submit([line])) for _ in range(DEATHS))
-            yield [line], next(filter(None, tried), error)
+            answers = Answers([json.dumps({"error": message})], 0.0, [])
+            for _ in range(DEATHS):
+                with contextlib.suppress(WorkerDied):
+                    answers = self._workers.submit([line]).result()
+                    break
+            yield [line], answers
 
 
 def _bytes(lines: list[bytes]) -> int:

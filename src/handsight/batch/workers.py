@@ -1,4 +1,4 @@
-"""Who answers chunks of lines: processes of this machine, or the workers of a Dask cluster."""
+"""What answers chunks of lines: processes of this machine, or the workers of a Dask cluster."""
 
 import contextlib
 import functools
@@ -12,7 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -25,22 +25,23 @@ if TYPE_CHECKING:
     from handsight.batch.problems import Reader
 
 DEATHS = 3
-"""Workers that may die on the same lines before the lines are to blame."""
+"""Number of workers that may die on the same lines before the lines are to blame."""
 CONNECT_SECONDS = 5
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-ENVIRONMENT = {**dict.fromkeys(THREADS, "1"), "PYTHONSAFEPATH": "1"}
-"""A worker for each core leaves none over for threads; and a module of the current folder is none of ours."""
 
 
 class WorkerFailure(HandsightError):
-    """Processes that cannot work, or a cluster that cannot be reached."""
+    """Worker processes cannot work, or a cluster cannot be reached."""
+
+
+class WorkerDied(Exception):
+    """The worker of a chunk died, perhaps of the chunk."""
 
 
 class Answers(NamedTuple):
-    """An `Answers` is what a worker made of a chunk of lines."""
+    """An `Answers` is a worker's answers to a chunk of lines."""
 
     texts: list[str]
-    """One line of JSON for each line, without its end."""
+    """A line of JSON for each line, without its end."""
     seconds: float
     warnings: list[str]
 
@@ -55,11 +56,14 @@ def _reader(folder: str) -> "Reader":
     return Reader(Path(folder))
 
 
-_one_at_a_time = threading.Lock()  # the models kept are not made to be shared by a Dask worker's threads
+_one_at_a_time = threading.Lock()  # a reader's models must not be used by several threads of a Dask worker
 
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
-    """Returns the answers to lines whose meshes are in `folder`, on one thread; models are built once in a process."""
+    """Returns the answers to lines whose mesh paths are relative to `folder`; computes on one thread.
+
+    Models are built once in a process.
+    """
     from handsight._kernels.runtime.threads import alone
     from handsight.batch.problems import answer_text
 
@@ -71,10 +75,10 @@ def answer_lines(folder: str, lines: list[bytes]) -> Answers:
 
 
 def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
-    """Returns the file that a worker's answers are in.
+    """Returns the name of the file into which a worker has written its answers.
 
-    Its name goes through the pool's pipe whole or not at all. Of a longer message a worker that dies may leave a part,
-    and the pool would wait for the rest forever.
+    A name is sent through the pool's pipe completely or not at all. Of a longer message, a worker that dies may have
+    sent a part, and the pool would wait for the rest forever.
     """
     with tempfile.NamedTemporaryFile("w", dir=folder, encoding="utf-8", delete=False) as file:
         json.dump(work(lines), file)
@@ -82,29 +86,34 @@ def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
 
 
 def _from_file(named: Future[str], answers: Future[Answers]) -> None:
-    """Hands on what a worker answered, or that it did not."""
+    """Sets the result of `answers` to what a worker wrote, or its exception to WorkerDied or WorkerFailure."""
     try:
         path = Path(named.result())
-        answers.set_result(Answers(*json.loads(path.read_bytes())))
+        found = Answers(*json.loads(path.read_bytes()))
         path.unlink()
-    except BaseException as error:  # whoever waits must hear of it
-        answers.set_exception(error)
+        answers.set_result(found)
+    except (BrokenProcessPool, CancelledError):
+        answers.set_exception(WorkerDied())
+    except BaseException as error:  # whatever it is, whoever waits for the answers must get it
+        answers.set_exception(WorkerFailure(f"worker: {type(error).__name__}: {error}"))
 
 
 class Processes(contextlib.AbstractContextManager["Processes"]):
-    """`Processes` are worker processes of this machine; use it in `with`. When one dies all are replaced, and their
-    chunks fail."""
+    """`Processes` are worker processes of this machine, to be used in `with`.
+
+    When one of them dies, all are replaced, and the chunks that they had fail.
+    """
 
     chunk_seconds = 0.1
-    """How long one of them should be busy with a chunk."""
+    """How long a chunk should keep a worker busy."""
 
     def __init__(self, size: int, work: Work, first: Callable[[], object] = os.getpid) -> None:
         """`first` is called in the first worker before it works."""
         self.room = size
-        """How many chunks they take at the same time: one each."""
+        """Number of chunks that can be submitted at the same time: one for each process."""
         self._work, self._first = work, first
         self._folder = tempfile.TemporaryDirectory(prefix="handsight-", ignore_cleanup_errors=True)
-        # New programs, not forks: a thread pool does not survive a fork.
+        # New programs rather than forks, which numba's thread pool does not survive.
         self._context = multiprocessing.get_context("spawn")
         self._pool: ProcessPoolExecutor | None = None
 
@@ -113,7 +122,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
         self._folder.cleanup()
 
     def _end(self) -> None:
-        """Ends all workers, whatever they are doing."""
+        """Ends all workers at once."""
         if self._pool is not None:
             self._lifeline.close()
             self._pool.shutdown(cancel_futures=True)
@@ -121,8 +130,8 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             self._pool = None
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns the answers to come; starts a worker where none is idle. Raises WorkerFailure where none can be
-        had."""
+        """Returns the future answers to a chunk, or WorkerDied or WorkerFailure; raises the latter where no worker can
+        be started."""
         while True:
             pool = self._pool or self._started()
             try:
@@ -136,16 +145,6 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                 named.add_done_callback(functools.partial(_from_file, answers=answers))
                 return answers
 
-    def answers(self, future: Future[Answers]) -> Answers | None:
-        """Returns the answers once they are there, None where a worker died; raises WorkerFailure for what else went
-        wrong."""
-        try:
-            return future.result()
-        except BrokenProcessPool:
-            return None
-        except Exception as error:
-            raise WorkerFailure(f"worker: {type(error).__name__}: {error}") from None
-
     def _started(self) -> ProcessPoolExecutor:
         """Returns a pool whose first worker is ready."""
         for _ in range(DEATHS):
@@ -158,7 +157,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                 children = multiprocessing.active_children()
                 ready.result()
                 return self._pool
-            except (BrokenProcessPool, OSError) as error:  # it may die before it has read what to do
+            except (BrokenProcessPool, OSError) as error:  # it may have died before it read its work
                 _check_broken(error)
                 self._end()
         message = ", ".join(str(child.exitcode) for child in children)
@@ -168,23 +167,25 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
 
 
 def _check_broken(error: BrokenProcessPool | OSError) -> None:
-    """Raises WorkerFailure where this is not of a pool with a dead worker, which may close its pipes before it says
-    that it is broken."""
+    """Raises WorkerFailure unless it is the error of a pool with a dead worker; its pipes may be closed before it is
+    called broken."""
     if not isinstance(error, BrokenProcessPool | BrokenPipeError) and str(error) != "handle is closed":
         raise WorkerFailure(f"worker processes cannot begin ({error}); --workers 1 needs none") from None
 
 
 @contextlib.contextmanager
 def _spawning() -> Iterator[None]:
-    """Processes that begin within have the workers' environment, and never hear of Ctrl-C."""
-    before = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
-    masks = hasattr(signal, "pthread_sigmask")  # a mask is inherited, and nothing is lost meanwhile
+    """Processes that are started inside have one thread each, ignore modules of the current folder, and no Ctrl-C."""
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = {**dict.fromkeys(names, "1"), "PYTHONSAFEPATH": "1"}
+    before = {name: os.environ[name] for name in environment if name in os.environ}
+    masks = hasattr(signal, "pthread_sigmask")  # a mask is inherited, and no signal is lost meanwhile
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
-    os.environ.update(ENVIRONMENT)
+    os.environ.update(environment)
     try:
         yield
     finally:
-        for name in ENVIRONMENT:
+        for name in environment:
             del os.environ[name]
         os.environ.update(before)
         if masks:
@@ -192,73 +193,67 @@ def _spawning() -> Iterator[None]:
 
 
 def _begin(lifeline: Connection) -> None:
-    """Does what a worker does first."""
+    """Prepares a worker: it ignores Ctrl-C, prints to stderr, and ends when its parent does."""
+
+    def end_with_parent() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            lifeline.recv_bytes()  # until the other end is closed, which only the parent has
+        os._exit(1)
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Whatever a library prints must not come between the answers.
-    os.dup2(2, 1)
-    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
-
-
-def _end_with(lifeline: Connection) -> None:
-    """Ends this process as soon as the other end, which only its parent has, is closed."""
-    with contextlib.suppress(EOFError, OSError):
-        lifeline.recv_bytes()
-    os._exit(1)
+    os.dup2(2, 1)  # what a library prints must not come between the answers
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 class Cluster(contextlib.AbstractContextManager["Cluster"]):
-    """A `Cluster` is a Dask cluster's workers; use it in `with`. Dask runs a chunk again whose worker died; that
-    changes no answer."""
+    """A `Cluster` is the workers of a Dask cluster, to be used in `with`.
+
+    If a worker dies, Dask runs its chunk again; that changes no answer.
+    """
 
     chunk_seconds = 0.5
     room = 128
-    """Dask spreads the chunks over its workers, which may come and go."""
+    """Dask spreads the chunks over its workers, whose number may change."""
 
     def __init__(self, address: str, work: Work) -> None:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
         self._address, self._work = address, work
         self._client = _connected(address)
         self._ended: SimpleQueue[tuple[Any, Future[Answers]]] = SimpleQueue()
-        # A daemon of our own: whoever fetches from a cluster that is lost may wait forever.
+        # In a daemon thread, as fetching results from a cluster that was lost may never end.
         threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
         """Drops what is not yet answered."""
-        with contextlib.suppress(Exception):  # there may be nobody to tell
+        with contextlib.suppress(Exception):  # the scheduler may be gone
             self._client.close(timeout=CONNECT_SECONDS)
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns the answers to come; raises WorkerFailure where the cluster was lost."""
-        # Not by Client.get_executor(), whose futures never end where the scheduler is lost.
+        """Returns the future answers to a chunk, or WorkerDied where several workers died, or WorkerFailure; raises the
+        latter where the cluster was lost."""
+        # Not by Client.get_executor(), whose futures never end when the scheduler is lost.
         try:
-            there = self._client.submit(self._work, lines, pure=False)
+            submitted = self._client.submit(self._work, lines, pure=False)
         except Exception as error:
             raise self._lost(error) from None
         answers: Future[Answers] = Future()
-        there.add_done_callback(lambda there: self._ended.put((there, answers)))
+        submitted.add_done_callback(lambda done: self._ended.put((done, answers)))
         return answers
 
-    def answers(self, future: Future[Answers]) -> Answers | None:
-        """Returns the answers once they are there, None where workers died; raises WorkerFailure where the cluster
-        was lost."""
+    def _fetch(self) -> None:
+        """Sets the results of futures, in a thread of its own."""
         from distributed.scheduler import KilledWorker
 
-        try:
-            return future.result()
-        except KilledWorker:
-            return None
-        except Exception as error:
-            raise self._lost(error) from None
-
-    def _fetch(self) -> None:
         while True:
-            there, answers = self._ended.get()
+            done, answers = self._ended.get()
             try:
-                answers.set_result(Answers(*there.result()))
+                answers.set_result(Answers(*done.result()))
+            except KilledWorker:
+                answers.set_exception(WorkerDied())
             except BaseException as error:
-                answers.set_exception(error)
+                answers.set_exception(self._lost(error))
 
-    def _lost(self, error: Exception) -> WorkerFailure:
+    def _lost(self, error: BaseException) -> WorkerFailure:
         message = f"the cluster was lost ({type(error).__name__}: {error})"
         if isinstance(error, ModuleNotFoundError):
             message = f"the workers have no module {error.name!r}; install handsight there"
@@ -266,17 +261,18 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
 
 
 def _connected(address: str) -> Any:
+    """Returns a Dask client; raises WorkerFailure, MissingExtra."""
     try:
         from distributed import Client
         from distributed.comm.addressing import resolve_address
     except ImportError:
         raise MissingExtra("--cluster needs Dask: pip install 'handsight[cluster]'") from None
-    # Dask reports each lost connection with a traceback, by loggers of their own level; what matters is raised.
+    # Dask logs each lost connection with a traceback, by loggers with their own level; what matters is raised.
     for name in ["distributed", *logging.root.manager.loggerDict]:
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
-        # A client that was given nonsense hangs when it is disposed of.
+        # Checked first, as a client with a malformed address hangs when it is closed.
         resolve_address(address)
         connect: Any = Client
         return connect(address, timeout=CONNECT_SECONDS, set_as_default=False)

@@ -1,20 +1,17 @@
-"""`handsight contact`: wrenches to contacts."""
+"""`handsight contact`: a table of wrenches converted to contacts."""
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
 from handsight.cli.terminal import announce_compiling, say
 
-if TYPE_CHECKING:
-    pass
-
 
 class WithColumns(TyperCommand):
-    """A `WithColumns` is a command whose help ends with what it reads and writes, laid out as it stands."""
+    """A `WithColumns` is a command whose help ends with the columns of its tables, laid out as they stand."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Prints the help."""
@@ -26,24 +23,36 @@ class WithColumns(TyperCommand):
 
 def contact(
     wrenches: Annotated[str, typer.Argument(help="A .csv or .jsonl file of wrenches, or - for stdin.")],
-    fingertip: Annotated[str, typer.Option(help="Shape of the tip, as below.")],
+    fingertip: Annotated[
+        str, typer.Option(metavar="SHAPE", help="Shape of the fingertip, as described below.")
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="CSV, or JSON lines by its name; default: CSV on stdout."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="File for the contacts: CSV, or JSON lines by its name. Default: stdout, CSV.",
+        ),
     ] = None,
-    sigma_force: Annotated[float, typer.Option(help="Noise of the force, per axis [N].")] = 0.01,
-    sigma_torque: Annotated[float, typer.Option(help="Noise of the torque, per axis [N m].")] = 5e-5,
+    sigma_force: Annotated[float, typer.Option(help="Standard deviation of the force, per axis [N].")] = 0.01,
+    sigma_torque: Annotated[
+        float, typer.Option(help="Standard deviation of the torque, per axis [N m].")
+    ] = 5e-5,
 ) -> None:
-    """Where the object touches a fingertip, from the wrench its six-axis sensor reads (eq. 7 of the paper).
+    """Compute where an object touches a fingertip, from what its force/torque sensor reads (eq. 7 of the paper).
 
-    Readings are what the object exerts on the tip, without bias and weight: `handsight.calibrate_wrench` and
-    `handsight.contact.compensate` remove those.
+    A wrench is what the object exerts on the fingertip, without the sensor's bias and the weight of what it carries;
+    in Python, `handsight.calibrate_wrench` and `handsight.contact.compensate` remove those.
+
+    ```
+    handsight contact wrenches.csv --fingertip ellipsoid:8,8,12mm,cap=-2mm --output contacts.csv
+    ```
     """
     from handsight.contact import convert, parse_fingertip
 
     announce_compiling()
     shape = parse_fingertip(fingertip)
-    # Whatever the locale, tables are in UTF-8.
+    # Tables are in UTF-8, whatever the locale.
     source: Any = wrenches
     if wrenches == "-":
         source = open(sys.stdin.fileno(), encoding="utf-8", newline="", closefd=False)  # noqa: SIM115

@@ -1,6 +1,5 @@
-"""`handsight correct`: a file of problems, answered a line each."""
+"""`handsight correct`: a file of problems, each answered in a line."""
 
-import contextlib
 import json
 import os
 import stat
@@ -18,10 +17,9 @@ from handsight.cli.terminal import (
     NOBODY_READS,
     announce_compiling,
     bar,
-    naming,
+    output_stream,
     say,
     warn,
-    writing,
 )
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
@@ -32,58 +30,42 @@ if TYPE_CHECKING:
     from handsight.batch.workers import Answers
 
 MOST_PANELS = 6
-"""Problems that a picture has room for."""
-
-
-@dataclass(slots=True)
-class Written:
-    """A `Written` is what has been written."""
-
-    done: int = 0
-    failed: int = 0
-    first: list[tuple[bytes, str]] = field(default_factory=list)
-    """Lines and answers that a picture can show."""
-
-    def write(self, lines: list[bytes], answers: "Answers", sink: IO[str]) -> None:
-        """Writes answers, and says what workers warned of."""
-        for warning in answers.warnings:
-            warn(warning)
-        good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
-        with write_errors(stream_name(sink)):
-            sink.write("".join(f"{text}\n" for text in answers.texts))
-            # Before the flush: once in the buffer, answers are written whatever interrupts us.
-            self.done += len(lines)
-            self.failed += len(lines) - len(good)
-            sink.flush()
-        self.first += good[: MOST_PANELS - len(self.first)]
+"""Number of problems in a picture."""
 
 
 def correct(
-    problems: Annotated[str, typer.Argument(help="A .jsonl file, a single .json, or - for stdin.")],
+    problems: Annotated[
+        str, typer.Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Where the answers go, a line each; default: stdout."),
+        typer.Option("--output", "-o", help="File for the answers, a line each. Default: stdout."),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(help=f"Draw the first {MOST_PANELS} problems: PNG, PDF or SVG by its name.")
+        Path | None,
+        typer.Option(
+            help=f"File for a picture of the first {MOST_PANELS} problems: PNG, PDF or SVG by its name."
+        ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, show_default="1", help="Worker processes on this machine; 0: one for each core."),
+        typer.Option(
+            min=0, show_default="1", help="Number of worker processes on this machine. 0: one for each core."
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They look for meshes in the "
-            "problem file's folder under its absolute path, so share it, and for names in the library that their own "
-            "environment names. One thread per worker is best.",
+            help="Address of a Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They read meshes "
+            "from the problem file's folder under its absolute path, so share it, and names from the library of "
+            "their own environment. One thread per worker is best.",
         ),
     ] = None,
 ) -> None:
     """Correct an object's pose by what the fingertips touch.
 
-    One problem a line (one line here; everything in metres and the palm's frame):
+    A line has one problem; lengths are in metres, and positions in the palm's frame:
 
     ```
     {"object": {"box": [0.06, 0.09, 0.14]},
@@ -93,30 +75,30 @@ def correct(
     ```
 
     * **object**: `{"box": [x, y, z]}`, `{"cylinder": {"radius": r, "height": h}}`,
-      `{"mesh": "file.ply", "scale": 0.001}`, looked for beside the problem file, or `{"name": "mustard"}`, in the
+      `{"mesh": "file.ply", "scale": 0.001}`, a path relative to the problem file, or `{"name": "mustard"}`, of the
       library (`handsight objects --help`).
     * **contacts**: `normal` is the object's outward normal. Sigmas are one standard deviation per axis
       (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
-    * **contacts_of_residual**: `true` if these are of all that parts contacts from the model, as measured at known
-      poses; by default they are of the finger, and what the model adds is added.
-    * **vision** (absent: blind): sigmas per axis, or `covariance`, 6x6 of position and rotation.
+    * **contacts_of_residual**: `true` if the sigmas contain all that separates contacts from the model, as measured at
+      known poses; by default they are the fingertip's, and the model's own error is added.
+    * **vision** (optional): sigmas per axis, or `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
     * **planes**: `[{"point": [x, y, z], "normal": [x, y, z], "sigma": 0.003}]`, which the object cannot cross; the
-    normal
-      is to the object's side.
+      normal points to the object's side.
     * **weight**: `{"center_object": [x, y, z], "center_palm": [x, y, z], "sigma": 0.003}`: where the object's centre of
-      mass is, in the object and in the palm; or `"covariance"` (3, 3).
-    * **answer**: `best` (default) is the mean where contacts bound a slide and do not fix it, else the maximum; or
-      `maximum`, or `mean`.
-    * **samples**: above 0, answer with the mean of so many posterior samples instead (at most 1000000): a slow check.
-    * **budget**: seconds after which no search for a better pose or a wrong contact goes on; "converged" is false
-      where it cut one short.
+      mass is, in the object's and in the palm's frame; or `"covariance"`, 3x3.
+    * **answer**: `maximum` and `mean` of the posterior's best mode, or `best` (default): the mean where the contacts
+      bound a slide and do not fix it, else the maximum.
+    * **samples**: above 0, answer with the mean of this many samples of the posterior instead (at most 1000000), a slow
+      check.
+    * **budget**: seconds after which neither a better pose nor a wrong contact is searched for; where that cuts the
+      search short, "converged" is false.
     * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.
 
-    Each line is answered in its place: pose, covariance, information, residuals, directions that touch leaves
-    open, wrong contacts, other hypotheses. A line that cannot be read is answered `{"error": ...}`; the exit
-    code is then 1; it is 2 where problems cannot be read, 74 where answers cannot be written. Any number of lines
-    fits: they are read as they are answered. A byte order mark at the beginning is dropped.
+    Each answer has the pose, its covariance and information, residuals, the directions that touch leaves open, wrong
+    contacts, and other hypotheses. A wrong line is answered with `{"error": ...}` in its place, and the exit code is
+    then 1; it is 2 where problems cannot be read, and 74 where answers cannot be written. Lines are answered as they
+    are read, so there may be any number of them. A byte order mark at the beginning is ignored.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png
@@ -128,6 +110,7 @@ def correct(
     if workers is not None and cluster is not None:
         raise InvalidInput("--workers: expected without --cluster, whose workers are its own, got both")
     workers = 1 if workers is None else workers
+    folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
     written = Written()
     try:
         if plot is not None:
@@ -136,11 +119,11 @@ def correct(
             require_matplotlib()
         if workers == 1 and cluster is None:
             announce_compiling()
-        _answer(problems, (output, plot), workers, cluster, written)
+        _answer(problems, output, plot, written, folder=folder, workers=workers, cluster=cluster)
         if plot is not None and written.first:
             from handsight.batch.problems import Reader
 
-            reader = Reader(_folder(problems))
+            reader = Reader(folder)
             draw(((reader.read(line), json.loads(text)) for line, text in written.first), plot)
             say(f"wrote {plot}")
     except KeyboardInterrupt:
@@ -154,56 +137,74 @@ def correct(
         raise typer.Exit(1)
 
 
+@dataclass(slots=True)
+class Written:
+    """A `Written` counts the answers that were written, also where the command ends early."""
+
+    done: int = 0
+    failed: int = 0
+    first: list[tuple[bytes, str]] = field(default_factory=list)
+    """Lines and their answers, for a picture."""
+
+    def write(self, lines: list[bytes], answers: "Answers", sink: IO[str]) -> None:
+        """Writes answers to a stream, and prints the warnings of workers."""
+        for warning in answers.warnings:
+            warn(warning)
+        good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
+        with write_errors(stream_name(sink)):
+            sink.write("".join(f"{text}\n" for text in answers.texts))
+            # Counted before the flush: once in the buffer, answers are written even if Ctrl-C comes now.
+            self.done += len(lines)
+            self.failed += len(lines) - len(good)
+            sink.flush()
+        self.first += good[: MOST_PANELS - len(self.first)]
+
+
 def _answer(
     problems: str,
-    outputs: tuple[Path | None, Path | None],
+    output: Path | None,
+    plot: Path | None,
+    written: Written,
+    *,
+    folder: Path,
     workers: int,
     cluster: str | None,
-    written: Written,
 ) -> None:
-    """Answers and writes line by line; `written` tells how far it came. `outputs`: of answers and of a picture."""
+    """Answers problems and writes the answers line by line, counted in `written`; raises InvalidFile, NotWritten."""
     from handsight.batch.run import answering
 
-    output, plot = outputs
     given = sys.stdin if problems == "-" else problems
     place = sys.stdout if output is None or str(output) == "-" else output
     check_not_overwritten(place, "the answers", given, "the problems")
     check_not_overwritten(plot, "the picture", given, "the problems")
     check_not_overwritten(plot, "the picture", place, "the answers")
-    source = _source(problems)
-    size = os.fstat(source.fileno()).st_size  # a pipe has none
-    single, folder = problems.endswith(".json"), _folder(problems)
+    source = _open(problems)
+    size = os.fstat(source.fileno()).st_size  # 0 for a pipe
+    single = problems.endswith(".json")
     run = answering(source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling)
-    began, read = time.monotonic(), 0
-    with (
-        run as answered,
-        writing(place) if isinstance(place, Path) else contextlib.nullcontext(place) as sink,
-        bar("correcting", show=output is not None) as move,
-    ):
+    started, read = time.monotonic(), 0
+    with run as answered, output_stream(output) as sink, bar("correcting", show=output is not None) as move:
         for lines, answers in answered:
             written.write(lines, answers, sink)
             read += sum(len(line) + 1 for line in lines)
-            rate = written.done / (time.monotonic() - began)
+            rate = written.done / (time.monotonic() - started)
             move(read / size if size else None, f"{written.done} answers, {rate:.0f}/s")
 
 
-def _source(problems: str) -> "Source":
-    """Returns where problems come from; raises InvalidFile."""
-    with naming("stdin" if problems == "-" else problems):
-        # Stdin as a file of its own, so that no thread holds the interpreter's when it ends.
+def _open(problems: str) -> "Source":
+    """Returns the stream that problems come from; raises InvalidFile."""
+    name = "stdin" if problems == "-" else problems
+    try:
+        # Stdin is opened a second time, as the thread that reads must not hold Python's own when the program ends.
         place = sys.stdin.fileno() if problems == "-" else problems
         source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
         found, nothing = os.fstat(source.fileno()), os.stat(os.devnull)
+    except OSError as error:
+        raise InvalidFile(f"{name}: {error.strerror or error}") from None
     if stat.S_ISCHR(found.st_mode) and not source.isatty() and found.st_rdev != nothing.st_rdev:
-        # Such as /dev/zero: one line without an end.
-        source.close()
+        source.close()  # such as /dev/zero, one line without an end
         raise InvalidFile(f"{stream_name(source)}: expected a file, a pipe or a terminal, got a device")
     return source
-
-
-def _folder(problems: str) -> Path:
-    """Returns where meshes are looked for."""
-    return Path.cwd() if problems == "-" else Path(problems).parent.absolute()
 
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:

@@ -1,43 +1,49 @@
-"""`handsight demo`: a can and a box held by five fingers, a picture of one, a recording of each (all synthetic)."""
+"""`handsight demo`: a can and a box in a five-fingered hand, corrected, located and tracked; all of it synthetic."""
 
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from handsight.cli.correct import draw as draw_corrections
+from handsight.cli.options import Run
 from handsight.cli.terminal import announce_compiling, live_rows, say, table
 from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from handsight.batch.problems import Problem
-    from handsight.cli.track_summary import Run
+    from handsight.cli.track_summary import TrackResult
     from handsight.evaluation import CorrectionErrors
     from handsight.recording.frames import Frame
     from handsight.rig import Rig
 
 NAMES = ("can", "box")
 DATA = Path(__file__).parents[1] / "data"
-"""Built-in problems, a line for each name, and recordings, each with its rig beside it."""
+"""Folder with a problem and a recording for each name, and with an image of the can."""
 
 
 def demo(
     plot: Annotated[
-        Path, typer.Option(help="Where the picture goes: PNG, PDF or SVG by its name; others go beside it.")
+        Path,
+        typer.Option(help="File for the picture: PNG, PDF or SVG by its name; others are put beside it."),
     ] = Path("handsight-demo.png"),
 ) -> None:
-    """Correct a can and a box held by five fingers, find the can in a picture, replay recordings (all synthetic).
+    """Correct a can and a box held by five fingers, find the can in an image, and replay recordings (all synthetic).
 
-    In the picture the hand is before the can, and nothing is known of where it is. The recordings, one of each, are
-    of the simulated Shadow hand that `handsight simulate` drives: vision is constantly wrong by centimetres, and the
-    object is grasped, pushed over the table, lifted and turned.
+    In the image the hand is in front of the can, and nothing is known about where the can is. The recordings, one of
+    each object, are of the simulated Shadow hand of `handsight simulate`: vision has a constant error of centimetres,
+    and the object is grasped, pushed over the table, lifted and turned.
+
+    ```
+    handsight demo --plot demo.png
+    ```
     """
     from rich.console import Console
 
@@ -55,24 +61,28 @@ def demo(
     except MissingExtra as error:
         out.print(f"no picture: {error}")
     try:
-        out.print(_pictured(plot.with_name(f"{plot.stem}-picture{plot.suffix}")))
+        out.print(find_can(plot.with_name(f"{plot.stem}-picture{plot.suffix}")))
     except MissingExtra as error:
-        out.print(f"no picture looked at: {error}")
+        out.print(f"no image searched: {error}")
+    results = []
     try:
-        runs = [_replayed(name, plot, out) for name in NAMES]
+        for name in NAMES:
+            result, sentence = replayed(name, plot.with_name(f"{plot.stem}-{name}{plot.suffix}"))
+            results.append(result)
+            out.print(sentence)
     except MissingExtra as error:
         out.print(f"no recordings replayed: {error}")
         return
-    out.print(_tracks(runs))
+    out.print(_tracks(results))
 
 
 class Comparison(NamedTuple):
-    """A `Comparison` is one example's errors against its truth."""
+    """A `Comparison` is the errors of one example's poses against its truth."""
 
     name: str
     problem: "Problem"
     answer: dict[str, Any]
-    """In the form of the command's answers."""
+    """As `handsight correct` writes it."""
     vision: "CorrectionErrors"
     corrected: "CorrectionErrors"
 
@@ -102,7 +112,7 @@ def examples() -> Iterator[Comparison]:
         yield Comparison(name, problem, answered, vision, corrected)
 
 
-def _corrections(found: Sequence[Comparison]) -> "Table":
+def _corrections(found: list[Comparison]) -> "Table":
     rows = [
         (
             row.name,
@@ -118,27 +128,26 @@ def _corrections(found: Sequence[Comparison]) -> "Table":
     return table(columns, rows, title="Error against the truth, vision → corrected (synthetic example)")
 
 
-def _pictured(plot: Path) -> str:
-    """Returns where the can is found in the built-in picture, against its truth; the picture is drawn where that can
-    be."""
-    from dataclasses import replace
+def find_can(plot: Path) -> str:
+    """Returns sentences about how well the can is located in the built-in image, which is drawn if matplotlib is there.
 
+    Raises MissingExtra.
+    """
     from handsight import se3
-    from handsight.cli.locate_images import Sought, draw, warmed
+    from handsight.cli.locate_images import Targets, draw, locator
     from handsight.rig import Rig
     from handsight.vision.depth_noise import STRUCTURED_LIGHT
 
     rig, known = Rig.from_file(DATA / "can.rig.yaml"), json.loads((DATA / "can.picture.json").read_bytes())
     model = replace(rig.objects["can"].model(), name="can")
-    row = warmed(Sought({model.name: model}, STRUCTURED_LIGHT))(picture(rig, known))
-    truth = se3.from_position_quaternion(**known["truth"])
+    row = locator(Targets({model.name: model}, STRUCTURED_LIGHT))(picture(rig, known))
     if row.reason is not None:
-        return f"can in a picture (synthetic): not found: {row.reason}"
-    T = row.found.Ts_camera_object[0]
-    off = 1e3 * math.dist(T[:3, 3], truth[:3, 3])
-    tilt = math.degrees(math.acos(min(1.0, abs(float(T[:3, 2] @ truth[:3, 2])))))
+        return f"can in an image (synthetic): not found: {row.reason}"
+    T, T_true = row.found.Ts_camera_object[0], se3.from_position_quaternion(**known["truth"])
+    off = 1e3 * math.dist(T[:3, 3], T_true[:3, 3])
+    tilt = math.degrees(math.acos(min(1.0, abs(float(T[:3, 2] @ T_true[:3, 2])))))
     found = f"centre off by {off:.1f} mm, axis by {tilt:.1f}°, in {1e3 * row.seconds:.0f} ms"
-    text = f"can found in a picture with the hand before it, without a guess (synthetic): {found}"
+    text = f"can found in an image with the hand in front of it, without a guess (synthetic): {found}"
     try:
         return f"{text}\n{draw([row], plot)}"
     except MissingExtra as error:
@@ -146,7 +155,10 @@ def _pictured(plot: Path) -> str:
 
 
 def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
-    """The built-in picture of the can in the hand, the hand masked by what the robot knows; raises MissingExtra."""
+    """Returns the built-in image of the can in the hand, with the hand masked where the robot knows it to be.
+
+    Raises MissingExtra.
+    """
     import numpy as np
 
     from handsight import se3
@@ -162,32 +174,34 @@ def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
     return Frame(name="can.depth.png", camera=camera, depth=depth, color=color, hand=hand)
 
 
-def _replayed(name: str, plot: Path, out: "Console") -> "Run":
-    """Returns a recording tracked, and drawn where that can be."""
-    from handsight.cli.track import draw, progress, run
+def replayed(name: str, plot: Path) -> "tuple[TrackResult, str]":
+    """Returns the result of tracking a built-in recording, and a sentence about its picture.
+
+    Raises MissingExtra; ends the command where tracking ends early, as a part of it would be no demonstration.
+    """
+    from handsight.cli.track import draw, progress, tracked
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
     rig = Rig.from_file(DATA / f"{name}.rig.yaml")
-    model = rig.objects[name].model()
+    run = Run(DATA / f"{name}.mcap", rig, rig.objects[name].model(), TrackerSettings(outside=500))
     with live_rows(f"{name}.mcap", progress) as watch:
-        ended = run(DATA / f"{name}.mcap", rig, model, TrackerSettings(outside=500), watch)
-    for end in ended.ends:  # a part of it is no demonstration
+        result = tracked(run, watch)
+    for end in result.ends:
         if end.message:
             say(end.message)
         raise typer.Exit(end.exit_code)
-    out.print(draw(ended, model, plot.with_name(f"{plot.stem}-{name}{plot.suffix}")))
-    return ended
+    return result, draw(result, run.model, plot)
 
 
-def _tracks(runs: Sequence["Run"]) -> "Table":
+def _tracks(results: "list[TrackResult]") -> "Table":
     rows = []
-    for ended in runs:
-        vision, tracked = (ended.errors[name].summary() for name in ("vision", "tracked"))
+    for result in results:
+        vision, tracked = (result.errors[name].summary() for name in ("vision", "tracked"))
         errors = (vision["base_mean"], tracked["base_mean"], tracked["base_last"])
-        faster = ended.tally.recorded / ended.tally.wall
+        faster = result.tally.recorded / result.tally.wall
         rows.append(
-            [ended.name, *(f"{mm:.1f} mm" for mm in errors), str(ended.corrections), f"{faster:.0f}x"]
+            [result.name, *(f"{mm:.1f} mm" for mm in errors), str(result.corrections), f"{faster:.0f}x"]
         )
     title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
     columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")

@@ -5,27 +5,55 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from handsight.cli.locate_images import MOST_PANELS, Sought, draw, run
+from handsight.cli.locate_images import MOST_PANELS, Targets, draw, locate_all
 from handsight.cli.options import (
     DEPTH_CAMERAS,
-    RigFile,
-    by_name,
-    library_objects,
-    object_named,
-    rig_and_objects,
+    LibraryPlace,
+    RigPath,
+    find_models,
+    find_rig,
 )
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 from handsight.files import check_not_overwritten
 
 if TYPE_CHECKING:
-    from handsight.objects import ObjectModel
-    from handsight.recording.frames import Beside, Frames
+    from handsight.recording.frames import Frames
     from handsight.vision import DepthNoise
 
 
+class Images(NamedTuple):
+    """`Images` are the depth images that a user names, and what describes their pixels."""
+
+    path: Path
+    rig: Path | None
+    """Of a recording; None: the one beside it."""
+    camera: Path | None
+    color: Path | None
+    depth_scale: float
+    """Metres per step of depth."""
+    depth_camera: str | None
+
+
+class Objects(NamedTuple):
+    """`Objects` are the objects that may be in the images."""
+
+    names: list[str]
+    """Empty: all of the rig or of the library."""
+    library: str | None
+    scale: float
+    """Metres per unit of a mesh file."""
+
+
+class Region(NamedTuple):
+    """A `Region` is the part of each image in which an object is searched for."""
+
+    box: str | None
+    mask: Path | None
+
+
 def locate(
-    pictures: Annotated[
+    images: Annotated[
         Path,
         typer.Argument(
             help="A depth image (PNG of 16 bits), a folder of them, a BOP scene or split, or a recording.",
@@ -37,8 +65,8 @@ def locate(
         typer.Option(
             "--object",
             metavar="NAME|FILE",
-            help="A name of the library, of a recording also of its rig, or a mesh file. Told several times: which of "
-            "them it is; not told: which of all that the library, or the rig, has.",
+            help="A name of the library or, for a recording, of its rig, or a mesh file. Given several times, "
+            "handsight says which of these objects is in the image; not given, which of all in the library or the rig.",
         ),
     ] = None,
     output: Annotated[
@@ -46,61 +74,65 @@ def locate(
         typer.Option(
             "--output",
             "-o",
-            help="A line of JSON for each picture; named .csv: BOP's results. Default: stdout.",
+            help="File for the answers: a line of JSON for each image, or BOP's results if its name ends in .csv. "
+            "Default: stdout.",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
-            help=f"Draw the poses over the first {MOST_PANELS} pictures: PNG, PDF or SVG by its name."
+            help=f"File for a picture of the poses in the first {MOST_PANELS} images: PNG, PDF or SVG by its name."
         ),
     ] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="Intrinsics, JSON as below; default: camera.json beside the images.")
+        Path | None,
+        typer.Option(
+            help="File of the camera's intrinsics, as below. Default: camera.json beside the images."
+        ),
     ] = None,
     color: Annotated[
-        Path | None, typer.Option(help="Colour of one depth image, of the same pixels, to draw on.")
+        Path | None, typer.Option(help="Colour image with the pixels of the depth image, for the picture.")
     ] = None,
-    depth_scale: Annotated[float, typer.Option(help="Metres of a step of depth.")] = 0.001,
+    depth_scale: Annotated[
+        float, typer.Option(help="Metres per step of depth; 0.001 for millimetres.")
+    ] = 0.001,
     box: Annotated[
         str | None,
-        typer.Option(metavar="U0,V0,U1,V1", help="Look between these columns and rows only [pixels]."),
+        typer.Option(metavar="U0,V0,U1,V1", help="Search between these columns and rows only [pixels]."),
     ] = None,
     mask: Annotated[
         Path | None,
         typer.Option(
-            help="Look where this image is not 0 only; or a folder of such, named as the depth images."
+            help="Search only where this image is not 0; or a folder of such images, named like the depth images."
         ),
     ] = None,
     depth_camera: Annotated[
         str | None,
         typer.Option(
             metavar=DEPTH_CAMERAS,
-            help="How it measures depth; default: structured_light, of a recording as the rig has it.",
+            help="How the camera measures depth. Default: structured_light; for a recording, what the rig says.",
         ),
     ] = None,
-    scale: Annotated[float, typer.Option(help="Metres per unit of a mesh file.")] = 1.0,
-    library: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FOLDER|URL",
-            help="Of objects; default: the BOP data set's own, else HANDSIGHT_LIBRARY, else the user's.",
-        ),
-    ] = None,
-    rig: RigFile = None,
+    scale: Annotated[
+        float, typer.Option(help="Metres per unit of a mesh file; 0.001 for millimetres.")
+    ] = 1.0,
+    library: LibraryPlace = None,
+    rig: RigPath = None,
 ) -> None:
-    """Locate an object in depth images, and say which of several it is, without a guess of where it is.
+    """Locate an object in depth images, without a guess of its pose, and say which of several objects it is.
 
-    Depth alone is used: table and, in a recording, the robot's hand are taken away, and what is left votes.
+    Only depth is used. The table and, in a recording, the robot's hand are removed; the remaining points vote for
+    poses.
 
     * **One image or a folder of them**: PNGs of 16 bits, in millimetres or as `--depth-scale` says, 0 where there is
       no depth. Their camera is `camera.json`:
-      `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width": 640, "height": 480}`, with `"lens": [k1, k2, p1, p2, k3]`
-      where the images are not rectified. In a folder depth is in `depth/`, with colour in `rgb/` or `color/` under
-      the same names; or the images lie side by side with "depth" in their names.
-    * **A BOP scene** (`scene_camera.json`, `depth/000000.png`, `rgb/`), or a split with scenes in it.
-    * **A recording** with depth images, as `handsight track` reads it: the rig names the topics, and its hand is
-      masked where it is seen, else where joints and camera say that it is.
+      `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width": 640, "height": 480}` [pixels], with
+      `"lens": [k1, k2, p1, p2, k3]` where the images are not rectified. In a folder, depth is in `depth/`, with colour
+      under the same names in `rgb/` or `color/`; or the images lie side by side with "depth" in their names.
+    * **A BOP scene** (`scene_camera.json`, `depth/000000.png`, `rgb/`), or a split with scenes in it; the objects are
+      those of its data set, if `--library` names no others.
+    * **A recording** with depth images, as `handsight track` reads it: the rig names the topics. Its hand is masked
+      where it is found in the image, else where joints and camera say that it is.
 
     ```
     handsight locate depth.png --camera d435.json --object mustard --plot found.png
@@ -111,89 +143,84 @@ def locate(
     handsight locate depth.png --library lab/
     ```
 
-    The last two ask which object is there: of those named, of all that the library has.
+    The last two say which object is in the image: of the two named, and of all in the library.
 
-    A line for each picture: position [m] and quaternion_xyzw of the object in the camera (x right, y down, z forward),
-    covariance (6x6, position then rotation along the camera's axes), the probability that this is right, other
-    hypotheses with weights, seconds; or `"found": false` and why: that is an answer. Of several objects also the
-    probability of each (`scores`) and of `none` of them; the pose is the likeliest's, `"object": null` where none is
-    likelier. A picture that cannot be read is answered `{"error": ...}`; the exit
-    code is then 1; it is 2 where nothing can be read, 74 where answers cannot be written. Ctrl-C keeps what was found.
+    An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),
+    covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, other
+    hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it also has the
+    probability of each (`scores`) and of `none` of them; the pose is that of the likeliest, and `"object"` is null if
+    `none` is likelier. An image that cannot be read is answered with `{"error": ...}`, and the exit code is then 1; it
+    is 2 where no image can be read, and 74 where answers cannot be written. Ctrl-C keeps the answers until then.
     """
-    from handsight.recording.frames import Beside
-
     announce_compiling()
-    beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
     for place, what in ((output, "the answers"), (plot, "the picture")):
-        for source in (pictures, camera, color, mask, rig):
+        for source in (images, camera, color, mask, rig):
             check_not_overwritten(place, what, source, "what is read")
     check_not_overwritten(plot, "the picture", output, "the answers")
     if plot is not None:
         from handsight.viewer.correction_figures import require_matplotlib
 
         require_matplotlib()
-    asked = Asked(object or [], rig, library, scale, depth_camera)
-    frames, sought = _opened(pictures, beside, asked, csv=_is_csv(output))
-    if box is not None:
-        frames = _boxed(frames, box)
-    ended = run(frames, sought, output)
-    if plot is not None and ended.panels:
-        ended.messages.append(draw(ended.panels, plot))
-    for sentence in ended.sentences(output):
+    frames, targets = _opened(
+        Images(images, rig, camera, color, depth_scale, depth_camera),
+        Objects(object or [], library, scale),
+        Region(box, mask),
+        csv=output is not None and output.suffix.lower() == ".csv",
+    )
+    result = locate_all(frames, targets, output)
+    if plot is not None and result.panels:
+        result.messages.append(draw(result.panels, plot))
+    for sentence in result.sentences(output):
         say(sentence)
-    if ended.exit_code:
-        raise typer.Exit(ended.exit_code)
+    if result.exit_code:
+        raise typer.Exit(result.exit_code)
 
 
-class Asked(NamedTuple):
-    """An `Asked` is what is looked for, and in what kind of depth, as it was told."""
-
-    names: list[str]
-    rig: Path | None
-    library: str | None
-    scale: float
-    depth_camera: str | None
-
-
-def _opened(path: Path, beside: "Beside", asked: Asked, *, csv: bool) -> "tuple[Frames, Sought]":
-    """Returns the pictures, and what is looked for in them."""
+def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "tuple[Frames, Targets]":
+    """Returns the images one by one, and the objects to locate; raises InvalidInput, InvalidFile."""
+    from handsight.objects import Library
+    from handsight.recording.frames import Beside, Frame, within
     from handsight.recording.open_frames import is_recording, open_frames
 
+    path = images.path
+    beside = Beside(
+        camera=images.camera, color=images.color, mask=region.mask, depth_scale=images.depth_scale
+    )
+    numbers = None
     if is_recording(path):
         if csv:
             raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
-        if asked.depth_camera is not None:
+        if images.depth_camera is not None:
             raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {path}")
-        found, models = rig_and_objects(path, asked.rig, asked.names)
-        noise = _noise(None if found.camera is None else found.camera.depth_camera)
-        return open_frames(path, beside, found), Sought(models, noise)
-    if asked.rig is not None:
-        raise InvalidInput(f"--rig: expected beside a recording, got it beside {path}")
-    noise = _noise(asked.depth_camera)
-    frames = open_frames(path, beside)
-    place = asked.library or (str(frames.library) if frames.library else None)
-    models = _models(asked, place)
-    return frames, Sought(models, noise, _numbers(asked, models, place) if csv else None)
-
-
-def _models(asked: Asked, library: str | None) -> "dict[str, ObjectModel]":
-    """Returns those named, else all of the library."""
-    if not asked.names:
-        return library_objects(library)
-    return by_name(object_named(name, library=library, scale=asked.scale) for name in asked.names)
-
-
-def _numbers(asked: Asked, models: "dict[str, ObjectModel]", library: str | None) -> dict[str, int]:
-    """BOP's results say objects by number, which is a library's."""
-    from handsight.objects import Library
-
-    opened = Library(library)
-    declared = zip(models, asked.names or models, strict=True)
-    return {name: opened.entry(name_of).number for name, name_of in declared}
+        rig, rig_path = find_rig(path, images.rig)
+        models = find_models(objects.names, rig, rig_path)
+        noise = _noise(None if rig.camera is None else rig.camera.depth_camera)
+        frames = open_frames(path, beside, rig)
+    else:
+        if images.rig is not None:
+            raise InvalidInput(f"--rig: expected beside a recording, got it beside {path}")
+        noise = _noise(images.depth_camera)
+        frames = open_frames(path, beside)
+        library = objects.library or (str(frames.library) if frames.library else None)
+        models = find_models(objects.names, library=library, scale=objects.scale)
+        if csv:  # BOP's results name objects by the library's numbers
+            entries = zip(models, objects.names or models, strict=True)
+            opened = Library(library)
+            numbers = {name: opened.entry(entry).number for name, entry in entries}
+    if region.box is not None:
+        try:
+            left, top, right, bottom = (int(part) for part in region.box.split(","))
+        except ValueError:
+            expected = "expected 4 whole numbers u0,v0,u1,v1"
+            raise InvalidInput(f"--box: {expected}, got {region.box!r:.60}") from None
+        box = (left, top, right, bottom)
+        each = (within(frame, box) if isinstance(frame, Frame) else frame for frame in frames.each)
+        frames = frames._replace(each=each)
+    return frames, Targets(models, noise, numbers)
 
 
 def _noise(kind: str | None) -> "DepthNoise":
-    """Returns the depth noise of a kind of camera, without one of structured light; raises InvalidInput for others."""
+    """Returns the depth noise of a kind of camera (None: structured light); raises InvalidInput for unknown ones."""
     from handsight.checks import suggestion
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
@@ -204,23 +231,3 @@ def _noise(kind: str | None) -> "DepthNoise":
         return STRUCTURED_LIGHT
     expected = f"expected one of {', '.join(PRESETS)}"
     raise InvalidInput(f"--depth-camera: {expected}, got {kind!r:.80}{suggestion(kind, PRESETS)}")
-
-
-def _is_csv(output: Path | None) -> bool:
-    return output is not None and output.suffix.lower() == ".csv"
-
-
-def _boxed(frames: "Frames", text: str) -> "Frames":
-    """Returns the same, the object looked for in a box only; raises InvalidInput, of another size than a picture's
-    later."""
-    from handsight.recording.frames import Frame, within
-
-    try:
-        left, top, right, bottom = (int(part) for part in text.split(","))
-    except ValueError:
-        raise InvalidInput(f"--box: expected 4 whole numbers u0,v0,u1,v1, got {text!r:.60}") from None
-    each = (
-        within(frame, (left, top, right, bottom)) if isinstance(frame, Frame) else frame
-        for frame in frames.each
-    )
-    return frames._replace(each=each)

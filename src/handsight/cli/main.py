@@ -1,4 +1,4 @@
-"""The command `handsight`: its commands put together, and what is said of wrong input."""
+"""The command `handsight`: its subcommands, and how it reports wrong input."""
 
 import sys
 import time
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-# Help and version are to be there at once: what computes is imported by the command that needs it.
+# Help and version must appear at once, so each command imports what computes when it runs.
 from handsight.cli.contact import WithColumns, contact
 from handsight.cli.correct import correct
 from handsight.cli.demo import demo
@@ -17,10 +17,20 @@ from handsight.cli.reconstruct import reconstruct
 from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.ros2_bridge import ros2_bridge
 from handsight.cli.simulate import simulate
-from handsight.cli.terminal import CANNOT_WRITE, WRONG_INPUT, exit_code, flush_stdout, hold_streams, say, warn
+from handsight.cli.terminal import (
+    CANNOT_WRITE,
+    NOBODY_READS,
+    WRONG_INPUT,
+    discard,
+    exit_code,
+    reopen_closed_streams,
+    say,
+    warn,
+)
 from handsight.cli.track import track
 from handsight.cli.view import view
-from handsight.errors import HandsightError
+from handsight.errors import HandsightError, NotWritten
+from handsight.files import write_errors
 
 app = typer.Typer(
     help="Know where the object is in the robot's hand, by touch and sight.",
@@ -34,15 +44,24 @@ app = typer.Typer(
 def main() -> None:
     """Runs the command; what goes wrong is one sentence on stderr and an exit code, never a traceback.
 
-    2: wrong input, or more of it than memory holds. 74: what cannot be written, such as onto a full disk.
+    Exit code 2: wrong input, or more of it than memory holds. 74: something cannot be written, as on a full disk.
+    141: whoever read stdout has closed it.
     """
-    hold_streams()
+    reopen_closed_streams()
     warnings.showwarning = lambda message, *_: warn(str(message))
     try:
         try:
             app()
         finally:
-            flush_stdout()
+            # A failure can be reported now, but not when Python exits.
+            try:
+                with write_errors("stdout"):
+                    sys.stdout.flush()
+            except (BrokenPipeError, NotWritten):
+                discard(sys.stdout)
+                raise
+    except BrokenPipeError:
+        sys.exit(NOBODY_READS)
     except HandsightError as error:
         message, code = str(error), exit_code(error)
     except OSError as error:
@@ -53,7 +72,7 @@ def main() -> None:
     sys.exit(code)
 
 
-def _version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
@@ -62,25 +81,30 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def _options(
+def _handsight(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass
 
 
 def warmup() -> None:
-    """Compile what computes, ahead of the first problem; done once for each version and machine.
+    """Compile everything now rather than at the first problem; once for each version and machine, some minutes.
 
-    Without it the first command that computes does so. `HANDSIGHT_CACHE` names another folder.
+    Without it, the first command that computes something compiles it. The result is kept in the user's cache folder,
+    or where HANDSIGHT_CACHE says.
+
+    ```
+    handsight warmup
+    ```
     """
     from handsight._kernels.runtime.compilation import folder
     from handsight._kernels.runtime.warm import warm
 
-    began = time.monotonic()
+    started = time.monotonic()
     warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))
-    print(f"compiled in {time.monotonic() - began:.1f} s; kept in {folder()}")
+    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {folder()}")
 
 
 for command in (demo, track, view, locate, simulate, correct, reconstruct):

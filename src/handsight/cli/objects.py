@@ -1,93 +1,93 @@
-"""`handsight objects`: a library of objects, listed, shown, added to, weighed, verified and fetched."""
+"""`handsight objects`: a library of objects: list, show, add, weigh, verify and fetch."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.terminal import announce_compiling, bar, say, table
-from handsight.cli.weigh import weigh
+from handsight.cli.options import LibraryPlace, RecordingPath, RigPath, Run, find_rig
+from handsight.cli.terminal import announce_compiling, bar, plain_table, print_out, say
 from handsight.errors import InvalidInput, printable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from handsight.objects.library import Entry, Library
     from handsight.objects.symmetry import Symmetries
 
 objects_app = typer.Typer(
-    help="A library of objects by name: a folder as the BOP benchmark has them, or a URL. It is the one that --library "
-    "or HANDSIGHT_LIBRARY names, else ~/.local/share/handsight/library.",
+    help="A library of objects by name: a folder in the form of the BOP benchmark, or a URL. It is the one that "
+    "--library or HANDSIGHT_LIBRARY names, else ~/.local/share/handsight/library.",
     no_args_is_help=True,
 )
 
-Name = Annotated[str, typer.Argument(help="A name, or a number as BOP has it.")]
-Place = Annotated[
-    str | None,
-    typer.Option(
-        "--library",
-        metavar="FOLDER|URL",
-        help="The library; default: HANDSIGHT_LIBRARY, else the user's own.",
-    ),
-]
+Name = Annotated[str, typer.Argument(help="A name, or a number as in BOP.")]
 
 
 @objects_app.command("list")
-def list_(library: Place = None) -> None:
-    """Print all objects of the library."""
-    from rich.console import Console
+def list_(library: LibraryPlace = None) -> None:
+    """Print all objects of the library: names, symmetries, licences, diameters [mm] and masses [g].
 
-    opened = _opened(library)
+    ```
+    handsight objects list --library https://host/ycbv
+    ```
+    """
     rows = []
-    for entry in opened.entries():
+    for entry in _opened(library).entries():
         facts = entry.facts
         mass = f"{1e3 * facts.mass:.4g}" if facts and facts.mass is not None else "-"
         texts = (entry.name, _symmetries(entry.symmetries), facts.licence if facts else "")
-        cells = (*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass)
-        rows.append([printable(cell) for cell in cells])
+        rows.append((*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass))
     columns = ("name", "symmetries", "licence", "number", "diameter [mm]", "mass [g]")
-    style: dict[str, Any] = {"box": None, "pad_edge": False, "padding": (0, 2, 0, 0)}
-    Console(markup=False, highlight=False).print(table(columns, rows, texts=3, **style))
+    print_out(plain_table(columns, rows, texts=3))
 
 
 @objects_app.command()
-def show(name: Name, library: Place = None) -> None:
-    """Print what is known of an object; the exit code is 1 where its file is missing or was changed."""
+def show(name: Name, library: LibraryPlace = None) -> None:
+    """Print what is known of an object; the exit code is 1 where its file is missing or was changed.
+
+    ```
+    handsight objects show mustard
+    ```
+    """
     opened = _opened(library)
     entry = opened.entry(name)
     for key, value in _known(entry):
         typer.echo(printable(f"{key:16}{value}"))
-    _tell(opened, [entry])
+    _print_wrong(opened.wrong([entry]))
 
 
 @objects_app.command()
 def add(
     file: Annotated[
-        Path, typer.Argument(help="A mesh (STL, OBJ, PLY, OFF) or a cloud (PLY, OFF, PCD, XYZ).")
+        Path, typer.Argument(help="A mesh (STL, OBJ, PLY, OFF) or a point cloud (PLY, OFF, PCD, XYZ).")
     ],
-    name: Annotated[str, typer.Option(help="What it is to be called.")],
-    scale: Annotated[float, typer.Option(help="Metres per unit of the file.")] = 1.0,
-    mass: Annotated[float | None, typer.Option(help="[kg]")] = None,
+    name: Annotated[str, typer.Option(help="Name of the object in the library.")],
+    scale: Annotated[float, typer.Option(help="Metres per unit of the file; 0.001 for millimetres.")] = 1.0,
+    mass: Annotated[float | None, typer.Option(help="Mass [kg].")] = None,
     center_of_mass: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="In the object's frame [m].")
+        tuple[float, float, float] | None, typer.Option(help="Centre of mass in the object's frame [m].")
     ] = None,
     sigma_center_of_mass: Annotated[
-        float | None, typer.Option(help="How well it is known: one standard deviation per axis [m].")
+        float | None, typer.Option(help="Standard deviation of the centre of mass per axis [m].")
     ] = None,
     symmetry: Annotated[
         list[str] | None,
         typer.Option(
             metavar="z|z/N|find",
-            help="Turns that change nothing, its print neither: any about an axis through the middle of the surface, "
-            "or an N-th of one; find: those that the shape suggests. May be given several times.",
+            help="Rotations that change neither shape nor print: by any angle about an axis (x, y, z) through the "
+            "middle of the surface, or by an N-th of a turn; find: those that the shape suggests. May be repeated.",
         ),
     ] = None,
-    licence: Annotated[str, typer.Option(help="Of the model.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the model.")] = "",
     source: Annotated[str, typer.Option(help="Where the model is from.")] = "",
-    library: Place = None,
+    library: LibraryPlace = None,
 ) -> None:
-    """Add an object to a library in a folder, as PLY in millimetres.
+    """Add an object to a library in a folder, where it is kept as PLY in millimetres.
 
-    It is there with all that belongs to it or not at all, however many add at the same time.
+    Either all that belongs to it is added, or nothing; several commands may add at the same time.
 
     ```
     handsight objects add mustard.obj --name mustard --mass 0.603 --symmetry z/2 --licence "CC BY 4.0"
@@ -119,36 +119,86 @@ def add(
 
 
 @objects_app.command()
-def verify(library: Place = None) -> None:
-    """Read every model again, and print a sentence for each that is not what it was or should be.
+def verify(library: LibraryPlace = None) -> None:
+    """Read every model again, and print a sentence for each that is missing, damaged or changed.
 
     The exit code is then 1.
+
+    ```
+    handsight objects verify --library lab/
+    ```
     """
     opened = _opened(library)
     entries = opened.entries()
-    _tell(opened, entries)
+    _print_wrong(opened.wrong(entries))
     typer.echo(printable(f"{opened.place}: {len(entries)} objects are as they should be"))
 
 
 @objects_app.command()
-def fetch(url: Annotated[str, typer.Argument(help="Of a library, such as https://host/ycbv.")]) -> None:
-    """Copy a library and all its models to this machine's cache, or bring the copy up to date.
+def fetch(url: Annotated[str, typer.Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
+    """Copy a library and all its models to this machine's cache, or update the copy.
 
-    A library at a URL is used from its copy, and asks the network for what that lacks. Known are http, https and file;
-    other kinds (s3, gs, hf, github) by fsspec, `pip install 'handsight[library]'`.
+    A library at a URL is used from its copy, and only what that lacks is asked from the network. URLs are http, https
+    and file; others (s3, gs, hf, github) by fsspec, `pip install 'handsight[library]'`.
+
+    ```
+    handsight objects fetch https://host/ycbv
+    ```
     """
     opened = _opened(url)
     with bar("fetching") as advance:
         wrong = opened.fetch(advance)
-    for sentence in wrong:
-        typer.echo(printable(f"- {sentence}"))
     done = len(opened.entries()) - len(wrong)
     say(f"fetched {done} objects; --library or HANDSIGHT_LIBRARY={url} uses them from here")
-    if wrong:
-        raise typer.Exit(1)
+    _print_wrong(wrong)
 
 
-objects_app.command()(weigh)
+@objects_app.command()
+def weigh(
+    recording: RecordingPath,
+    name: Annotated[
+        str,
+        typer.Option("--object", metavar="NAME", help="Name of the object in the library, or its number."),
+    ],
+    rig: RigPath = None,
+    library: LibraryPlace = None,
+) -> None:
+    """Find an object's mass and centre of mass in a recording, and write both to the library.
+
+    In the recording, the hand lifts the object and tilts it by 20° about two axes, and holds still for half a second
+    each time. The uncertainty of the object's pose in the hand is part of the uncertainty of the centre, which is
+    written only if it is known to 10 mm (one standard deviation per axis).
+
+    ```
+    handsight objects weigh lifted.mcap --object mustard
+    ```
+    """
+    from handsight.tracking.best_weighing import best_weight, center_of
+
+    announce_compiling()
+    opened = _opened(library)
+    robot, _ = find_rig(recording, rig)
+    model = opened.model(name)
+    # What is known already must not come out again as if it had been measured.
+    run = Run(recording, robot, replace(model, mass=None, center_of_mass=None))
+    with run.opened() as (recorded, tracker):
+        found, reason = best_weight(recorded.observations(), tracker)
+    if found is None:
+        raise InvalidInput(
+            f"{recording.name}: expected an object that is weighed in the air, got none: {reason}"
+        )
+    center, sigma = center_of(found, model)
+    place = ", ".join(f"{1e3 * x:.1f}" for x in center)
+    text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
+    say(f"{model.name}: {text}, by {found.directions} directions of gravity")
+    max_sigma = 0.01  # [m] per axis; a centre that is known worse is of no use
+    if sigma > max_sigma:
+        raise InvalidInput(
+            f"{recording.name}: expected a centre of mass known to {1e3 * max_sigma:g} mm, got {1e3 * sigma:.1f} mm: "
+            "not written (where the object is in the hand must be known: by more contacts, or by vision)"
+        )
+    opened.weigh(name, found.mass, center, sigma)
+    say(f"wrote {opened.place}")
 
 
 def _opened(place: str | None) -> "Library":
@@ -157,17 +207,18 @@ def _opened(place: str | None) -> "Library":
     return Library(place)
 
 
-def _tell(library: "Library", entries: "list[Entry] | tuple[Entry, ...]") -> None:
-    """Prints what is wrong with objects; ends the command where anything is."""
-    sentences = list(library.wrong(entries))
+def _print_wrong(sentences: "Iterable[str]") -> None:
+    """Prints what is wrong with objects, and then ends the command with exit code 1."""
+    wrong = False
     for sentence in sentences:
         typer.echo(printable(f"- {sentence}"))
-    if sentences:
+        wrong = True
+    if wrong:
         raise typer.Exit(1)
 
 
 def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
-    """Yields what is known of an object, in the units that people say it in."""
+    """Yields names and values of what is known of an object, in units for a person."""
     yield "name", entry.name
     yield "file", f"{entry.file} of {entry.place}"
     yield "diameter", f"{1e3 * entry.diameter:.1f} mm"
@@ -184,12 +235,13 @@ def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
         sigma = facts.sigma_center_of_mass
         yield "centre of mass", f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
     for key in ("licence", "source"):
-        if columns := getattr(facts, key):
-            yield key, columns
+        if text := getattr(facts, key):
+            yield key, text
     yield "SHA-256", facts.sha256
 
 
 def _symmetries(of: "Symmetries") -> str:
+    """Returns a few words for an object's symmetries."""
     if of.trivial:
         return "none"
     if of.round:

@@ -1,230 +1,228 @@
-"""What the commands for recordings have in common: a recording, its rig and the object in it."""
+"""Options that several commands have, and the values they stand for: a rig, objects, and a `Run` of a recording."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
-from functools import wraps
-from inspect import Parameter, Signature, signature
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from handsight.cli.terminal import say
+from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.objects import ObjectModel, ObjectSpec
+    from handsight.objects import Library, ObjectModel, ObjectSpec
     from handsight.recording import Recording
     from handsight.rig import Rig
-    from handsight.tracking import TrackerSettings
+    from handsight.tracking import Tracker, TrackerSettings
 
-MOST_WITHOUT_INFO = 1000
-"""Observations of a recording in which a camera is looked for."""
-Recorded = Annotated[Path, typer.Argument(help="MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")]
-RigFile = Annotated[
+RecordingPath = Annotated[
+    Path, typer.Argument(help="A recording: MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")
+]
+RigPath = Annotated[
     Path | None,
     typer.Option(
-        "--rig", help="The robot; default: RECORDING.rig.yaml, else rig.yaml, beside the recording."
+        "--rig", help="Rig file of the robot. Default: RECORDING.rig.yaml, else rig.yaml, beside it."
     ),
 ]
-DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
-"""How a camera measures depth, and so what is wrong with it: the names of `handsight.vision.depth_noise`."""
 ObjectName = Annotated[
     str | None,
     typer.Option(
         "--object",
-        help="A name of the rig's objects or of the library, or a mesh file in metres; default: the rig's only one.",
+        metavar="NAME|FILE",
+        help="A name of the rig's objects or of the library, or a mesh file in metres. Default: the rig's object, if "
+        "it has one only.",
+    ),
+]
+LibraryPlace = Annotated[
+    str | None,
+    typer.Option(
+        "--library",
+        metavar="FOLDER|URL",
+        help="Library of objects. Default: what HANDSIGHT_LIBRARY names, else ~/.local/share/handsight/library.",
     ),
 ]
 Rate = Annotated[
-    float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
+    float | None,
+    typer.Option(min=0.1, help="Corrections per second. Default: whenever a contact has changed."),
 ]
 Answer = Annotated[
     str,
     typer.Option(
         metavar="best|maximum|mean",
-        help="Pose of the best mode; best: the mean where the posterior is not Gaussian, else the maximum.",
+        help="Which pose is reported: the maximum of the posterior, its mean, or best: the mean where the posterior is "
+        "not Gaussian, else the maximum.",
     ),
 ]
 Samples = Annotated[
-    int, typer.Option(min=0, help="Answer with the mean of so many posterior samples instead: a slow check.")
-]
-OutsideCount = Annotated[
     int,
     typer.Option(
-        min=0, help="How many points of the hand's links, none of which can be inside the object; 0: none."
+        min=0, help="Above 0: report the mean of this many samples of the posterior instead, a slow check."
+    ),
+]
+OutsidePoints = Annotated[
+    int,
+    typer.Option(
+        min=0, help="Number of points on the hand's links, which cannot be inside the object. 0: none."
     ),
 ]
 WithImages = Annotated[
     bool,
     typer.Option(
-        help="Look at the recording's depth images, in place of a camera's poses; else at the poses."
+        help="Find the object in the recorded depth images; without images, use recorded poses of it."
     ),
 ]
+DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
+"""How a camera measures depth, and so which errors it has: the names of `handsight.vision.depth_noise`."""
 
 
-def _settings(
-    rate: Rate = None,
-    answer: Answer = "best",
-    samples: Samples = 0,
-    outside: OutsideCount = 200,
-    images: WithImages = True,
-) -> "TrackerSettings":
-    from handsight.tracking import TrackerSettings
-
-    return TrackerSettings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+Value = TypeVar("Value")
 
 
-def renamed(new: bool, old: bool, names: tuple[str, str]) -> bool:
-    """Returns a switch that was given under its new or its former name; a warning on stderr names the new one."""
+def renamed(new: Value, old: Value, names: tuple[str, str]) -> Value:
+    """Returns an option's value under its new name, else under its former one, which gives a warning on stderr."""
     if old:
         say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
     return new or old
 
 
-def with_settings(command: Callable[..., None]) -> Callable[..., None]:
-    """Returns a command whose argument `settings` is made of a tracker's options, which stand in its place."""
-    options = signature(_settings, eval_str=False).parameters
-    shown = dict[str, Parameter]()
-    for name, parameter in signature(command, eval_str=False).parameters.items():
-        shown |= options if name == "settings" else {name: parameter}
+def tracker_settings(**given: Any) -> "TrackerSettings":
+    """Returns the settings of a tracker that options give; raises an InvalidInput that names the option."""
+    from handsight.tracking import TrackerSettings
 
-    @wraps(command)
-    def run(**given: Any) -> None:
-        settings = _settings(**{name: given.pop(name) for name in options})
-        command(settings=settings, **given)
-
-    # What typer reads.
-    run.__annotations__ = {name: parameter.annotation for name, parameter in shown.items()}
-    vars(run)["__signature__"] = Signature(
-        [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in shown.values()]
-    )
-    return run
+    try:
+        return TrackerSettings(**given)
+    except InvalidInput as error:
+        raise InvalidInput(f"--{str(error).removeprefix('settings.')}") from None
 
 
-def rig_and_object(recording: Path, rig: Path | None, name: str | None) -> "tuple[Rig, ObjectModel]":
-    """Returns the rig of a recording and the model of the object in it, as told or as found; raises InvalidInput."""
-    found, path = _rig_of(recording, rig)
-    if name is None:
-        if len(found.objects) != 1:
-            raise _no_object(found, path)
-        name = next(iter(found.objects))
-    return found, object_named(name, objects=found.objects, of=str(path))
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A `Run` is what a command works on: a recording, the robot that was recorded, and the object in its hand."""
+
+    recording: Path
+    rig: "Rig"
+    model: "ObjectModel"
+    settings: "TrackerSettings | None" = None
+
+    @classmethod
+    def of(
+        cls, recording: Path, rig: Path | None, name: str | None, settings: "TrackerSettings | None" = None
+    ) -> "Run":
+        """Returns the run that a command's options describe; raises InvalidInput."""
+        announce_compiling()
+        found, path = find_rig(recording, rig)
+        if name is None and len(found.objects) != 1:
+            known = ", ".join(found.objects) or "none"
+            raise InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
+        (model,) = find_models(() if name is None else (name,), found, path).values()
+        return cls(recording, found, model, settings)
+
+    @contextlib.contextmanager
+    def opened(self) -> "Iterator[tuple[Recording, Tracker]]":
+        """Yields the open recording and a new tracker for it.
+
+        A camera without intrinsics gets them from the recording's first CameraInfo. Raises InvalidFile, MissingExtra.
+        """
+        from handsight.recording import open_recording
+        from handsight.tracking import Tracker
+
+        with open_recording(self.recording, self.rig) as recording:
+            rig, camera, topics = self.rig, self.rig.camera, self.rig.topics
+            if camera is not None and camera.intrinsics is None and topics.depth and topics.camera_info:
+                for _ in islice(recording.observations(), 1000):  # a camera says what it is before long
+                    if (info := recording.intrinsics) is not None:
+                        rig = replace(rig, camera=camera.with_images_of(info))
+                        break
+            yield recording, Tracker(rig, self.model, settings=self.settings)
 
 
-def rig_and_objects(
-    recording: Path, rig: Path | None, names: Iterable[str]
-) -> "tuple[Rig, dict[str, ObjectModel]]":
-    """Returns the rig and, by name, the models of the objects told, else of all that it knows; raises InvalidInput."""
-    found, path = _rig_of(recording, rig)
-    wanted = tuple(names) or tuple(found.objects)
-    if not wanted:
-        raise _no_object(found, path)
-    return found, by_name(object_named(name, objects=found.objects, of=str(path)) for name in wanted)
+def rig_beside(recording: Path) -> Path:
+    """Returns the path of the rig that belongs to this one recording."""
+    return recording.with_suffix(".rig.yaml")
 
 
-def library_objects(library: str | None) -> "dict[str, ObjectModel]":
-    """Returns the models of all that a library (None: the usual one) has, by name; raises InvalidInput where it has
-    none."""
+def find_rig(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
+    """Returns the rig in the file given, else beside the recording, and its path; raises InvalidInput, InvalidFile."""
+    from handsight.rig import Rig
+
+    own = rig_beside(recording)
+    places = [rig] if rig else [path for path in (own, recording.with_name("rig.yaml")) if path.exists()]
+    if not places:
+        raise InvalidInput(
+            f"--rig: expected, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
+        )
+    return Rig.from_file(places[0]), places[0]
+
+
+def find_models(
+    names: Iterable[str],
+    rig: "Rig | None" = None,
+    rig_path: Path | None = None,
+    *,
+    library: str | None = None,
+    scale: float = 1.0,
+) -> "dict[str, ObjectModel]":
+    """Returns the models of the named objects by name; without names, those of all objects of the rig or library.
+
+    `library` None: the default one; `scale`: metres per unit of a mesh file. Raises InvalidInput.
+    """
     from handsight.objects import Library
     from handsight.objects.library import NoLibrary
 
-    opened, message = Library(library), "expected a name of the library or a mesh file, got nothing"
-    try:
-        entries = opened.entries()
-    except NoLibrary:
-        raise InvalidInput(f"--object: {message}; there is no library at {opened.place}") from None
-    if not entries:
-        raise InvalidInput(f"--object: {message}; the library {opened.place} is empty")
-    return by_name(opened.model(entry.name) for entry in entries)
-
-
-def by_name(models: "Iterable[ObjectModel]") -> "dict[str, ObjectModel]":
-    """Models by their names; raises InvalidInput where two have the same."""
-    found = dict[str, "ObjectModel"]()
-    for model in models:
-        if model.name in found:
-            raise InvalidInput(f"--object: expected objects of different names, got {model.name!r} twice")
-        found[model.name] = model
-    return found
+    objects, opened = {} if rig is None else rig.objects, Library(library)
+    if wanted := tuple(names) or tuple(objects):
+        place = "" if rig is None else str(rig_path)
+        models = [
+            object_named(name, objects=objects, place=place, library=opened, scale=scale) for name in wanted
+        ]
+    elif rig is not None:
+        raise InvalidInput(f"--object: expected, got nothing; {rig_path} knows none")
+    else:
+        message = "--object: expected a name of the library or a mesh file, got nothing"
+        try:
+            entries = opened.entries()
+        except NoLibrary:
+            raise InvalidInput(f"{message}; there is no library at {opened.place}") from None
+        if not entries:
+            raise InvalidInput(f"{message}; the library {opened.place} is empty")
+        models = [opened.model(entry.name) for entry in entries]
+    by_name = {model.name: model for model in models}
+    if len(by_name) < len(models):
+        twice = next(name for name, count in Counter(model.name for model in models).items() if count > 1)
+        raise InvalidInput(f"--object: expected objects of different names, got {twice!r} twice")
+    return by_name
 
 
 def object_named(
-    name: str,
-    *,
-    objects: "Mapping[str, ObjectSpec] | None" = None,
-    of: str = "",
-    library: str | None = None,
-    scale: float = 1.0,
+    name: str, *, objects: "Mapping[str, ObjectSpec]", place: str, library: "Library", scale: float
 ) -> "ObjectModel":
-    """Returns the object of a rig's `objects`, of a mesh file or of the library; raises InvalidInput where there is
-    none.
+    """Returns the model of that name among a rig's `objects` or in the library, or of a mesh file of that path.
 
-    `of`: what the rig is called; `scale`: metres per unit of a mesh file; `library`: None: the usual one.
+    `place`: the rig's path, for the message, or empty. Raises InvalidInput where there is none.
     """
     from handsight.checks import suggestion
-    from handsight.objects import Library, ObjectModel
+    from handsight.objects import ObjectModel
     from handsight.objects.library import NoLibrary
 
-    objects = objects or {}
     if name in objects:
         return replace(objects[name].model(), name=name)
     if Path(name).is_file():
         return ObjectModel.from_file(name, scale=scale)
-    opened, listed = Library(library), dict[str, str]()
-    with contextlib.suppress(NoLibrary):  # there need not be one
-        for entry in opened.entries():
-            listed |= dict.fromkeys((entry.name, str(entry.number), entry.file[:-4]), entry.name)
-    if name in listed:
-        return opened.model(listed[name])
-    where = of or (
-        f"the library {opened.place}" if listed else f"a library (there is none at {opened.place})"
+    try:
+        entries = library.entries()
+    except NoLibrary:  # there need not be one
+        entries = ()
+    for entry in entries:
+        if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
+            return library.model(entry.name)
+    in_library = (
+        f"the library {library.place}" if entries else f"a library (there is none at {library.place})"
     )
-    known = suggestion(name, {*objects, *listed.values()})
-    raise InvalidInput(f"--object: expected a name of {where} or a mesh file, got {name!r}{known}")
-
-
-def rig_of_recording(recording: Path, rig: Path | None) -> "Rig":
-    """Returns the rig of a recording, as told or as found beside it; raises InvalidInput."""
-    return _rig_of(recording, rig)[0]
-
-
-def own_rig(recording: Path) -> Path:
-    """Returns where the rig of this one recording is."""
-    return recording.with_suffix(".rig.yaml")
-
-
-def _rig_of(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
-    """Returns the rig as told or as found, and where it is."""
-    from handsight.rig import Rig
-
-    path = rig or _rig_beside(recording)
-    return Rig.from_file(path), path
-
-
-def _no_object(rig: "Rig", path: Path) -> InvalidInput:
-    known = ", ".join(rig.objects) or "none"
-    return InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
-
-
-def _rig_beside(recording: Path) -> Path:
-    own = own_rig(recording)
-    for path in (own, recording.with_name("rig.yaml")):
-        if path.exists():
-            return path
+    known = suggestion(name, {*objects, *(entry.name for entry in entries)})
     raise InvalidInput(
-        f"--rig: expected, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
+        f"--object: expected a name of {place or in_library} or a mesh file, got {name!r}{known}"
     )
-
-
-def with_intrinsics(rig: "Rig", recording: "Recording") -> "Rig":
-    """Returns the rig, its camera's intrinsics from the recording's first CameraInfo where it has none of its own."""
-    camera = rig.camera
-    if camera is None or camera.intrinsics is not None or None in (rig.topics.depth, rig.topics.camera_info):
-        return rig
-    for _ in islice(recording.observations(), MOST_WITHOUT_INFO):
-        if (info := recording.intrinsics) is not None:
-            return replace(rig, camera=camera.with_images_of(info))
-    return rig

@@ -1,4 +1,4 @@
-"""`handsight reconstruct`: an object's model out of a recording's depth images."""
+"""`handsight reconstruct`: a model of an object from a recording's depth images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import Recorded, RigFile, renamed, rig_of_recording
+from handsight.cli.options import RecordingPath, RigPath, find_rig, renamed
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
 from handsight.errors import InvalidInput
 from handsight.files import write_errors
@@ -19,41 +19,42 @@ if TYPE_CHECKING:
     from handsight.vision.reconstruction.completion import ReconstructedModel
     from handsight.vision.reconstruction.reconstruct import Reconstruction
 
-LEAST_FUSED, LEAST_POINTS = 5, 100
-"""Views that a model is made of, and points that it has, or there is none."""
-
 
 def reconstruct(
-    recording: Recorded,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The model, a PLY of points in metres.")],
-    rig: RigFile = None,
+    recording: RecordingPath,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File for the model: a PLY of points in metres.")
+    ],
+    rig: RigPath = None,
     robot_poses: Annotated[
         bool,
         typer.Option(
             "--robot-poses",
-            help="Take the views to be where the robot has them; default: align each to the surface, from there on.",
+            help="Use the camera's poses as the robot has them. Default: they are where aligning each view to the "
+            "surface starts.",
         ),
     ] = False,
     in_hand: Annotated[
         bool,
         typer.Option(
             "--in-hand",
-            help="The hand holds the object and turns it before the camera; default: it stands on a table.",
+            help="The hand holds the object and turns it before the camera. Default: the object stands on a table.",
         ),
     ] = False,
     former_robot_poses: Annotated[bool, typer.Option("--given", hidden=True)] = False,
     former_in_hand: Annotated[bool, typer.Option("--held", hidden=True)] = False,
 ) -> None:
-    """Make an object's model out of a recording with depth images of many sides of it.
+    """Make a model of an object from a recording with depth images of many sides of it.
 
-    Move the camera around what stands on a table, nearest to the middle of the first image; a hand in the picture is
-    left out. Or hold it in the hand and turn that before the camera, clear of all else (`--in-hand`): where it is
-    goes by the hand that is seen, so keep the grip; what is near the hand, as under its fingers, stays unseen. Views
-    a few degrees apart are enough; the more sides they show, the less is guessed.
+    Move the camera around an object on a table, which must be the nearest to the middle of the first image; a hand in
+    the image is left out. Or hold the object in the hand and turn it before the camera, clear of everything else
+    (`--in-hand`): its pose follows the hand in the images, so do not change the grip; what is near the hand, as under
+    its fingers, stays unmeasured. A few degrees from view to view are enough; the more sides they show, the less is
+    guessed.
 
-    What no view shows is guessed where a symmetry contradicts nothing that was seen, and from the lowest that was seen
-    straight down to the table, if there is one. The file's property `measured` is 1 for points that were seen and 0 for
-    guesses, `sigma` is how far they may be off.
+    What no view shows is guessed: by a symmetry that contradicts no measurement, and from the lowest points straight
+    down to the table, if there is one. In the file, `measured` is 1 for measured points and 0 for guesses, and `sigma`
+    is the standard deviation [m].
 
     ```
     handsight reconstruct around.mcap --rig robot.yaml --output mustard.ply
@@ -61,29 +62,29 @@ def reconstruct(
     handsight objects add mustard.ply --name mustard
     ```
 
-    Whatever ends it early, Ctrl-C too, the model of the views by then is written.
+    If an error or Ctrl-C ends it early, the model from the views until then is written.
     """
     from handsight.recording import open_recording
 
     announce_compiling()
     if output.suffix.lower() != ".ply":
         raise InvalidInput(f"--output: expected a name that ends with .ply, got {output.name!r}")
-    found = rig_of_recording(recording, rig)
+    found, _ = find_rig(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
     in_hand = renamed(in_hand, former_in_hand, ("--in-hand", "--held"))
     robot_poses = renamed(robot_poses, former_robot_poses, ("--robot-poses", "--given"))
-    run = Run(not robot_poses and not in_hand, in_hand)
-    with open_recording(recording, found) as opened, live_rows(recording.name, Run.progress) as watch:
+    fusion = Fusion(align=not robot_poses and not in_hand, in_hand=in_hand)
+    with open_recording(recording, found) as opened, live_rows(recording.name, Fusion.progress) as watch:
         with kept_going() as end:
-            run.through(opened, found, watch)
-        if end.error is not None and run.reconstruction is None:
+            fusion.add_recording(opened, found, watch)
+        if end.error is not None and fusion.reconstruction is None:
             raise end.error
         cut = opened.report.truncated
         messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
         messages += [end.message] if end.message else []
     try:
-        messages += write(run, output)
+        messages += write(fusion, output)
     finally:
         for sentence in messages:
             say(sentence)
@@ -91,21 +92,25 @@ def reconstruct(
         raise typer.Exit(end.exit_code)
 
 
-@dataclass(slots=True)
-class Run:
-    """A `Run` is a recording's way into a surface."""
+@dataclass(slots=True, kw_only=True)
+class Fusion:
+    """A `Fusion` turns a recording's depth images into one surface."""
 
-    estimate: bool
+    align: bool
+    """Whether views are aligned to the surface, or placed as the robot has them."""
     in_hand: bool
+    """Whether the object is in the hand, or on a table."""
     reconstruction: "Reconstruction | None" = None
+    """None before the object was found."""
     images: int = 0
-    """Depth images that were looked at."""
-    started: int = 0
-    """How many of them before the object was seen."""
+    """Depth images until now."""
+    skipped: int = 0
+    """Those of them before the object was found."""
     fitted: int = 0
+    """Those of them that fitted the surface."""
 
-    def through(self, recording: "Recording", rig: "Rig", watch: "Callable[[Run], None]") -> None:
-        """Fuses what a recording has; raises InvalidInput where that cannot be begun."""
+    def add_recording(self, recording: "Recording", rig: "Rig", watch: "Callable[[Fusion], None]") -> None:
+        """Fuses the depth images of a recording; raises InvalidInput where there are none."""
         import numpy as np
 
         from handsight import se3
@@ -122,63 +127,67 @@ class Run:
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
-                started = (
+                found = (
                     (view.T_camera_object, IN_HAND_BOUNDS) if self.in_hand else on_table(camera, view.depth)
                 )
-                if started is None:
-                    self.started = self.images = self.images + 1
+                if found is None:
+                    self.skipped = self.images = self.images + 1
                     continue
-                T_reference_object = se3.inverse(view.T_camera_object) @ started[0]
-                self.reconstruction = Reconstruction(camera, started[1])
+                T_camera_object, bounds = found
+                T_reference_object = se3.inverse(view.T_camera_object) @ T_camera_object
+                self.reconstruction = Reconstruction(camera, bounds)
             placed = View(view.depth, view.T_camera_object @ T_reference_object)
-            self.fitted += self.reconstruction.grow(placed, estimate=self.estimate) is not None
+            self.fitted += self.reconstruction.grow(placed, estimate=self.align) is not None
             self.images += 1
             watch(self)
 
     def model(self) -> "ReconstructedModel":
-        """Returns the object; raises InvalidInput where too little of it was seen."""
+        """Returns the object's model; raises InvalidInput where too little of it was measured."""
         from handsight.vision.reconstruction.completion import closed, one_object
 
+        min_views, min_points = 5, 100
         if self.reconstruction is None:
             where = "in the hand" if self.in_hand else "on a table"
-            messages = f"expected an object {where}, got none in {self.images} depth images"
-            raise InvalidInput(f"recording: {messages}")
-        volume = self.reconstruction.volume
-        if volume.views < LEAST_FUSED:
             raise InvalidInput(
-                f"recording: expected at least {LEAST_FUSED} views of different sides, got {volume.views} "
+                f"recording: expected an object {where}, got none in {self.images} depth images"
+            )
+        volume = self.reconstruction.volume
+        if volume.views < min_views:
+            raise InvalidInput(
+                f"recording: expected at least {min_views} views of different sides, got {volume.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted"
             )
         surface = one_object(volume.surface(), volume, table=not self.in_hand)
-        if len(surface.points) < LEAST_POINTS:
+        if len(surface.points) < min_points:
             raise InvalidInput(
-                f"recording: expected a surface of at least {LEAST_POINTS} points, got {len(surface.points)} "
+                f"recording: expected a surface of at least {min_points} points, got {len(surface.points)} "
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
         return closed(surface, volume, table=not self.in_hand)
 
     def progress(self) -> list[tuple[str, str]]:
-        """Returns how it goes, as names and values."""
+        """Returns names and values that show how it is going."""
         views = self.reconstruction.volume.views if self.reconstruction else 0
         return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(views))]
 
 
-def write(run: Run, output: Path) -> list[str]:
-    """Writes the model, and says what it is made of."""
+def write(fusion: Fusion, output: Path) -> list[str]:
+    """Writes the model, and returns sentences about it."""
     import numpy as np
 
     from handsight.objects.files.read import Shape
     from handsight.objects.files.write import ply_bytes
 
-    model = run.model()
+    model = fusion.model()
     content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
     with write_errors(output):
         output.write_bytes(content)
     size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
-    views = run.reconstruction.volume.views if run.reconstruction else 0
-    messages = [
-        f"{views} views fused of {run.images} depth images, {run.images - run.started - run.fitted} did not fit"
+    views = fusion.reconstruction.volume.views if fusion.reconstruction else 0
+    misfits = fusion.images - fusion.skipped - fusion.fitted
+    return [
+        f"{views} views fused of {fusion.images} depth images, {misfits} did not fit",
+        f"{size} mm, {100 * model.share_measured:.0f} % of the surface measured; guessed: "
+        + ("; ".join(model.guesses) or "nothing"),
+        f"wrote {output}: {len(model.points)} points",
     ]
-    guessed = "; ".join(model.guesses) or "nothing"
-    messages.append(f"{size} mm, {100 * model.share_measured:.0f} % of the surface seen; guessed: {guessed}")
-    return [*messages, f"wrote {output}: {len(model.points)} points"]

@@ -1,14 +1,14 @@
-"""`handsight rig check` and `handsight calibrate camera`: what describes a robot, against what it recorded."""
+"""`handsight rig check` and `handsight calibrate camera`: a robot's description against what it recorded."""
 
 import contextlib
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import ObjectName, Recorded, RigFile, rig_and_object
-from handsight.cli.terminal import announce_compiling, kept_going, say, table
+from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run
+from handsight.cli.terminal import kept_going, plain_table, print_out, say
 from handsight.cli.track_summary import refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
@@ -17,24 +17,33 @@ if TYPE_CHECKING:
 
     from handsight.checks import Array
     from handsight.observation import Observation
-    from handsight.rig import MountedCamera, Rig
+    from handsight.rig import Rig
     from handsight.tracking.camera_calibration import CameraCalibration
     from handsight.tracking.hand_eye_calibration import HandCalibration
 
-rig_app = typer.Typer(help="What describes a robot: hand, fingertips, camera.", no_args_is_help=True)
-calibrate_app = typer.Typer(help="What is constantly wrong, from a recording.", no_args_is_help=True)
+rig_app = typer.Typer(
+    help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
+)
+calibrate_app = typer.Typer(help="Estimate a robot's constant errors from a recording.", no_args_is_help=True)
 
 
 @rig_app.command("check")
 def check(
-    rig: Annotated[Path, typer.Argument(help="A rig.yaml.")],
+    rig: Annotated[Path, typer.Argument(help="A rig file, such as rig.yaml.")],
     recording: Annotated[Path | None, typer.Argument(help="A recording to check it against.")] = None,
     object: ObjectName = None,
 ) -> None:
-    """Print the rig as a table, what a recording lacks for it, and links whose shapes are larger than they are.
+    """Print a rig as tables, and what a recording lacks for it.
 
-    Such a link would be inside the object in the recording while the fingertips' contacts fit.
-    The exit code is 1 where the recording lacks something that tracking needs, touch of any finger among it.
+    With a recording it also lists the fingers that never touched anything, and the links of the hand whose shapes in
+    the hand's file are too large: they would be inside the object although the contacts of the fingertips fit.
+
+    ```
+    handsight rig check robot.yaml
+    handsight rig check robot.yaml grasp.mcap --object mustard
+    ```
+
+    The exit code is 1 where the recording lacks something that tracking needs, or no finger ever touched.
     """
     from handsight.rig import Rig
 
@@ -52,41 +61,35 @@ def check(
     if lacking or len(untouched) == len(found.fingers):
         raise typer.Exit(1)
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
-    _print_links(recording, rig, object)
+    try:
+        run = Run.of(recording, rig, object)
+    except InvalidInput as error:
+        typer.echo(printable(f"The shapes of the links were not checked: {error}"))
+        return
+    _print_links(run)
 
 
-def _print_links(recording: Path, rig: Path, name: str | None) -> None:
-    """Tracks a recording, and prints by how much each link's shape is larger than the link."""
-    from rich.console import Console
-
+def _print_links(run: Run) -> None:
+    """Tracks a recording, and prints by how much the shape of each link is larger than the link [mm]."""
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
     from handsight.tracking.replay import Tally, replay
 
-    try:
-        found, model = rig_and_object(recording, rig, name)
-    except InvalidInput as error:
-        typer.echo(printable(f"Shapes of the links were not looked at: {error}"))
-        return
-    announce_compiling()
-    tracker = Tracker(found, model)
+    tracker = Tracker(run.rig, run.model)
     if not tracker.links:
-        lacks = "the hand's file has no shapes" if model.closed else "the object has no inside"
+        lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))
         return
-    with open_recording(recording, found) as opened:
+    with open_recording(run.recording, run.rig) as opened:
         for _ in replay(opened.observations(), tracker, Tally()):
             pass
     margins = tracker.link_margins
-    rows = [
-        [printable(link), f"{1e3 * margins[link]:.1f}" if link in margins else "-"] for link in tracker.links
-    ]
-    out = Console(markup=False, highlight=False)
-    out.print("", table(("link", "larger than it is by [mm]"), rows, texts=1, box=None, pad_edge=False))
+    rows = [(link, f"{1e3 * margins[link]:.1f}" if link in margins else "-") for link in tracker.links]
+    print_out("", plain_table(("link", "larger than it is by [mm]"), rows, texts=1))
 
 
 def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
-    """Returns a sentence for each finger that was heard and never touched, with how near it came."""
+    """Returns a sentence for each finger whose wrenches came but showed no contact, with its largest force."""
     from handsight.tracking.fingertips import FingertipSensors
 
     sensors, largest, touched = FingertipSensors(rig), dict[str, float](), set[str]()
@@ -94,7 +97,7 @@ def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
         for finger, wrench in observation.wrenches.items():
             force = math.dist(wrench[:3], rig.fingers[finger].calibration.bias_force)
             largest[finger] = max(force, largest.get(finger, 0.0))
-        with contextlib.suppress(HandsightError):  # joints that are missing are told of elsewhere
+        with contextlib.suppress(HandsightError):  # missing joints are reported as what the recording lacks
             touched |= set(sensors.contacts(observation).fingers)
     return [
         f"finger {finger}: never touched; a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip, and the "
@@ -105,13 +108,17 @@ def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
 
 
 @calibrate_app.command("camera")
-def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) -> None:
-    """The camera's constant error, from the hand in its depth images, or from an object held while the palm turned.
+def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = None) -> None:
+    """Estimate where the camera really is, from the hand in its images, or from an object that the hand turned.
 
-    Where the recording has depth images and the rig the camera's intrinsics, the hand that is seen in them says where
-    the camera is. Else touch: vision's error stays where it is in the world while the palm turns with the object, so
-    the two come apart. Printed: the camera's corrected pose for the rig file, how well it is known, and which of both
-    says so; how far they are apart where both do.
+    Where the recording has depth images and the rig has the camera's intrinsics, the hand in the images shows the
+    camera's pose. Otherwise touch does: when the palm turns with the object, the error of vision stays the same in the
+    world, so that it can be separated from the object's pose. Printed are the corrected pose for the rig file, its
+    standard deviation [mm, degrees], what it was estimated from, and, where both were possible, how they differ.
+
+    ```
+    handsight calibrate camera turned.mcap --rig robot.yaml
+    ```
     """
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
@@ -119,19 +126,18 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     from handsight.tracking.hand_eye_calibration import HandViews
     from handsight.tracking.replay import Tally
 
-    announce_compiling()
-    found, model = rig_and_object(recording, rig, object)
-    tracker, tally, touched = Tracker(found, model), Tally(), None
-    views = HandViews(found)
-    with open_recording(recording, found) as opened, kept_going() as end:
-        for each in calibrations(views.watched(opened.observations()), tracker, tally):
-            touched = each
+    run = Run.of(recording, rig, object)
+    tracker, tally, touched, views = Tracker(run.rig, run.model), Tally(), None, HandViews(run.rig)
+    with open_recording(recording, run.rig) as opened, kept_going() as end:
+        for touched in calibrations(views.watched(opened.observations()), tracker, tally):  # noqa: B007 - the last one
+            pass
     by_vision = views.calibration()
     if touched is None and by_vision is None and isinstance(end.error, HandsightError):
         raise end.error
     _print_calibrated(by_vision, touched)
     if by_vision is None and views.images:
-        say(f"the hand was hardly seen: {views.images} pictures, {_counted(views.refusals)}")
+        counts = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in views.refusals.items())
+        say(f"too few images show the hand: {views.images} images, {counts or 'too few'}")
     for sentence in refusals(tally):
         say(sentence)
     if end.message:
@@ -139,11 +145,11 @@ def camera(recording: Recorded, rig: RigFile = None, object: ObjectName = None) 
     if end.exit_code:
         raise typer.Exit(end.exit_code)
     if touched is None and by_vision is None:
-        raise InvalidInput(f"{recording}: expected an object that is held and seen, got none")
+        raise InvalidInput(f"{recording}: expected an object that is held and visible, got none")
 
 
 def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
-    """Prints a camera's pose for the rig file, how well it is known, and from what."""
+    """Prints a camera's pose as the rig file has it, with comments on how well it is known, and from what."""
     from handsight.rig.save import pose_text
     from handsight.tracking.camera_calibration import LITTLE_TURN
 
@@ -161,20 +167,18 @@ def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalib
         views = f"{by_vision.views} of {by_vision.images} pictures"
         views += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
         typer.echo(f"# from the hand seen in {views} (root mean square)")
-    if touched is None:
-        return
-    if touched.turned < LITTLE_TURN and by_vision is None:
-        reason = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
-        say(f"{reason}: error and pose are hardly told apart")
-    if by_vision is None:
+    elif touched is not None:
+        if touched.turned < LITTLE_TURN:
+            turned = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
+            say(f"{turned}: the camera's error and the object's pose are hardly separated")
         typer.echo("# from touch")
-        return
-    shift, turn = touched.away_from(by_vision.T_mount_camera)
-    difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
-    known = touched.covariance.diagonal() ** 0.5
-    typer.echo(
-        f"# touch says {difference} from that, at the object, and knows it to ± {_mm(known)}, {_degrees(known)}"
-    )
+    if by_vision is not None and touched is not None:
+        shift, turn = touched.away_from(by_vision.T_mount_camera)
+        difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
+        known = touched.covariance.diagonal() ** 0.5
+        typer.echo(
+            f"# touch says {difference} from that, at the object, and knows it to ± {_mm(known)}, {_degrees(known)}"
+        )
 
 
 def _mm(values: "Array") -> str:
@@ -185,82 +189,62 @@ def _degrees(values: "Array") -> str:
     return "[{:.2f}, {:.2f}, {:.2f}]°".format(*map(math.degrees, values[3:]))
 
 
-def _counted(refusals: dict[str, int]) -> str:
-    return ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in refusals.items()) or "too few"
-
-
 def _print_rig(rig: "Rig", name: str) -> None:
-    """Prints what a rig file says, in millimetres and degrees, 80 columns wide where names are short."""
-    from rich.console import Console
-
-    # Names are the user's, and [mm] is no markup.
-    out = Console(markup=False, highlight=False)
-    hand = rig.hand
-    title = f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints"
-    out.print(printable(title) + "\n", soft_wrap=True)
-    shapes = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
-    sensors = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
-    style: dict[str, Any] = {"box": None, "pad_edge": False, "padding": (0, 2, 0, 0)}
-    for columns, cells in ((shapes, _shape), (sensors, _sensor)):
-        rows = [list(map(printable, (finger, *cells(rig, finger)))) for finger in rig.fingers]
-        out.print(table(columns, rows, texts=2, header_style="bold underline", **style), "")
-    rows = [list(map(printable, row)) for row in _rows(rig)]
-    out.print(table(("", ""), rows, texts=2, show_header=False, **style))
-
-
-def _shape(rig: "Rig", name: str) -> list[str]:
+    """Prints a rig in millimetres and degrees, 80 columns wide where names are short."""
     from handsight.contact import Sphere
 
-    finger = rig.fingers[name]
-    tip = finger.tip
-    sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
-    return [
-        finger.frame,
-        f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes,
-        "whole" if tip.cap is None else f"{1e3 * tip.cap:g}",
-        "any" if tip.max_friction is None else f"{tip.max_friction:g}",
-        f"{1e3 * finger.sigma_point:g}",
-        f"{math.degrees(finger.sigma_normal):.2g}",
-    ]
+    hand = rig.hand
+    title = f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints"
+    print_out(printable(title) + "\n", soft_wrap=True)
+    shapes, sensors = [], []
+    for finger, of in rig.fingers.items():
+        tip = of.tip
+        sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
+        shapes.append((
+            finger,
+            of.frame,
+            f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes,
+            "whole" if tip.cap is None else f"{1e3 * tip.cap:g}",
+            "any" if tip.max_friction is None else f"{tip.max_friction:g}",
+            f"{1e3 * of.sigma_point:g}",
+            f"{math.degrees(of.sigma_normal):.2g}",
+        ))  # fmt: skip
+        sensors.append((
+            finger,
+            rig.topics.wrenches.get(finger, rig.topics.contacts.get(finger, "none")),
+            f"{1e3 * of.sigma_force:g}",
+            f"{1e3 * of.sigma_torque:g}",
+            *(("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)),
+            f"{1e3 * of.calibration.mass:g}",
+        ))  # fmt: skip
+    bold = {"header_style": "bold underline"}
+    columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
+    print_out(plain_table(columns, shapes, texts=2, **bold), "")
+    columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
+    print_out(plain_table(columns, sensors, texts=2, **bold), "")
+    print_out(plain_table(("", ""), _other_rows(rig), texts=2, show_header=False))
 
 
-def _sensor(rig: "Rig", name: str) -> list[str]:
-    finger = rig.fingers[name]
-    scale = ("?", "?") if finger.full_scale is None else (f"{value:g}" for value in finger.full_scale)
-    return [
-        rig.topics.wrenches.get(name, rig.topics.contacts.get(name, "none")),
-        f"{1e3 * finger.sigma_force:g}",
-        f"{1e3 * finger.sigma_torque:g}",
-        *scale,
-        f"{1e3 * finger.calibration.mass:g}",
-    ]
-
-
-def _images(camera: "MountedCamera") -> str:
-    kind, lens = camera.depth_camera.replace("_", " "), len(camera.lens)
-    width, height = camera.size or (0, 0)
-    through = f"lens of {lens} numbers" if lens else "no lens"
-    return f"{width} x {height} pixels, {through}; depth by {kind}"
-
-
-def _rows(rig: "Rig") -> list[tuple[str, str]]:
+def _other_rows(rig: "Rig") -> list[tuple[str, str]]:
+    """Returns names and values of all but the fingertips."""
     offset, noise = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [
         ("joints", f"{offset:.2g}° constant, {noise:.2g}° noise; on {rig.topics.joint_states}"),
         ("palm in the world", places[rig.world_from]),
     ]
-    c = rig.camera
-    if c is not None:
+    if (c := rig.camera) is not None:
         by_vision = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"
         constant = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
         rows += [("camera", f"fixed to the {c.on}; noise {by_vision}"), ("", f"constant error {constant}")]
-        rows += [("", _images(c))] if c.intrinsics is not None and c.size is not None else []
+        if c.intrinsics is not None and c.size is not None:
+            lens = f"lens of {len(c.lens)} numbers" if len(c.lens) else "no lens"
+            kind = c.depth_camera.replace("_", " ")
+            rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
         size = f"{array.rows} x {array.columns} taxels, {1e3 * array.pitch:g} mm apart"
-        rows.append(
-            (f"skin {name}", f"{size}, on {array.frame}; readings on {rig.topics.skin.get(name, 'nothing')}")
-        )
+        topic = rig.topics.skin.get(name, "nothing")
+        rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

@@ -1,4 +1,4 @@
-"""`handsight ros2-bridge`: ROS 2's messages over DDS, in and out, where its own Python cannot load handsight."""
+"""`handsight ros2-bridge`: a live tracker on ROS 2's network, for a Python into which ROS is not installed."""
 
 import signal
 import threading
@@ -7,32 +7,35 @@ from typing import Annotated
 
 import typer
 
-from handsight.cli.options import ObjectName, renamed
+from handsight.cli.options import ObjectName, Rate, renamed
 from handsight.cli.terminal import announce_compiling, say
 
 
 def ros2_bridge(
-    rig: Annotated[Path, typer.Argument(help="The robot: the rig file that track takes.")],
+    rig: Annotated[Path, typer.Argument(help="Rig file of the robot, as for `handsight track --rig`.")],
     object: ObjectName = None,
-    rate: Annotated[
-        float | None, typer.Option(min=0.1, help="Corrections a second; default: when something changed.")
-    ] = None,
-    images: Annotated[bool, typer.Option(help="Look at depth images, where the rig names some.")] = True,
+    rate: Rate = None,
+    images: Annotated[
+        bool, typer.Option(help="Find the object in the depth images that the rig names a topic for.")
+    ] = True,
     as_recorded: Annotated[
         bool,
         typer.Option(
-            "--as-recorded", help="Wait for messages as for a recording: 0.2 s late, the same numbers."
+            "--as-recorded",
+            help="Wait 0.2 s for late messages, so that the poses equal those from a recording of them.",
         ),
     ] = False,
-    old_equal: Annotated[bool, typer.Option("--equal", hidden=True)] = False,
-    view: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser; 0: none.")
+    former_as_recorded: Annotated[bool, typer.Option("--equal", hidden=True)] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser. 0: no page.")
     ] = 0,
+    former_port: Annotated[int, typer.Option("--view", min=0, max=65535, hidden=True)] = 0,
 ) -> None:
     """Follow an object in a robot's hand over ROS 2, without ROS installed here.
 
-    Heard are the rig's topics, published are /handsight/pose, /tf, /handsight/markers and /diagnostics, until Ctrl-C.
-    ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and CYCLONEDDS_URI are obeyed. Asked for things are topics:
+    It subscribes to the rig's topics and publishes /handsight/pose, /tf, /handsight/markers and /diagnostics until
+    Ctrl-C. ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and CYCLONEDDS_URI have their usual meaning. Another
+    object, and a new start, are requested on topics:
 
     ```
     handsight ros2-bridge robot.yaml --object can
@@ -48,11 +51,11 @@ def ros2_bridge(
     from handsight.live.node import live_tracker, work
     from handsight.viewer import Viewer
 
-    as_recorded = renamed(as_recorded, old_equal, ("--as-recorded", "--equal"))
+    as_recorded = renamed(as_recorded, former_as_recorded, ("--as-recorded", "--equal"))
     live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=as_recorded)
     bridge = Bridge(live, Network(), say)
-    if view:
-        viewer = Viewer(live.tracker, port=view)
+    if port := renamed(port, former_port, ("--port", "--view")):
+        viewer = Viewer(live.tracker, port=port)
         live.show = viewer.update
         say(f"look at {viewer.address}")
     worker = threading.Thread(target=work, args=(bridge, bridge.publish, say, ended), daemon=True)

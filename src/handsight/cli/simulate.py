@@ -1,4 +1,4 @@
-"""`handsight simulate`: a scenario simulated into a recording, its rig beside it."""
+"""`handsight simulate`: a scenario simulated into a recording, with its rig beside it."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handsight.cli.options import DEPTH_CAMERAS, own_rig
+from handsight.cli.options import DEPTH_CAMERAS, rig_beside
 from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
@@ -18,28 +18,27 @@ if TYPE_CHECKING:
     from handsight.simulation import Grasp, Nuisances, Sample, Scenario
 
 BEGINS = 1000.0
-"""Stamp of a recording's first observation [s]: 0 is what robots say that do not know the time."""
-TWIST = "geometry_msgs/msg/TwistStamped"
-MODELS_OWN = ("object_dent", "object_scan")
-"""Nuisances of the robot's model that a rig file cannot say; `handsight.simulation.model_of` makes such models."""
+"""Stamp of a recording's first observation [s]; a stamp of 0 is what robots send that do not know the time."""
 
 
 def simulate(
     object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="The recording, MCAP; default: OBJECT-SEED.mcap here."),
+        typer.Option("--output", "-o", help="File for the recording: MCAP. Default: OBJECT-SEED.mcap."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     motion: Annotated[
         str,
         typer.Option(
             metavar="grasp|manipulate|weigh|ramp|steps|sine",
-            help="grasp: close and hold; manipulate: then move, lift and turn the object; weigh: then lift and tilt "
-            "it; ramp, steps, sine: then lift it, and something pulls it until it slips.",
+            help="grasp: close the hand and hold; manipulate: then move, lift and turn the object; weigh: then lift "
+            "and tilt it; ramp, steps, sine: then lift it, and pull it by a force of that shape until it slips.",
         ),
     ] = "manipulate",
-    images: Annotated[bool, typer.Option("--images", help="Record the camera's images as well.")] = False,
+    images: Annotated[
+        bool, typer.Option("--images", help="Record the depth camera's images as well.")
+    ] = False,
     skin: Annotated[
         bool,
         typer.Option(
@@ -52,53 +51,64 @@ def simulate(
     nuisance: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME=VALUE", help="Another size of a nuisance, in SI units; `none` switches all off."
+            metavar="NAME=VALUE",
+            help="Another value for one of the nuisances, in SI units; `none` switches all off. May be given several "
+            "times.",
         ),
     ] = None,
     blind: Annotated[
         bool,
         typer.Option(
             "--blind",
-            help="No camera: a finger first searches the object on the table, and it is grasped there.",
+            help="Without a camera: a finger searches the object on the table, where it is then grasped.",
         ),
     ] = False,
     grasp: Annotated[
         Path | None,
-        typer.Option(help="A grasp found before, OUTPUT.grasp.json of a recording; default: search one."),
+        typer.Option(
+            help="Grasp to use: the OUTPUT.grasp.json of an earlier recording. Default: search for one."
+        ),
     ] = None,
 ) -> None:
     """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
 
-    Beside the recording goes its rig, OUTPUT.rig.yaml, and for a mesh its grasp, OUTPUT.grasp.json: grasps are tried
-    in the simulator until one holds. All of it is synthetic (MuJoCo); what spoils the readings, and by how much, is a
-    setting each: `--nuisance joint_offset=0 --nuisance force_noise=0.02`, and so is how hard it is pulled where it is:
-    `--motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05`. With `--blind` what the
-    search has found is in the recording as one pose in the world, from which `handsight track` goes on.
+    The recording's rig is written beside it, OUTPUT.rig.yaml, and for a mesh its grasp, OUTPUT.grasp.json: grasps are
+    tried in the simulator until one holds. All of it is synthetic (MuJoCo). What spoils the measurements is set by
+    nuisances, such as joint_offset [rad] and force_noise [N]; and so is how the object is pulled: friction, pull_force
+    [N] and pull_torque [N m]. With `--blind`, the pose that the search found is in the recording, in the world, and
+    `handsight track` starts from it.
+
+    ```
+    handsight simulate can --output can.mcap
+    handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
+    handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
+    ```
     """
     from handsight.simulation import Scenario, read_grasp
 
     announce_compiling()
-    chosen: dict[str, Any] = {
-        "motion": motion,
-        "depth_camera": depth_camera,
-    }  # the scenario says which there are
+    chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
     scenario = Scenario(
         object=object, seed=seed, images=images, skin=skin, nuisances=nuisances(nuisance or []), **chosen
     )
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
-    _recordable(path)
-    chosen_grasp = read_grasp(grasp) if grasp else _found(scenario, path)
-    samples, dropped = record(scenario, path, chosen_grasp, blind=blind)
+    _check_suffix(path)
+    samples, dropped = record(
+        scenario, path, read_grasp(grasp) if grasp else _search_grasp(scenario, path), blind=blind
+    )
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
-    say(f"wrote {path}: {samples} observations, {size}, and {own_rig(path).name}")
+    say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")
 
 
 def nuisances(settings: Iterable[str]) -> "Nuisances":
-    """Returns the usual nuisances with some of another size, from `name=value`; `none` begins with all of them off."""
+    """Returns the default nuisances with the given changes, `name=value`; `none` switches off all before it.
+
+    Raises InvalidInput.
+    """
     from handsight import checks
     from handsight.simulation import Nuisances
 
@@ -113,7 +123,10 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
             raise InvalidInput(
                 f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.suggestion(name, names)}"
             )
-        if name in MODELS_OWN:
+        if name in (
+            "object_dent",
+            "object_scan",
+        ):  # a rig file cannot say these: see `handsight.simulation.model_of`
             raise InvalidInput(
                 f"--nuisance {name}: expected one of the recording, got one of the object's model"
             )
@@ -130,21 +143,21 @@ def record(
 ) -> tuple[int, bool]:
     """Returns how many observations were simulated into `path`, and whether the hand dropped the object in the end.
 
-    `grasp`: else the object's own, or one that is searched. `blind`: a finger searches the object first. The rig is
-    written beside it. Ctrl-C, or an error, leaves what was simulated by then.
+    `grasp` None: the object's own, or one that is searched for. `blind`: a finger searches the object first. The rig
+    is written beside it. Ctrl-C or an error leaves what was simulated until then.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
     from handsight.simulation.pull import pulls
 
-    _recordable(path)
+    _check_suffix(path)
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
-    # The one object there is need not be named to `track`.
-    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: _believed(scenario, rig)})
+    # With one object only, `track` needs no name.
+    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: believed_object(scenario, rig)})
     samples, dropped = 0, False
     with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
-        write_rig(rig, own_rig(path))
+        write_rig(rig, rig_beside(path))
         for sample in simulate_touch_search(scenario, grasp) if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
@@ -156,7 +169,10 @@ def record(
 
 
 def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") -> None:
-    """Appends how the object truly moves along each tip that touches it, in the palm: `/slip/FINGER` by the truth."""
+    """Writes the object's true velocity along each fingertip that touches it, in the palm's frame [m/s, rad/s].
+
+    Each is a TwistStamped on the truth's topic with `/slip/FINGER` behind it.
+    """
     from types import SimpleNamespace as Message
 
     from handsight.recording.write import header, parts
@@ -165,16 +181,17 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
     for finger, touch in sample.touches.items():
         velocity, turn = parts("xyz", touch.velocity_palm[:3]), parts("xyz", touch.velocity_palm[3:])
         twist = Message(linear=velocity, angular=turn)
-        writer.append(f"{rig.topics.truth}/slip/{finger}", TWIST, stamp, header=top, twist=twist)
+        topic = f"{rig.topics.truth}/slip/{finger}"
+        writer.append(topic, "geometry_msgs/msg/TwistStamped", stamp, header=top, twist=twist)
 
 
-def _recordable(path: Path) -> None:
+def _check_suffix(path: Path) -> None:
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
 
 
-def _found(scenario: "Scenario", path: Path) -> "Grasp":
-    """Returns the scenario's grasp; one that was searched is said, and written beside the recording."""
+def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
+    """Returns the scenario's grasp; one that had to be searched for is written beside the recording."""
     from handsight.simulation import find_grasp, write_grasp
 
     with bar("searching a grasp") as advance:
@@ -188,18 +205,18 @@ def _found(scenario: "Scenario", path: Path) -> "Grasp":
     return found.grasp
 
 
-def _believed(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
-    """Returns the object in the size that the robot takes it to have."""
+def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
+    """Returns the object with the size that the robot takes it to have."""
     from handsight.objects import ObjectSpec
 
-    entry = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
+    spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
     k = scenario.nuisances.object_scale
     if scenario.nuisances.object_off_center:
-        entry = dataclasses.replace(entry, center_of_mass=None, sigma_center_of_mass=None)  # it is not known
-    if entry.box is not None:
-        x, y, z = entry.box
-        return dataclasses.replace(entry, box=(k * x, k * y, k * z))
-    if entry.cylinder is not None:
-        radius, height = entry.cylinder
-        return dataclasses.replace(entry, cylinder=(k * radius, k * height))
-    return dataclasses.replace(entry, scale=k * entry.scale)
+        spec = dataclasses.replace(spec, center_of_mass=None, sigma_center_of_mass=None)  # it is not known
+    if spec.box is not None:
+        x, y, z = spec.box
+        return dataclasses.replace(spec, box=(k * x, k * y, k * z))
+    if spec.cylinder is not None:
+        radius, height = spec.cylinder
+        return dataclasses.replace(spec, cylinder=(k * radius, k * height))
+    return dataclasses.replace(spec, scale=k * spec.scale)

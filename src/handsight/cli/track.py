@@ -1,4 +1,4 @@
-"""`handsight track`: what is shown of a recording meanwhile, what is written, what is said at the end."""
+"""`handsight track`: an object followed through a recording, with results in files and a report on stderr."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -7,50 +7,42 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import (
-    ObjectName,
-    Recorded,
-    RigFile,
-    renamed,
-    rig_and_object,
-    with_intrinsics,
-    with_settings,
-)
-from handsight.cli.terminal import announce_compiling, live_rows, say
-from handsight.cli.track_summary import Run, weight_text
+from handsight.cli import options
+from handsight.cli.options import Run, renamed, tracker_settings
+from handsight.cli.terminal import live_rows, say
+from handsight.cli.track_summary import TrackResult, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.forces import Slip
     from handsight.objects import ObjectModel
-    from handsight.rig import Rig
-    from handsight.tracking import Tracker, TrackerSettings
+    from handsight.tracking import Tracker
     from handsight.tracking.replay import Step, Tally
 
-    Watch = Callable[[Tally, Step, Tracker], None]
 
-
-@with_settings
 def track(
-    recording: Recorded,
-    rig: RigFile = None,
-    object: ObjectName = None,
+    recording: options.RecordingPath,
+    rig: options.RigPath = None,
+    object: options.ObjectName = None,
     output_folder: Annotated[
         Path | None,
-        typer.Option("--output-folder", help="Folder for results; default: RECORDING-track, here."),
+        typer.Option(help="Folder for the results. Default: RECORDING-track in the current folder."),
     ] = None,
-    old_output: Annotated[Path | None, typer.Option("--output", "-o", hidden=True)] = None,
-    *,
-    settings: "TrackerSettings",
+    former_output: Annotated[Path | None, typer.Option("--output", "-o", hidden=True)] = None,
+    rate: options.Rate = None,
+    answer: options.Answer = "best",
+    samples: options.Samples = 0,
+    outside: options.OutsidePoints = 200,
+    images: options.WithImages = True,
 ) -> None:
     """Track an object in the hand through a recording.
 
-    Joint states, one wrench topic for each finger and, where there are some, depth images or a camera's poses of the
-    object go in, under the topics that the rig names; the object's pose in the palm comes out, for each joint state.
+    It reads joint states, one wrench topic for each finger, and depth images or a camera's poses of the object where
+    there are any, from the topics that the rig names. For each joint state it gives the object's pose in the palm.
 
-    Written to the folder: `track.mcap` (PoseWithCovarianceStamped), `track.tum`, `track.csv`, `summary.json`, and
-    `track.png` where matplotlib is installed.
+    The folder then has `track.mcap` (PoseWithCovarianceStamped), `track.tum`, `track.csv`, `summary.json`, and
+    `track.png` where matplotlib is installed. Positions are in metres.
 
     ```
     handsight simulate can --output can.mcap
@@ -59,36 +51,35 @@ def track(
     handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output-folder results
     ```
 
-    Whatever ends it early, what was tracked by then is written. The exit code is 0 only if nothing did, and there is a
-    pose.
+    If an error or Ctrl-C ends it early, what was tracked until then is written. The exit code is 0 only if nothing
+    ended it early and there is at least one pose.
     """
-    announce_compiling()
-    found, model = rig_and_object(recording, rig, object)
-    if renamed(False, old_output is not None, ("--output-folder", "--output")):
-        output_folder = output_folder or old_output
+    settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+    run = Run.of(recording, rig, object, settings)
+    output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
-        ended = run(recording, found, model, settings, watch)
+        result = tracked(run, watch)
     wrote = list[str]()
     try:
-        # Before anything is said: Ctrl-C while a terminal is being written to must not cost the results.
-        wrote.extend(write(ended, found, model, folder))
+        # Before anything is printed: Ctrl-C while the terminal is written to must not cost the results.
+        wrote.extend(write(result, run, folder))
     finally:
-        for sentence in (*ended.messages, *ended.sentences(), *wrote):
+        for sentence in (*result.messages, *result.sentences(), *wrote):
             say(sentence)
-    if code := ended.exit_code:
+    if code := result.exit_code:
         raise typer.Exit(code)
 
 
 def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str, str]]:
-    """Returns how a run goes, as names and values."""
-    position = 1e3 * step.estimate.T_palm_object[:3, 3]
-    rate = tally.answered / max(tally.recorded, 1e-9)
+    """Returns names and values that show how the tracker is doing."""
+    x, y, z = 1e3 * step.estimate.T_palm_object[:3, 3]
+    rate, speed = (tally.answered / max(tally.recorded, 1e-9), tally.recorded / max(tally.wall, 1e-9))
     return [
         ("state", step.state + (f": {step.reason}" if step.reason else "")),
-        ("time", f"{tally.recorded:.1f} s, {tally.recorded / max(tally.wall, 1e-9):.1f}x real time"),
+        ("time", f"{tally.recorded:.1f} s, {speed:.1f}x real time"),
         ("rate", f"{rate:.0f} poses/s, {tracker.corrections} corrections"),
-        ("position", "x {:.1f}, y {:.1f}, z {:.1f} mm in the palm".format(*position)),
+        ("position", f"x {x:.1f}, y {y:.1f}, z {z:.1f} mm in the palm"),
         ("σ", f"{1e3 * step.sigma:.1f} mm"),
         ("touching", ", ".join(step.fingers) or "nothing"),
         ("grip", grip(step.slip)),
@@ -97,107 +88,103 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
 
 
 def grip(slip: "Slip") -> str:
-    """Returns how near to slipping the object is."""
+    """Returns how near the object is to slipping."""
     if slip.least is None:
-        return "friction is not known yet" if slip.friction is None else "nothing is held"
-    used = f"the finger that holds best uses {slip.least:.0%} of what friction {slip.friction:.2f} holds"
+        return "friction is not known yet" if slip.friction is None else "no finger holds the object"
+    used = f"the finger that holds best uses {slip.least:.0%} of what friction {slip.friction:.2f} allows"
     return f"slips: {used}" if slip.slipping else used
 
 
-def run(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings", watch: "Watch") -> Run:
-    """Tracks a recording. Whatever ends it early, Ctrl-C too, what was tracked by then is there.
+def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackResult:
+    """Returns the result of tracking a recording; `watch` is called with every step.
 
-    Raises what the recording is refused for, if nothing was tracked.
+    An error or Ctrl-C ends it early, with the steps until then. An error about the recording before the first step is
+    raised.
     """
     from handsight.evaluation import Truths, track_errors
-    from handsight.recording import open_recording
-    from handsight.tracking import Tracker
     from handsight.tracking.replay import Tally, replay
 
-    with open_recording(path, rig) as recording:
-        rig = with_intrinsics(rig, recording)
-    tracker = Tracker(rig, model, settings=settings)
-    with open_recording(path, rig) as recording:
-        ended = Run(printable(path.name), Tally(), Truths([]))
-        with ended.part() as end:
-            for step in replay(recording.observations(), tracker, ended.tally):
-                ended.steps.append(step)
-                ended.weight = tracker.weight or ended.weight
-                watch(ended.tally, step, tracker)
-        # It may end between an answer's count and the answer.
-        ended.tally.answered = len(ended.steps)
-        if isinstance(end.error, HandsightError) and not ended.steps:
+    with run.opened() as (recording, tracker):
+        result = TrackResult(printable(run.recording.name), Tally(), Truths([]))
+        with result.part() as end:
+            for step in replay(recording.observations(), tracker, result.tally):
+                result.steps.append(step)
+                result.weight = tracker.weight or result.weight
+                watch(result.tally, step, tracker)
+        # Ctrl-C may come between the count of an answer and the answer.
+        tally = result.tally
+        tally.answered = len(result.steps)
+        if isinstance(end.error, HandsightError) and not result.steps:
             raise end.error
-        ended.messages = [*recording.report.sentences(), *recording.lacks()]
-        ended.truths = Truths(recording.truth)
-    ended.images = tracker.images
-    ended.corrections, ended.margins = tracker.corrections, tracker.link_margins
-    ended.reason = tracker.reason if ended.steps else without_pose(ended.tally, tracker)
-    without, touched = ended.tally.without, ended.tally.touched
-    ended.untouched = {name: dict(without.get(name, {})) for name in rig.fingers if name not in touched}
-    with ended.part():
-        for name, vision in (("vision", True), ("tracked", False)):
-            found = track_errors(model, ended.steps, ended.truths, vision=vision)
-            if len(found):
-                ended.errors[name] = found
-    return ended
-
-
-def without_pose(tally: "Tally", tracker: "Tracker") -> str:
-    """Returns why a run has no pose."""
-    if not tally.observations:
-        return "the recording has no observation"
-    if tally.refused.total() == tally.observations:
-        return "all observations were left out"
-    if unplaced := tracker.vision.unplaced:
-        return (
+        result.messages = [*recording.report.sentences(), *recording.lacks()]
+        result.truths = Truths(recording.truth)
+    result.images, result.corrections, result.margins = (
+        tracker.images,
+        tracker.corrections,
+        tracker.link_margins,
+    )
+    result.reason = tracker.reason
+    if not result.steps and not tally.observations:
+        result.reason = "the recording has no observation"
+    elif not result.steps and tally.refused.total() == tally.observations:
+        result.reason = "all observations were left out"
+    elif not result.steps and (unplaced := tracker.vision.unplaced):
+        result.reason = (
             f"{unplaced} poses of vision could not be placed, as the palm's pose in the world was not known"
         )
-    return tracker.reason
+    result.untouched = {
+        name: dict(tally.without.get(name, {})) for name in run.rig.fingers if name not in tally.touched
+    }
+    with result.part():
+        for name, vision in (("vision", True), ("tracked", False)):
+            errors = track_errors(run.model, result.steps, result.truths, vision=vision)
+            if len(errors):
+                result.errors[name] = errors
+    return result
 
 
-def write(ended: Run, rig: "Rig", model: "ObjectModel", folder: Path) -> Iterator[str]:
-    """Writes the results into a folder, and says what was written; why anything was not is in `ended.ends`."""
+def write(result: TrackResult, run: Run, folder: Path) -> Iterator[str]:
+    """Writes the results to a folder and yields sentences about it; failures are added to `result.ends`."""
     from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
 
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows = [
         TrackRow(
-            step.stamp,
-            step.estimate.T_palm_object,
-            step.estimate.covariance,
-            step.state,
-            step.reason,
-            step.estimate.information,
+            s.stamp,
+            s.estimate.T_palm_object,
+            s.estimate.covariance,
+            s.state,
+            s.reason,
+            s.estimate.information,
         )
-        for step in ended.steps
+        for s in result.steps
     ]
     files: dict[str, Callable[..., None]] = {
-        "track.mcap": partial(write_track_mcap, frame=rig.frames["palm"]),
+        "track.mcap": partial(write_track_mcap, frame=run.rig.frames["palm"]),
         "track.tum": write_track_tum,
         "track.csv": write_track_csv,
-        "summary.json": ended.write_summary,
+        "summary.json": lambda path, _: result.write_summary(path),
     }
     done = []
     for name, write_file in files.items():
-        with ended.part():
+        with result.part():
             write_file(folder / name, rows)
             done.append(name)
     yield f"wrote {folder}: {', '.join(done)}"
     if not rows:
         yield "no picture: there is no pose"
         return
-    with ended.part():
-        yield draw(ended, model, folder / "track.png")
+    with result.part():
+        yield draw(result, run.model, folder / "track.png")
 
 
-def draw(ended: Run, model: "ObjectModel", path: Path) -> str:
-    """Draws a run, and says what was written, or why not."""
+def draw(result: TrackResult, model: "ObjectModel", path: Path) -> str:
+    """Draws a result, and returns a sentence that says where, or why not."""
     try:
         from handsight.viewer.track_figure import draw_track
 
-        draw_track(ended.name, model, ended.steps, ended.truths, path)
+        draw_track(result.name, model, result.steps, result.truths, path)
     except MissingExtra as error:
         return f"no picture: {error}"
     return f"wrote {path}"

@@ -1,4 +1,4 @@
-"""What `handsight track` has to say of a recording's way through a tracker, for a person and as numbers."""
+"""The result of `handsight track`: a recording's way through a tracker, in sentences and as numbers."""
 
 import contextlib
 import json
@@ -17,46 +17,42 @@ if TYPE_CHECKING:
     from handsight.tracking.replay import Step, Tally
     from handsight.tracking.weight_update import ObjectWeight
 
-MOST_REFUSED = 5
-"""Kinds of wrong observations that are told each."""
-OFTEN = 0.5
-"""A finger that is rejected in so large a part of the answers while it touches is told."""
-
 
 @dataclass(slots=True)
-class Run:
-    """A `Run` is a recording's way through a tracker."""
+class TrackResult:
+    """A `TrackResult` is what tracking a recording came to."""
 
     name: str
+    """Of the recording."""
     tally: "Tally"
     truths: "Truths"
     steps: "list[Step]" = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    """What the recording has to say of itself."""
+    """What is wrong with the recording."""
     corrections: int = 0
     reason: str = ""
-    """Why the tracker's last state was no better."""
+    """Why the tracker's last state was no better, or why there is no pose."""
     errors: "dict[str, TrackErrors]" = field(default_factory=dict)
-    """Of "vision" and "tracked" against the truth, where the recording has one."""
+    """Errors of "vision" and "tracked" against the truth, where the recording has one."""
     untouched: dict[str, dict[str, int]] = field(default_factory=dict)
-    """By finger that never touched anything: its observations, by why there was no contact."""
+    """By finger that never touched anything: how many of its observations had no contact, by the reason."""
     margins: dict[str, float] = field(default_factory=dict)
-    """By link of the hand that is smaller than its shape: by how much [m]."""
+    """By link of the hand whose shape in the hand's file is too large: by how much [m]."""
     images: dict[str, int] = field(default_factory=dict)
-    """What has become of depth images, if any were looked at."""
+    """Counts of depth images, if any were used: searched, with the object, searched for the hand, with the hand."""
     weight: "ObjectWeight | None" = None
-    """What the object weighed, when it was last in the air."""
+    """The object's weight as last measured in the air."""
     ends: list[End] = field(default_factory=list)
-    """Of what ended early."""
+    """Of the parts that ended early."""
 
     @property
     def exit_code(self) -> int:
-        """Of the command: that of what ended first, or of a run without a pose."""
+        """Returns the command's exit code: that of the first part that ended early, or of a result without a pose."""
         return next((end.exit_code for end in self.ends), 0 if self.steps else FAILED)
 
     @contextlib.contextmanager
     def part(self) -> Iterator[End]:
-        """A part of the run, which may end early."""
+        """Runs a part of the command that may end early, without ending the others."""
         with kept_going() as end:
             yield end
         if end.exit_code:
@@ -64,12 +60,12 @@ class Run:
 
     @property
     def friction(self) -> float | None:
-        """Coefficient of friction between object and tips, as far as it was learnt in the end."""
+        """Returns the coefficient of friction between object and fingertips as estimated at the end."""
         return self.steps[-1].slip.friction if self.steps else None
 
     @property
     def slips(self) -> list[tuple[float, float]]:
-        """When the object slipped, and for how long, each time [s]."""
+        """Returns when the object slipped, and how long, each time [s]."""
         found: dict[float, float] = {}
         for step in self.steps:
             if step.slip.slipping:
@@ -78,13 +74,13 @@ class Run:
 
     @property
     def rejected(self) -> dict[str, float]:
-        """By finger: in what part of the answers while it touched its contact was taken for wrong."""
+        """Returns by finger in which part of the poses with its contact the contact was an outlier."""
         touching = Counter(finger for step in self.steps for finger in step.fingers)
         wrong = Counter(finger for step in self.steps for finger in step.rejected)
         return {finger: wrong[finger] / count for finger, count in touching.items()}
 
     def summary(self) -> dict[str, object]:
-        """Returns the run in numbers, as JSON's values."""
+        """Returns the result in numbers, as JSON has them."""
         tally = self.tally
         return {
             "recording": self.name,
@@ -109,14 +105,14 @@ class Run:
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
 
-    def write_summary(self, path: Path, _: object) -> None:
+    def write_summary(self, path: Path) -> None:
         """Writes the summary as JSON."""
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False, allow_nan=False)
         with write_errors(path):
             path.write_text(text + "\n", encoding="utf-8")
 
     def sentences(self) -> list[str]:
-        """Returns the run for a person."""
+        """Returns the result for a person."""
         tally = self.tally
         factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
         lines = [
@@ -125,17 +121,21 @@ class Run:
         ]
         if not tally.answered:
             lines.append(f"no pose: {self.reason}")
-        spent = ", ".join(
-            f"{state} {seconds:.1f} s" for state, seconds in sorted(tally.states.items(), key=lambda s: -s[1])
-        )
-        if spent:
+        longest_first = sorted(tally.states.items(), key=lambda state: -state[1])
+        if spent := ", ".join(f"{state} {seconds:.1f} s" for state, seconds in longest_first):
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += refusals(tally)
-        lines += self._touch()
+        lines += self._touch_sentences()
         if self.images:
-            lines.append(images_text(self.images))
+            searched, detected, searched_hand, hands = self.images.values()
+            hand = f"the hand in {hands} of {searched_hand} searched for it"
+            lines.append(f"{searched} depth images: the object was found in {detected}, {hand}")
         if self.margins:
-            lines.append(larger_shapes(self.margins))
+            by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
+            lines.append(
+                "these shapes of the hand's file are larger than the hand, as they would be inside the object though "
+                f"contacts fit, and were shrunk: {by}"
+            )
         if self.weight is not None:
             lines.append(f"weight: {weight_text(self.weight)}")
         lines += [end.message for end in self.ends if end.message]
@@ -147,16 +147,16 @@ class Run:
             )
         return lines
 
-    def _touch(self) -> Iterator[str]:
-        """Yields what fingers and skin have to say."""
+    def _touch_sentences(self) -> Iterator[str]:
+        """Yields sentences about fingers, tactile arrays and slips."""
         for finger, why in self.untouched.items():
             reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
             yield f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})"
         for finger, part in self.rejected.items():
-            if part >= OFTEN:
+            if part >= 0.5:
                 yield (
-                    f"finger {finger}: taken for wrong in {100 * part:.0f} % of the poses while it touched: "
-                    "its reading, bias, sensor.pose or surface?"
+                    f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
+                    "check its reading, bias, sensor.pose and surface"
                 )
         if pressed := sum(step.skin.pressed for step in self.steps):
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
@@ -169,13 +169,14 @@ class Run:
 
 
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
-    """Returns what an object weighs, and where its centre of mass is in it, in a line, or `why` it was not weighed."""
+    """Returns in a line what an object weighs, and where its centre of mass is, or `why` it was not weighed."""
     if weight is None:
         return f"not weighed: {why or 'not in the air'}"
     place = ", ".join(f"{1e3 * x:.0f}" for x in weight.center_object)
     sigma = 1e3 * math.sqrt(weight.covariance.trace() / 3)
     text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
-    text += f"; too much read by {', '.join(weight.biased)} in the air is taken off" if weight.biased else ""
+    if weight.biased:
+        text += f"; the excess that {', '.join(weight.biased)} read in the air is subtracted"
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
@@ -192,22 +193,6 @@ def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
     }
 
 
-def larger_shapes(margins: dict[str, float]) -> str:
-    """Returns a sentence of the links whose shapes would be inside the object."""
-    by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in margins.items())
-    return f"shapes of the hand's file larger than the hand, inside the object though contacts fit: {by}; taken off"
-
-
-def images_text(images: dict[str, int]) -> str:
-    """Returns a sentence of what depth images have shown."""
-    searched_images, detected, sought, hands = images.values()
-    hand = f"the hand in {hands} of {sought} looked at for it"
-    return f"{searched_images} depth images: the object was seen in {detected}, {hand}"
-
-
 def refusals(tally: "Tally") -> list[str]:
-    """Returns a sentence for each of the most frequent kinds of observations that were left out."""
-    return [
-        f"{count} observations left out: {messages}"
-        for messages, count in tally.refused.most_common(MOST_REFUSED)
-    ]
+    """Returns a sentence for each of the five most frequent reasons for which observations were left out."""
+    return [f"{count} observations left out: {message}" for message, count in tally.refused.most_common(5)]

@@ -1,4 +1,4 @@
-"""`handsight view`: a recording on a page, tracked as it is shown."""
+"""`handsight view`: a recording on a page in the browser, tracked while it is shown."""
 
 import contextlib
 import threading
@@ -7,40 +7,34 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import (
-    ObjectName,
-    Recorded,
-    RigFile,
-    rig_and_object,
-    with_intrinsics,
-    with_settings,
-)
-from handsight.cli.terminal import FAILED, announce_compiling, say
+from handsight.cli import options
+from handsight.cli.options import Run, tracker_settings
+from handsight.cli.terminal import FAILED, say
 from handsight.cli.track_summary import refusals
 from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.objects import ObjectModel
-    from handsight.rig import Rig
-    from handsight.tracking import TrackerSettings
     from handsight.viewer.page import Page
 
 
-@with_settings
 def view(
-    recording: Recorded,
-    rig: RigFile = None,
-    object: ObjectName = None,
-    *,
-    settings: "TrackerSettings",
+    recording: options.RecordingPath,
+    rig: options.RigPath = None,
+    object: options.ObjectName = None,
+    rate: options.Rate = None,
+    answer: options.Answer = "best",
+    samples: options.Samples = 0,
+    outside: options.OutsidePoints = 200,
+    images: options.WithImages = True,
     port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Of the page; where it is taken, the next one that is free.")
+        int, typer.Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
     ] = 8080,
 ) -> None:
-    """Show a recording in the browser, tracked as `handsight track` does: what is believed at each moment, and why.
+    """Show a recording in the browser: where the object is at each moment, and why handsight thinks so.
 
-    Hand and object as they lie in the palm, contacts, forces, other likely poses, what touch leaves open, the camera's
-    image; play, pause and seek. The page is for browsers of this machine only. Ctrl-C ends it.
+    It is tracked as `handsight track` does. The page has the hand and the object in the palm's frame, contacts,
+    forces, other likely poses, the directions that touch leaves open, and the camera's image; play, pause and seek.
+    Only browsers on this machine reach it. Ctrl-C ends it.
 
     ```
     handsight simulate can --output can.mcap
@@ -50,19 +44,19 @@ def view(
     from handsight.viewer.page import Page, require_viser
 
     require_viser()
-    announce_compiling()
+    settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     with contextlib.suppress(KeyboardInterrupt):
-        refuse_track(recording)
-        found, model = rig_and_object(recording, rig, object)
-        page = Page(found, model, port=port, title=f"{model.name or 'object'} in {recording.name}")
+        _refuse_track(recording)
+        run = Run.of(recording, rig, object, settings)
+        page = Page(run.rig, run.model, port=port, title=f"{run.model.name or 'object'} in {recording.name}")
         with contextlib.closing(page):
             taken = "" if page.port == port else f" ({port} is taken)"
             say(f"look at {page.address}{taken}; Ctrl-C ends")
-            show(recording, found, model, settings, page)
+            _show(run, page)
 
 
-def refuse_track(path: Path) -> None:
-    """Raises InvalidInput for a `track.mcap`: what moved the hand, and what it touched, are not in it."""
+def _refuse_track(path: Path) -> None:
+    """Raises InvalidInput for a `track.mcap`, which has poses, but not what moved the hand and what it touched."""
     from handsight.recording.open import open_files
     from handsight.recording.write import TRACK_TOPIC
 
@@ -77,21 +71,17 @@ def refuse_track(path: Path) -> None:
                 )
 
 
-def show(path: Path, rig: "Rig", model: "ObjectModel", settings: "TrackerSettings", page: "Page") -> None:
-    """Tracks a recording while its page plays it; then waits for Ctrl-C. Exits with 1 where there is no pose."""
+def _show(run: Run, page: "Page") -> None:
+    """Tracks a recording while its page plays it, then waits for Ctrl-C; exits with 1 where there is no pose."""
     from handsight.evaluation import Truths
-    from handsight.recording import open_recording
-    from handsight.tracking import Tracker
     from handsight.tracking.replay import Tally
     from handsight.viewer.curves import curves
     from handsight.viewer.player import Player, Timeline
     from handsight.viewer.replay_moments import follow
 
-    with open_recording(path, rig) as recording:
-        rig = with_intrinsics(rig, recording)
-    tracker, timeline, tally = Tracker(rig, model, settings=settings), Timeline(), Tally()
-    with open_recording(path, rig) as recording:
-        player = Player(page, timeline, lambda: curves(timeline.moments, model, Truths(recording.truth)))
+    timeline, tally = Timeline(), Tally()
+    with run.opened() as (recording, tracker):
+        player = Player(page, timeline, lambda: curves(timeline.moments, run.model, Truths(recording.truth)))
         with contextlib.closing(player):
             player.start()
             try:

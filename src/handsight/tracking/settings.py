@@ -23,16 +23,16 @@ class TrackerSettings:
     """Corrections a second while something is touched, whether or not anything changed; None: only when it did."""
     moved: float = 0.001
     """A contact that moved so far in the palm is a new one [m]."""
-    turned: float = np.deg2rad(5.0)
+    turned: float = float(np.deg2rad(5.0))
     """Or whose normal turned so far [rad]."""
     process_noise_position: float = 0.002
     """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
     of time. Objects between simulated tips move by millimetres as they are lifted, and creep on after."""
-    process_noise_rotation: float = np.deg2rad(3.0)
+    process_noise_rotation: float = float(np.deg2rad(3.0))
     """[rad]; a box between three simulated tips creeps by degrees while it is carried."""
     regrasp_position: float = 0.005
     """How far it may be pushed when a finger comes or goes, per axis [m]."""
-    regrasp_rotation: float = np.deg2rad(3.0)
+    regrasp_rotation: float = float(np.deg2rad(3.0))
     """[rad]"""
     memory: float = 5.0
     """How long a contact that was lifted is still believed [s]; 0: not at all."""
